@@ -1,0 +1,160 @@
+"""The exception tree, which is also the list of exit codes.
+
+::
+
+    RobustlabError                          exit code
+    ├── UsageError                          2    the call itself is off (unknown option, unknown name)
+    ├── InputError          (ValueError)    3    a file, a model, a record or a recipe is not what it must be
+    │   └── UnitMismatch                    3    units given, and they disagree
+    ├── NoTrustworthyNumber (ArithmeticError) 4  the computation ended without a number that can be vouched for
+    │   └── NativeTimeout                   4    a native routine did not answer in its time limit
+    └── EnvironmentFault    (OSError)       5    disk, permissions, a missing package
+        └── DependencyMissing               5    an optional package is not installed
+
+Exit code 0 means done and all requirements met, 1 done but a stated requirement is not met, 70 a bug of ours, 130 Ctrl-C.
+
+Every message says WHERE, what was FOUND and what was EXPECTED on one line; the hint says what to do next.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "EXIT_BUG",
+    "EXIT_INTERRUPTED",
+    "EXIT_OK",
+    "EXIT_REQUIREMENT_NOT_MET",
+    "DependencyMissing",
+    "EnvironmentFault",
+    "InputError",
+    "NativeTimeout",
+    "NoTrustworthyNumber",
+    "RobustlabError",
+    "UnitMismatch",
+    "UsageError",
+    "did_you_mean",
+    "plain_text",
+]
+
+EXIT_OK = 0
+EXIT_REQUIREMENT_NOT_MET = 1
+EXIT_BUG = 70
+EXIT_INTERRUPTED = 130
+
+
+class RobustlabError(Exception):
+    """Base of all errors that robustlab raises on purpose.
+
+    Parameters
+    ----------
+    where
+        File, dataset, argument or step that is concerned.
+    found
+        What was found there.
+    expected
+        What would have been right; left out where ``found`` says it all.
+    hint
+        What the user can do next, preferably a command to type.
+    more
+        Further findings of the same kind, one line each (all faults of a file are listed, not the first one only).
+    """
+
+    exit_code = EXIT_BUG
+
+    def __init__(
+        self,
+        where: str,
+        found: str,
+        expected: str | None = None,
+        hint: str | None = None,
+        more: tuple[str, ...] = (),
+    ) -> None:
+        self.where = where
+        self.found = found
+        self.expected = expected
+        self.hint = hint
+        self.more = tuple(more)
+        super().__init__(self.line)
+
+    @property
+    def line(self) -> str:
+        """The one line ``WHERE: FOUND, expected EXPECTED``, safe to print on a terminal."""
+        text = f"{self.where}: {self.found}"
+        if self.expected:
+            text += f", expected {self.expected}"
+        return plain_text(text)
+
+    def __str__(self) -> str:
+        lines = [self.line, *(plain_text(line) for line in self.more)]
+        if self.hint:
+            lines.append(f"hint: {plain_text(self.hint)}")
+        return "\n".join(lines)
+
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        # Errors cross process boundaries (the file reader is a child process).
+        return type(self), (self.where, self.found, self.expected, self.hint, self.more)
+
+
+class UsageError(RobustlabError):
+    """The call itself is off; exit code 2."""
+
+    exit_code = 2
+
+
+class InputError(RobustlabError, ValueError):
+    """A file, a model, a record or a recipe is not what it must be; exit code 3."""
+
+    exit_code = 3
+
+
+class UnitMismatch(InputError):
+    """Two signals that are to be connected or compared carry different units; exit code 3."""
+
+
+class NoTrustworthyNumber(RobustlabError, ArithmeticError):
+    """The computation ended without a number that can be vouched for; exit code 4."""
+
+    exit_code = 4
+
+
+class NativeTimeout(NoTrustworthyNumber):
+    """A native routine did not answer in its time limit; exit code 4."""
+
+
+class EnvironmentFault(RobustlabError, OSError):
+    """Disk full, no permission, something of the machine is missing; exit code 5."""
+
+    exit_code = 5
+
+
+class DependencyMissing(EnvironmentFault):
+    """An optional package is not installed; exit code 5."""
+
+
+def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
+    """``"did you mean X?"`` for the closest of the known names, or None.
+
+    Examples
+    --------
+    >>> did_you_mean("nomnal", ["nominal", "perturbed"])
+    'did you mean nominal?'
+    """
+    import difflib
+
+    close = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {close[0]}?" if close else None
+
+
+def plain_text(text: str) -> str:
+    """``text`` without control and bidirectional-override characters, each shown as an escape.
+
+    Names in files are data from outside: an escape sequence in one must not reach the terminal.
+
+    Examples
+    --------
+    >>> plain_text("omega\\x1b[31m")
+    'omega\\\\x1b[31m'
+    """
+    bidi = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f"
+    return "".join(
+        ch if (ch.isprintable() and ch not in bidi) or ch == " " else ch.encode("unicode_escape").decode() for ch in text
+    )

@@ -1,0 +1,78 @@
+"""Frequency grids and batched frequency responses; frequency comes first: ``(n_omega, n_outputs, n_inputs)``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel, real_array
+
+__all__ = ["default_grid", "frequency_response"]
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# (n_omega, n, n) complex systems are solved in chunks of about this many numbers.
+CHUNK = 4_000_000
+
+
+def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> Array:
+    """Logarithmic grid in rad/s around the model's own dynamics, shape (n,).
+
+    From ``decades`` below the slowest to ``decades`` above the fastest pole; every lightly damped pole's frequency is added,
+    so that its peak is not stepped over. A discrete model's grid ends at the Nyquist frequency pi / dt.
+    """
+    poles = model.poles()
+    if model.is_discrete:
+        poles = np.log(poles[np.abs(poles) > 1e-12]) / model.dt
+    size = np.abs(poles)
+    size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
+    low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
+    grid = np.geomspace(low * 10**-decades, high * 10**decades, n)
+    light = np.abs(poles.imag)[(np.abs(poles.real) < 0.3 * np.abs(poles)) & (poles.imag > 0)]
+    grid = np.unique(np.concatenate([grid, light]))
+    if model.is_discrete:
+        nyquist = np.pi / model.dt
+        grid = np.append(grid[grid < nyquist], nyquist)
+    return grid
+
+
+def frequency_response(model: StateSpaceModel, omega: ArrayLike) -> ComplexArray:
+    r"""Frequency response, shape (n_omega, n_y, n_u).
+
+    .. math:: G(j\omega) = C (j\omega I - A)^{-1} B + D, \qquad G(e^{j\omega dt}) \text{ for } dt > 0
+
+    Parameters
+    ----------
+    omega
+        Frequencies in rad/s, shape (n_omega,); ``inf`` gives D for a continuous model.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        A frequency hits a pole exactly.
+    """
+    w = np.atleast_1d(np.asarray(omega, dtype=float))
+    finite = np.isfinite(w)
+    real_array("omega", w[finite], 1, "frequency_response")
+    if not finite.all() and (model.is_discrete or np.isnan(w).any() or (w[~finite] < 0).any()):
+        raise InputError("frequency_response", "omega is not finite", "finite frequencies in rad/s")
+    response = np.broadcast_to(model.D.astype(complex), (len(w), *model.D.shape)).copy()
+    n = model.n_states
+    if n == 0:
+        return response
+    point = np.exp(1j * w[finite] * model.dt) if model.is_discrete else 1j * w[finite]
+    where = np.flatnonzero(finite)
+    eye = np.eye(n)
+    step = max(1, CHUNK // (n * n))
+    for first in range(0, len(point), step):
+        s = point[first : first + step]
+        try:
+            x = np.linalg.solve(s[:, None, None] * eye - model.A, model.B[None].astype(complex))
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber(
+                "frequency_response", "a frequency hits a pole exactly", None, "leave that frequency out"
+            ) from None
+        response[where[first : first + step]] += model.C @ x
+    return response

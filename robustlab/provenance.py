@@ -1,0 +1,107 @@
+"""Where a number came from: versions, hashes, seeds, time.
+
+Every file that robustlab writes carries a provenance, so that a result can be traced to the code, the inputs and the seed that made it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+
+from robustlab.errors import InputError
+
+__all__ = ["Provenance", "file_sha256", "library_versions", "robustlab_version"]
+
+_LIBRARIES = ("numpy", "scipy", "slycot", "cvxpy", "clarabel", "control", "h5py")
+
+
+def robustlab_version() -> str:
+    """Version of the installed package."""
+    return metadata.version("robustlab")
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of the libraries whose numerics a result depends on; read from the metadata, nothing is imported."""
+    versions = {"robustlab": robustlab_version(), "python": platform.python_version()}
+    for name in _LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def file_sha256(path: str | Path) -> str:
+    """SHA-256 of a file's bytes, as a hex string."""
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as stream:
+        for chunk in iter(lambda: stream.read(1 << 20), b""):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Origin of an object: what made it, from which inputs, with which seed and versions.
+
+    Attributes
+    ----------
+    created_by
+        The function or command, for example ``"elementwise"``.
+    created
+        UTC time in ISO 8601.
+    inputs
+        Name of each input -> its SHA-256.
+    seed
+        Seed of the random numbers, or None where none were drawn.
+    versions
+        Library -> version.
+    note
+        Free text.
+    """
+
+    created_by: str
+    created: str
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    seed: int | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+    note: str = ""
+
+    @classmethod
+    def now(
+        cls, created_by: str, inputs: Mapping[str, str] | None = None, seed: int | None = None, note: str = ""
+    ) -> Provenance:
+        """A provenance with the present time and the installed versions."""
+        created = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        return cls(created_by, created, dict(inputs or {}), seed, library_versions(), note)
+
+    def to_json(self) -> dict[str, object]:
+        """The same as a dict of plain types."""
+        return {
+            "created_by": self.created_by,
+            "created": self.created,
+            "inputs": dict(self.inputs),
+            "seed": self.seed,
+            "versions": dict(self.versions),
+            "note": self.note,
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, object]) -> Provenance:
+        """Inverse of `to_json`; unknown keys are left out, so that newer minor versions of the format can be read."""
+        inputs, versions, seed = data.get("inputs", {}), data.get("versions", {}), data.get("seed")
+        if not isinstance(inputs, Mapping) or not isinstance(versions, Mapping):
+            raise InputError("provenance", "inputs or versions is not a table", "a mapping of names to texts")
+        return cls(
+            str(data.get("created_by", "")),
+            str(data.get("created", "")),
+            {str(k): str(v) for k, v in inputs.items()},
+            seed if isinstance(seed, int) else None,
+            {str(k): str(v) for k, v in versions.items()},
+            str(data.get("note", "")),
+        )

@@ -1,0 +1,182 @@
+"""Records: time series of inputs and outputs, measured or simulated.
+
+A record is what a simulation returns and what a measurement is read into, so that the two can be compared.
+It lives below `robustlab.dynamics` because a simulation makes one; reading measured files is `Record.read`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.statespace import MAX_NAME, real_array
+
+__all__ = ["Record"]
+
+Array = NDArray[np.float64]
+
+# A clock that jitters by less than this share of the sample time counts as uniform.
+UNIFORM_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Record:
+    """Time series with one strictly increasing clock; immutable.
+
+    Parameters
+    ----------
+    t
+        Times in s, shape (n,), strictly increasing.
+    inputs, outputs
+        Name -> samples, each of shape (n,). Every name is used once over both.
+    units
+        Name -> unit; signals without one carry an empty unit (not stated).
+    name
+        What messages and figures call this record.
+    meaning
+        Name -> free text.
+
+    Raises
+    ------
+    InputError
+        Lengths that differ, NaN or Inf (with the index), a clock that stands still or runs backwards (with the sample).
+
+    Examples
+    --------
+    >>> r = Record([0.0, 0.1, 0.2], inputs={"u": [0, 1, 1]}, outputs={"q": [0.0, 0.1, 0.3]}, units={"u": "V", "q": "m"})
+    >>> r.n, round(r.dt, 12), r.unit("q")
+    (3, 0.1, 'm')
+    """
+
+    t: Array
+    inputs: Mapping[str, Array]
+    outputs: Mapping[str, Array]
+    units: Mapping[str, str]
+    name: str
+    meaning: Mapping[str, str]
+
+    def __init__(
+        self,
+        t: ArrayLike,
+        inputs: Mapping[str, ArrayLike] | None = None,
+        outputs: Mapping[str, ArrayLike] | None = None,
+        units: Mapping[str, str] | None = None,
+        name: str = "record",
+        meaning: Mapping[str, str] | None = None,
+    ) -> None:
+        clock = real_array("t", t, 1, name)
+        if len(clock) < 2:
+            raise InputError(name, f"{len(clock)} samples", "at least 2")
+        step = np.diff(clock)
+        if (step <= 0).any():
+            k = int(np.argmax(step <= 0)) + 1
+            word = "repeats the stamp before it" if step[k - 1] == 0 else "runs backwards"
+            count = int((step <= 0).sum())
+            raise InputError(name, f"t[{k}] = {clock[k]:.9g} s {word} ({count} such samples)", "strictly increasing times")
+        ins = _channels(inputs or {}, len(clock), name)
+        outs = _channels(outputs or {}, len(clock), name)
+        twice = sorted(set(ins) & set(outs))
+        if twice:
+            raise InputError(name, f"signal {twice[0]!r} is both an input and an output", "unique names")
+        known = [*ins, *outs]
+        for given in (units or {}, meaning or {}):
+            for key in given:
+                if key not in known and key != "t":
+                    raise InputError(name, f"a unit or meaning for {key!r}, which is no signal", None, did_you_mean(key, known))
+        put = object.__setattr__
+        put(self, "t", clock)
+        put(self, "inputs", ins)
+        put(self, "outputs", outs)
+        put(self, "units", {key: str((units or {}).get(key, "")) for key in known})
+        put(self, "name", name)
+        put(self, "meaning", {key: str(text) for key, text in (meaning or {}).items()})
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Last time minus first time in s."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def dt(self) -> float:
+        """Mean sample time in s."""
+        return self.duration / (self.n - 1)
+
+    @property
+    def is_uniform(self) -> bool:
+        """True where every step is within 0.1 % of the mean sample time."""
+        return bool(np.abs(np.diff(self.t) - self.dt).max() <= UNIFORM_TOLERANCE * self.dt)
+
+    def unit(self, name: str) -> str:
+        """Unit of the named signal; empty where not stated."""
+        self[name]
+        return self.units[name]
+
+    def __getitem__(self, name: str) -> Array:
+        """Samples of the named signal."""
+        for group in (self.inputs, self.outputs):
+            if name in group:
+                return group[name]
+        known = [*self.inputs, *self.outputs]
+        raise InputError(f"{self.name}: {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
+
+    def between(self, start: float, stop: float) -> Record:
+        """The samples with ``start <= t <= stop``; the clock is not shifted."""
+        keep = (self.t >= start) & (self.t <= stop)
+        return Record(
+            self.t[keep],
+            {k: v[keep] for k, v in self.inputs.items()},
+            {k: v[keep] for k, v in self.outputs.items()},
+            self.units,
+            self.name,
+            self.meaning,
+        )
+
+    @classmethod
+    def read(
+        cls,
+        path: str | Path,
+        group: str | None = None,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        dt: float | None = None,
+        **options: Any,
+    ) -> Record:
+        """Read a measured record from HDF5 (format 1 or plain), MATLAB ``.mat``, or CSV/TXT.
+
+        See `robustlab.files.records.read_record` for the rules: which dataset is the clock, where units come from,
+        and the further ``options`` of text files (``delimiter``, ``decimal``, ``units``).
+        """
+        from robustlab.files.records import read_record
+
+        return cls(**read_record(path, group=group, inputs=inputs, outputs=outputs, dt=dt, **options))
+
+    def to_json(self) -> dict[str, object]:
+        """All samples as plain types."""
+        return {"name": self.name, "t": self.t, "inputs": self.inputs, "outputs": self.outputs, "units": self.units}
+
+    def __repr__(self) -> str:
+        ins, outs = ", ".join(self.inputs), ", ".join(self.outputs)
+        return f"Record({self.name!r}: {self.n} samples, {self.duration:.6g} s, [{ins}] -> [{outs}])"
+
+
+def _channels(given: Mapping[str, ArrayLike], n: int, where: str) -> dict[str, Array]:
+    channels: dict[str, Array] = {}
+    for key, value in given.items():
+        if not key or len(key) > MAX_NAME:
+            raise InputError(where, f"signal name of {len(key)} characters", f"1 to {MAX_NAME} characters")
+        samples = real_array(key, value, 1, where)
+        if len(samples) != n:
+            raise InputError(f"{where}: {key}", f"{len(samples)} samples", f"{n} to match t")
+        channels[key] = samples
+    return channels

@@ -1,0 +1,77 @@
+"""What every result has: a status, and a way to become plain JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any
+
+__all__ = ["Status", "plain"]
+
+
+class Status(str, Enum):
+    """How much a number can be trusted; only CERTIFIED and CONVERGED may end in exit code 0.
+
+    CERTIFIED
+        The value was re-derived from its evidence outside the solver: it is a proof up to stated rounding.
+    CONVERGED
+        The method ended as intended and its value was re-evaluated; it is not a proof of optimality.
+    INACCURATE
+        There is a value, but digits were lost; the evidence says how many.
+    INFEASIBLE
+        It was shown that no solution exists; the evidence says why.
+    INCONCLUSIVE
+        Neither a value nor an impossibility could be shown.
+    TIMEOUT
+        The time limit ended the search; what was proved by then is kept.
+    FAILED
+        The method broke down; there is no value.
+    """
+
+    CERTIFIED = "certified"
+    CONVERGED = "converged"
+    INACCURATE = "inaccurate"
+    INFEASIBLE = "infeasible"
+    INCONCLUSIVE = "inconclusive"
+    TIMEOUT = "timeout"
+    FAILED = "failed"
+
+    @property
+    def trustworthy(self) -> bool:
+        """True for CERTIFIED and CONVERGED."""
+        return self in (Status.CERTIFIED, Status.CONVERGED)
+
+    def __str__(self) -> str:
+        return self.value
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON types: arrays become nested lists, complex numbers ``{"re": .., "im": ..}``.
+
+    Infinities and NaN become the strings ``"inf"``, ``"-inf"``, ``"nan"``: JSON has no such numbers, and null would hide them.
+
+    Examples
+    --------
+    >>> plain({"gamma": float("inf"), "delta": 1 + 2j})
+    {'gamma': 'inf', 'delta': {'re': 1.0, 'im': 2.0}}
+    """
+    if value is None or isinstance(value, (bool, str)):
+        return value.value if isinstance(value, Enum) else value
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, complex):
+        return {"re": plain(value.real), "im": plain(value.imag)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if hasattr(value, "to_json"):
+        return plain(value.to_json())
+    if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
+        return plain(value.tolist())
+    raise TypeError(f"{type(value).__name__} has no plain form")

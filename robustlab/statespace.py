@@ -1,0 +1,527 @@
+"""Linear time-invariant models in state space, with named signals and units, and their interconnection.
+
+.. math:: \\dot x = A x + B u, \\qquad y = C x + D u  \\qquad (dt = 0), \\qquad  x_{k+1} = A x_k + B u_k \\quad (dt > 0)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, UnitMismatch, did_you_mean
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = [
+    "OperatingPoint",
+    "Signal",
+    "StateSpaceModel",
+    "append",
+    "as_model",
+    "feedback",
+    "lower_lft",
+    "real_array",
+    "series",
+    "signals",
+]
+
+Array = NDArray[np.float64]
+MAX_STATES = 5000
+MAX_NAME = 200
+
+
+class Signal(NamedTuple):
+    """A named signal with its unit, for example ``Signal("omega", "rad/s")``; an empty unit means not stated."""
+
+    name: str
+    unit: str = ""
+
+
+SignalLike = str | Signal | tuple[str, str]
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Where a model was linearised: states ``x (n_x,)``, inputs ``u (n_u,)``, outputs ``y (n_y,)``, in the model's units."""
+
+    x: Array
+    u: Array
+    y: Array
+
+
+def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceModel") -> Array:
+    """``value`` as a read-only, finite float64 array with ``ndim`` dimensions, or an `InputError` that names the entry.
+
+    Raises
+    ------
+    InputError
+        Complex, non-numeric, wrong number of dimensions, NaN or Inf (with the index of the first bad entry).
+    """
+    try:
+        raw = np.asarray(value)
+    except ValueError as error:
+        raise InputError(where, f"{name} is ragged ({error})", "a rectangular array of real numbers") from None
+    if raw.dtype.kind not in "fiu":
+        raise InputError(where, f"{name} has dtype {raw.dtype}", "real numbers")
+    array = np.array(raw, dtype=np.float64, order="C")
+    if ndim == 2 and array.ndim == 0:
+        array = array.reshape(1, 1)
+    if array.ndim != ndim:
+        hint = f"write [[...]] for a row, or {name}.reshape(-1, 1) for a column" if ndim == 2 else None
+        raise InputError(where, f"{name} has shape {array.shape}", f"{ndim} dimensions", hint)
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        index = ",".join(str(i) for i in bad[0])
+        entry = array[tuple(bad[0])]
+        word = "NaN" if np.isnan(entry) else "infinite"
+        raise InputError(where, f"{name}[{index}] is {word} ({len(bad)} of {array.size} entries)", "finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: str) -> tuple[Signal, ...]:
+    """``count`` uniquely named signals; ``prefix1, prefix2, ...`` where none are given."""
+    if given is None:
+        return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
+    if isinstance(given, str):
+        given = [given]
+    result: list[Signal] = []
+    for item in given:
+        name, unit = (item, "") if isinstance(item, str) else (str(item[0]), str(item[1]))
+        if not name or len(name) > MAX_NAME:
+            raise InputError(where, f"signal name of {len(name)} characters", f"1 to {MAX_NAME} characters")
+        result.append(Signal(name, unit))
+    if len(result) != count:
+        raise InputError(where, f"{len(result)} signal names", f"{count}")
+    names = [s.name for s in result]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError(where, f"signal name {twice[0]!r} is used twice", "unique names")
+    return tuple(result)
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class StateSpaceModel:
+    r"""A linear time-invariant model with named signals; immutable.
+
+    .. math:: \dot x = A x + B u, \quad y = C x + D u \quad (dt = 0) \qquad x_{k+1} = A x_k + B u_k \quad (dt > 0)
+
+    Parameters
+    ----------
+    A, B, C, D
+        Real matrices of shape (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Zero states (a static gain) are allowed.
+    dt
+        Sample time in s; 0 means continuous time.
+    inputs, outputs, states
+        Names, or (name, unit) pairs; ``u1.., y1.., x1..`` where left out.
+    operating_point
+        Where the model was linearised.
+    where
+        What error messages call this model (a file name, for example).
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN or Inf, complex entries, names used twice, a negative ``dt``.
+
+    Examples
+    --------
+    >>> motor = StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("omega", "rad/s")])
+    >>> motor.poles()
+    array([-2.+0.j])
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    dt: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    states: tuple[Signal, ...]
+    operating_point: OperatingPoint | None
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        dt: float = 0.0,
+        inputs: Iterable[SignalLike] | None = None,
+        outputs: Iterable[SignalLike] | None = None,
+        states: Iterable[SignalLike] | None = None,
+        operating_point: OperatingPoint | None = None,
+        where: str = "StateSpaceModel",
+    ) -> None:
+        a, b, c, d = (real_array(name, m, 2, where) for name, m in zip("ABCD", (A, B, C, D), strict=True))
+        _check_shapes(a, b, c, d, where)
+        if isinstance(dt, bool) or not np.isfinite(dt) or dt < 0:
+            raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
+        put = object.__setattr__  # the dataclass is frozen
+        put(self, "A", a)
+        put(self, "B", b)
+        put(self, "C", c)
+        put(self, "D", d)
+        put(self, "dt", float(dt))
+        put(self, "inputs", signals(inputs, d.shape[1], "u", f"{where}: inputs"))
+        put(self, "outputs", signals(outputs, d.shape[0], "y", f"{where}: outputs"))
+        put(self, "states", signals(states, a.shape[0], "x", f"{where}: states"))
+        put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
+
+    # --- sizes and names ---------------------------------------------------------------------------------------------
+
+    @property
+    def n_states(self) -> int:
+        """Number of states n_x."""
+        return self.A.shape[0]
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs n_u."""
+        return self.D.shape[1]
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs n_y."""
+        return self.D.shape[0]
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(s.name for s in self.inputs)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(s.name for s in self.outputs)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return tuple(s.name for s in self.states)
+
+    @property
+    def is_discrete(self) -> bool:
+        """True where ``dt > 0``."""
+        return self.dt > 0
+
+    # --- behaviour ---------------------------------------------------------------------------------------------------
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Eigenvalues of A, shape (n_x,)."""
+        return np.linalg.eigvals(self.A).astype(np.complex128) if self.n_states else np.zeros(0, np.complex128)
+
+    def spectral_abscissa(self) -> float:
+        """Largest real part of the poles (dt = 0), or largest modulus minus one (dt > 0); -inf without states.
+
+        Negative means asymptotically stable in both cases.
+        """
+        poles = self.poles()
+        if not len(poles):
+            return -np.inf
+        return float(np.abs(poles).max() - 1.0) if self.is_discrete else float(poles.real.max())
+
+    def is_stable(self) -> bool:
+        """True where all poles lie in the open left half plane (dt = 0) or inside the unit circle (dt > 0)."""
+        return self.spectral_abscissa() < 0
+
+    def dc_gain(self) -> Array:
+        """Steady-state gain, shape (n_y, n_u): ``D - C A^-1 B``, or ``D + C (I - A)^-1 B`` in discrete time.
+
+        Raises
+        ------
+        InputError
+            The model integrates: it has a pole at s = 0 (z = 1).
+        """
+        lhs = np.eye(self.n_states) - self.A if self.is_discrete else -self.A
+        if self.n_states and np.linalg.matrix_rank(lhs) < self.n_states:
+            raise InputError("dc_gain", "the model has a pole at zero frequency", "a model without integrators")
+        return self.D + self.C @ np.linalg.solve(lhs, self.B) if self.n_states else self.D.copy()
+
+    # --- parts and other names ---------------------------------------------------------------------------------------
+
+    def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> StateSpaceModel:
+        """The same model with the named inputs and outputs only, in that order; all states are kept.
+
+        See `robustlab.structural.drop_unconnected` for removing states that no longer matter.
+        """
+        i = _indices(inputs, self.input_names, "input")
+        o = _indices(outputs, self.output_names, "output")
+        point = self.operating_point
+        if point is not None:
+            point = OperatingPoint(point.x, point.u[i], point.y[o])
+        return StateSpaceModel(
+            self.A,
+            self.B[:, i],
+            self.C[o],
+            self.D[np.ix_(o, i)],
+            self.dt,
+            [self.inputs[k] for k in i],
+            [self.outputs[k] for k in o],
+            self.states,
+            point,
+        )
+
+    def renamed(
+        self, inputs: Iterable[SignalLike] | None = None, outputs: Iterable[SignalLike] | None = None
+    ) -> StateSpaceModel:
+        """The same model with other signal names; names left out stay."""
+        return StateSpaceModel(
+            self.A,
+            self.B,
+            self.C,
+            self.D,
+            self.dt,
+            self.inputs if inputs is None else inputs,
+            self.outputs if outputs is None else outputs,
+            self.states,
+            self.operating_point,
+        )
+
+    # --- python-control ----------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_control(cls, system: Any) -> StateSpaceModel:
+        """From a ``control.StateSpace`` or ``control.TransferFunction``; ``dt=None`` and ``dt=True`` are refused.
+
+        Python-control's ``None`` means "unspecified" and ``True`` "discrete, unknown sample time"; neither can be simulated.
+        """
+        import control
+
+        if isinstance(system, control.TransferFunction):
+            if system.ninputs == 1 and system.noutputs == 1:
+                system = control.tf2ss(system)
+            else:
+                raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace")
+        if not isinstance(system, control.StateSpace):
+            raise InputError("from_control", f"{type(system).__name__}", "a control.StateSpace or control.TransferFunction")
+        if system.dt is True or system.dt is None:
+            if system.dt is True:
+                raise InputError("from_control", "dt=True (discrete, sample time unknown)", "dt = 0 or a sample time in s")
+            if system.nstates:
+                raise InputError("from_control", "dt=None (timebase unspecified)", "dt = 0 or a sample time in s")
+        return cls(
+            system.A,
+            system.B,
+            system.C,
+            system.D,
+            float(system.dt or 0.0),
+            list(system.input_labels),
+            list(system.output_labels),
+            list(system.state_labels),
+        )
+
+    def to_control(self) -> control.StateSpace:
+        """As a ``control.StateSpace`` (units are lost: python-control has none)."""
+        import control
+
+        system = control.StateSpace(
+            self.A.copy(),
+            self.B.copy(),
+            self.C.copy(),
+            self.D.copy(),
+            self.dt,
+            inputs=list(self.input_names),
+            outputs=list(self.output_names),
+            states=list(self.state_names),
+            remove_useless_states=False,
+        )
+        return cast("control.StateSpace", system)
+
+    def to_json(self) -> dict[str, object]:
+        """Matrices and signals as plain types."""
+        return {
+            "A": self.A,
+            "B": self.B,
+            "C": self.C,
+            "D": self.D,
+            "dt": self.dt,
+            "inputs": [list(s) for s in self.inputs],
+            "outputs": [list(s) for s in self.outputs],
+            "states": [list(s) for s in self.states],
+        }
+
+    def __repr__(self) -> str:
+        time = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
+        ins = ", ".join(self.input_names)
+        outs = ", ".join(self.output_names)
+        return f"StateSpaceModel({self.n_states} states, [{ins}] -> [{outs}], {time})"
+
+
+def as_model(system: Any, where: str = "model") -> StateSpaceModel:
+    """``system`` as a StateSpaceModel: our own type, anything with ``.to_model()``, or a python-control object."""
+    if isinstance(system, StateSpaceModel):
+        return system
+    to_model = getattr(system, "to_model", None)
+    if callable(to_model):
+        return as_model(to_model(), where)
+    if type(system).__module__.split(".")[0] == "control":
+        return StateSpaceModel.from_control(system)
+    raise InputError(where, f"{type(system).__name__}", "a StateSpaceModel or a control.StateSpace")
+
+
+# --- interconnection -------------------------------------------------------------------------------------------------
+
+
+def append(*models: StateSpaceModel) -> StateSpaceModel:
+    """Block-diagonal collection: inputs and outputs of all models side by side. Names must be unique over all models."""
+    from scipy.linalg import block_diag
+
+    dt = _common_dt(models, "append")
+    blocks = [block_diag(*(getattr(m, name) for m in models)) for name in "ABCD"]
+    # block_diag gives a (0, k) matrix a row count of 0 but keeps its columns, as it must be.
+    n, n_u, n_y = (sum(getattr(m, a) for m in models) for a in ("n_states", "n_inputs", "n_outputs"))
+    shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))
+    a, b, c, d = (block.reshape(shape) for block, shape in zip(blocks, shapes, strict=True))
+    state_names = [s for m in models for s in m.states]
+    unique = len({s.name for s in state_names}) == n
+    return StateSpaceModel(
+        a,
+        b,
+        c,
+        d,
+        dt,
+        [s for m in models for s in m.inputs],
+        [s for m in models for s in m.outputs],
+        state_names if unique else None,
+        where="append",
+    )
+
+
+def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
+    """``second * first``: the outputs of ``first`` drive the inputs of ``second``, channel by channel."""
+    dt = _common_dt((first, second), "series")
+    if first.n_outputs != second.n_inputs:
+        raise InputError("series", f"{first.n_outputs} outputs into {second.n_inputs} inputs", "equal numbers")
+    for out, into in zip(first.outputs, second.inputs, strict=True):
+        if out.unit and into.unit and out.unit != into.unit:
+            raise UnitMismatch("series", f"{out.name} [{out.unit}] drives {into.name} [{into.unit}]", "equal units")
+    n1, n2 = first.n_states, second.n_states
+    a = np.block([[first.A, np.zeros((n1, n2))], [second.B @ first.C, second.A]])
+    b = np.vstack([first.B, second.B @ first.D])
+    c = np.hstack([second.D @ first.C, second.C])
+    return StateSpaceModel(a, b, c, second.D @ first.D, dt, first.inputs, second.outputs, where="series")
+
+
+def feedback(plant: StateSpaceModel, controller: StateSpaceModel, sign: int = -1) -> StateSpaceModel:
+    """Closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, in the names of ``plant``.
+
+    Raises
+    ------
+    InputError
+        Sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular).
+    """
+    dt = _common_dt((plant, controller), "feedback")
+    if controller.n_inputs != plant.n_outputs or controller.n_outputs != plant.n_inputs:
+        raise InputError(
+            "feedback",
+            f"controller is {controller.n_outputs} x {controller.n_inputs}",
+            f"{plant.n_inputs} x {plant.n_outputs} for a plant of {plant.n_outputs} x {plant.n_inputs}",
+        )
+    stacked = StateSpaceModel(
+        plant.A,
+        np.hstack([plant.B, plant.B]),
+        np.vstack([plant.C, plant.C]),
+        np.block([[plant.D, plant.D], [plant.D, plant.D]]),
+        dt,
+    )
+    signed = StateSpaceModel(controller.A, controller.B, sign * controller.C, sign * controller.D, dt)
+    loop = lower_lft(stacked, signed)
+    return loop.renamed(plant.inputs, plant.outputs)
+
+
+def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
+    r"""Lower linear fractional transformation, ``u = K y`` with positive feedback.
+
+    .. math:: F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
+
+    The last ``K.n_outputs`` inputs of P are u, its last ``K.n_inputs`` outputs are y. States of the result: those of P, then of K.
+
+    Raises
+    ------
+    InputError
+        K is larger than P, other sample times, or I - D22 D_K is singular (the loop is not well posed).
+
+    References
+    ----------
+    Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
+    """
+    dt = _common_dt((P, K), "lower_lft")
+    n_u, n_y = K.n_outputs, K.n_inputs
+    if n_u > P.n_inputs or n_y > P.n_outputs:
+        raise InputError(
+            "lower_lft", f"K is {n_u} x {n_y}, P is {P.n_outputs} x {P.n_inputs}", "a K no larger than P transposed"
+        )
+    n_w, n_z = P.n_inputs - n_u, P.n_outputs - n_y
+    b1, b2 = P.B[:, :n_w], P.B[:, n_w:]
+    c1, c2 = P.C[:n_z], P.C[n_z:]
+    d11, d12, d21, d22 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w], P.D[n_z:, n_w:]
+    # u = (I - DK D22)^-1 (CK xk + DK (C2 x + D21 w))
+    e = np.eye(n_u) - K.D @ d22
+    if n_u and np.linalg.cond(e) > 1e12:
+        raise InputError("lower_lft", "I - D_K D22 is singular: the loop is not well posed", "a well-posed loop")
+    f = np.linalg.solve(e, np.hstack([K.D @ c2, K.C, K.D @ d21]))
+    n, nk = P.n_states, K.n_states
+    u_x, u_k, u_w = f[:, :n], f[:, n : n + nk], f[:, n + nk :]
+    y_x, y_k, y_w = c2 + d22 @ u_x, d22 @ u_k, d21 + d22 @ u_w
+    a = np.block([[P.A + b2 @ u_x, b2 @ u_k], [K.B @ y_x, K.A + K.B @ y_k]])
+    b = np.vstack([b1 + b2 @ u_w, K.B @ y_w])
+    c = np.hstack([c1 + d12 @ u_x, d12 @ u_k])
+    return StateSpaceModel(a, b, c, d11 + d12 @ u_w, dt, P.inputs[:n_w], P.outputs[:n_z], where="lower_lft")
+
+
+# --- checks ----------------------------------------------------------------------------------------------------------
+
+
+def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
+    n, n_u, n_y = a.shape[0], d.shape[1], d.shape[0]
+    if n > MAX_STATES:
+        raise InputError(where, f"A has {n} states", f"at most {MAX_STATES}")
+    wanted = {"A": (a, (n, n)), "B": (b, (n, n_u)), "C": (c, (n_y, n))}
+    wrong = [f"{name} is {m.shape}, expected {shape}" for name, (m, shape) in wanted.items() if m.shape != shape]
+    if not wrong:
+        return
+    hint = None
+    if d.T.shape == (c.shape[0], b.shape[1]):
+        wrong = [f"D is {d.shape}, expected {d.T.shape}"]
+        hint = "D looks transposed (column-major file?): use --transpose"
+    elif b.T.shape == (n, n_u) or c.T.shape == (n_y, n):
+        hint = "B or C looks transposed (column-major file?): use --transpose"
+    raise InputError(where, "; ".join(wrong), None, hint)
+
+
+def _checked_operating_point(point: OperatingPoint | None, a: Array, d: Array, where: str) -> OperatingPoint | None:
+    if point is None:
+        return None
+    sizes = {"x": a.shape[0], "u": d.shape[1], "y": d.shape[0]}
+    vectors: dict[str, Array] = {}
+    for name, size in sizes.items():
+        vector = real_array(f"operating_point.{name}", getattr(point, name), 1, where)
+        if len(vector) != size:
+            raise InputError(where, f"operating_point.{name} has {len(vector)} entries", f"{size}")
+        vectors[name] = vector
+    return OperatingPoint(**vectors)
+
+
+def _indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) -> list[int]:
+    if wanted is None:
+        return list(range(len(known)))
+    if isinstance(wanted, str):
+        wanted = [wanted]
+    for name in wanted:
+        if name not in known:
+            raise InputError(f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
+    return [known.index(name) for name in wanted]
+
+
+def _common_dt(models: Sequence[StateSpaceModel], where: str) -> float:
+    times = {m.dt for m in models if m.n_states or m.dt}
+    if len(times) > 1:
+        raise InputError(where, f"sample times {sorted(times)} s", "one common sample time")
+    return times.pop() if times else 0.0
