@@ -1,0 +1,109 @@
+"""What every command shares: results on stdout, progress and notes on stderr, errors as exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+
+from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, RobustlabError, plain_text
+
+__all__ = ["JsonOption", "OutOption", "SeedOption", "emit", "main_guard", "note", "progress", "table"]
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
+OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
+
+SCHEMA = "robustlab.result/1"
+
+
+def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> None:
+    """Print the result, and nothing but the result, on stdout: ``text``, or one JSON object with ``--json``."""
+    if as_json:
+        from robustlab.result import plain
+
+        print(json.dumps({"schema": SCHEMA, "command": command, **plain(result)}, indent=2, allow_nan=False))
+    else:
+        # Names from files may carry escape sequences; line breaks are ours.
+        print("\n".join(plain_text(line) for line in text.splitlines()))
+
+
+def note(text: str) -> None:
+    """Print a remark on stderr."""
+    print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
+
+
+def table(rows: list[tuple[str, ...]], header: tuple[str, ...] | None = None) -> str:
+    """Left-aligned columns as plain text, with a rule under the header."""
+    lines = [header, *rows] if header else rows
+    if not lines:
+        return ""
+    widths = [max(len(row[i]) for row in lines) for i in range(len(lines[0]))]
+    out = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in lines]
+    if header:
+        out.insert(1, "  ".join("-" * w for w in widths))
+    return "\n".join(out)
+
+
+@contextmanager
+def progress(description: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
+    """A progress bar on stderr, on a terminal only; yields ``advance(steps)``."""
+    if not sys.stderr.isatty():
+        yield lambda _steps: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda steps: bar.advance(task, steps)
+
+
+def main_guard(run: Callable[[], int | None]) -> int:
+    """Run a command and turn every way it can end into its exit code; see `robustlab.errors`."""
+    import click
+
+    try:
+        code = run()
+        sys.stdout.flush()
+        return int(code or 0)
+    except RobustlabError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.ClickException as error:
+        error.show(sys.stderr)
+        return error.exit_code
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        print("interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader went away (``| head``): not an error of ours. Python would complain again when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:  # noqa: BLE001  the outermost handler: a bug of ours becomes exit code 70 and a report file
+        print(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}", file=sys.stderr)
+        return EXIT_BUG
+
+
+def _bug_report() -> str:
+    """Write traceback, versions and command to a file; say where."""
+    import traceback
+
+    from robustlab.provenance import library_versions
+
+    text = f"command: {sys.argv}\nversions: {library_versions()}\n\n{traceback.format_exc()}"
+    try:
+        with tempfile.NamedTemporaryFile("w", prefix="robustlab-bug-", suffix=".txt", delete=False, encoding="utf-8") as file:
+            file.write(text)
+        return f"please report it with {file.name}"
+    except OSError:
+        return f"please report it:\n{text}"

@@ -1,0 +1,1 @@
+"""Uncertain models: blocks, linear fractional transformations, the thesis' element-wise uncertainty."""

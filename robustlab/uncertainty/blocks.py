@@ -1,0 +1,237 @@
+"""The blocks of a structured perturbation Delta; every block is normalised, ``|delta| <= 1`` or ``sigma_max(Delta_i) <= 1``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, did_you_mean
+
+__all__ = [
+    "Block",
+    "ComplexScalar",
+    "FullBlock",
+    "ParameterRange",
+    "RealScalar",
+    "as_blocks",
+    "block_slices",
+    "delta_matrix",
+    "delta_values",
+    "structure_size",
+]
+
+
+@dataclass(frozen=True)
+class ParameterRange:
+    """What a normalised real delta means in the user's parameter: ``value = nominal + radius * delta``.
+
+    Attributes
+    ----------
+    nominal, radius
+        Centre and half width of the range, in ``unit``.
+    unit
+        Physical unit of the parameter.
+    """
+
+    nominal: float
+    radius: float
+    unit: str = ""
+
+    def value(self, delta: float) -> float:
+        """Parameter value that belongs to a normalised delta."""
+        return self.nominal + self.radius * delta
+
+    def delta(self, value: float) -> float:
+        """Normalised delta that belongs to a parameter value."""
+        return (value - self.nominal) / self.radius
+
+
+@dataclass(frozen=True)
+class RealScalar:
+    """``delta * I`` with one real delta, ``-1 <= delta <= 1``, repeated ``repeats`` times.
+
+    ``parameter`` says which physical range the normalised delta stands for.
+    """
+
+    name: str
+    repeats: int = 1
+    parameter: ParameterRange | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.name, self.repeats)
+
+    @property
+    def rows(self) -> int:
+        """Rows of the block (entries of w)."""
+        return self.repeats
+
+    @property
+    def cols(self) -> int:
+        """Columns of the block (entries of z)."""
+        return self.repeats
+
+
+@dataclass(frozen=True)
+class ComplexScalar:
+    """``delta * I`` with one complex delta, ``|delta| <= 1``, repeated ``repeats`` times."""
+
+    name: str
+    repeats: int = 1
+
+    def __post_init__(self) -> None:
+        _check(self.name, self.repeats)
+
+    @property
+    def rows(self) -> int:
+        """Rows of the block (entries of w)."""
+        return self.repeats
+
+    @property
+    def cols(self) -> int:
+        """Columns of the block (entries of z)."""
+        return self.repeats
+
+
+@dataclass(frozen=True)
+class FullBlock:
+    """A full complex matrix ``Delta_i`` of shape (rows, cols) with ``sigma_max(Delta_i) <= 1``; ``w = Delta_i z``."""
+
+    name: str
+    rows: int
+    cols: int
+
+    def __post_init__(self) -> None:
+        _check(self.name, self.rows)
+        _check(self.name, self.cols)
+
+
+Block = RealScalar | ComplexScalar | FullBlock
+
+
+def _check(name: str, size: int) -> None:
+    if not isinstance(name, str) or not name or len(name) > 200:
+        raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")
+    if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
+        raise InputError(f"block {name!r}", f"size {size!r}", "a positive whole number")
+
+
+def as_blocks(given: Any) -> tuple[Block, ...]:
+    """Blocks as given, or from rows in the notation of MATLAB's ``mussv``.
+
+    ``[-r, 0]`` is one real scalar repeated r times, ``[r, 0]`` a complex one, ``[r, c]`` a full block of r rows and c columns;
+    ``[-1, 1]`` and ``[1, 1]`` are a real and a complex scalar. Such blocks are called ``delta1, delta2, ...``.
+
+    Raises
+    ------
+    InputError
+        Names used twice, or a row that is none of these.
+
+    Examples
+    --------
+    >>> as_blocks([[-2, 0], [1, 3]])
+    (RealScalar(name='delta1', repeats=2, parameter=None), FullBlock(name='delta2', rows=1, cols=3))
+    """
+    if isinstance(given, (RealScalar, ComplexScalar, FullBlock)):
+        given = [given]
+    if isinstance(given, np.ndarray):
+        given = np.atleast_2d(given).tolist()
+    if not isinstance(given, Iterable) or isinstance(given, (str, bytes)):
+        raise InputError("blocks", f"{type(given).__name__}", "a list of blocks or of mussv rows")
+    blocks = tuple(
+        b if isinstance(b, (RealScalar, ComplexScalar, FullBlock)) else _from_mussv_row(b, i) for i, b in enumerate(given)
+    )
+    names = [b.name for b in blocks]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError("blocks", f"block name {twice[0]!r} is used twice", "unique names", "use repeats=... for a repeated scalar")
+    return blocks
+
+
+def _from_mussv_row(row: Any, index: int) -> Block:
+    name = f"delta{index + 1}"
+    expected = "[-r, 0], [r, 0] or [r, c] with whole numbers r, c >= 1"
+    try:
+        r, c = (float(v) for v in row)
+    except (TypeError, ValueError):
+        raise InputError(f"blocks[{index}]", f"{row!r}", expected) from None
+    if r != int(r) or c != int(c):
+        raise InputError(f"blocks[{index}]", f"{row!r}", expected)
+    r, c = int(r), int(c)
+    if r < 0 and (c == 0 or (r, c) == (-1, 1)):
+        return RealScalar(name, -r)
+    if r > 0 and (c == 0 or (r, c) == (1, 1)):
+        return ComplexScalar(name, r)
+    if r > 0 and c > 0:
+        return FullBlock(name, r, c)
+    raise InputError(f"blocks[{index}]", f"{row!r}", expected)
+
+
+def structure_size(blocks: Sequence[Block]) -> tuple[int, int]:
+    """``(q, p)``: Delta is q x p, so M has q input and p output columns of perturbation channels."""
+    return sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+
+
+def block_slices(blocks: Sequence[Block]) -> list[tuple[slice, slice]]:
+    """For each block its slice of w (rows of Delta) and of z (columns of Delta)."""
+    result, row, col = [], 0, 0
+    for b in blocks:
+        result.append((slice(row, row + b.rows), slice(col, col + b.cols)))
+        row, col = row + b.rows, col + b.cols
+    return result
+
+
+def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> NDArray[Any]:
+    """The block-diagonal Delta, shape (q, p), from one value per block name; blocks left out are zero.
+
+    Scalar blocks take a number, full blocks a matrix (rows, cols). The result is real where every value is real.
+
+    Raises
+    ------
+    InputError
+        Unknown names, wrong shapes, NaN or Inf, a complex value for a real block.
+    """
+    known = tuple(b.name for b in blocks)
+    for name in values:
+        if name not in known:
+            raise InputError(f"delta {name!r}", "no such block", f"one of {', '.join(known) or 'none'}", did_you_mean(name, known))
+    q, p = structure_size(blocks)
+    delta = np.zeros((q, p), dtype=complex)
+    for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
+        if block.name not in values:
+            continue
+        value = np.asarray(values[block.name], dtype=complex)
+        if not np.isfinite(value).all():
+            raise InputError(f"delta {block.name!r}", "NaN or infinite", "finite numbers")
+        if isinstance(block, FullBlock):
+            if value.ndim == 0 and (block.rows, block.cols) == (1, 1):
+                value = value.reshape(1, 1)
+            if value.shape != (block.rows, block.cols):
+                raise InputError(f"delta {block.name!r}", f"shape {value.shape}", f"{(block.rows, block.cols)}")
+            delta[rows, cols] = value
+            continue
+        if value.size != 1:
+            raise InputError(f"delta {block.name!r}", f"shape {value.shape}", "one number")
+        number = complex(value.reshape(()))
+        if isinstance(block, RealScalar) and number.imag != 0:
+            raise InputError(f"delta {block.name!r}", f"{number}", "a real number")
+        delta[rows, cols] = number * np.eye(block.repeats)
+    return delta if np.any(delta.imag) else delta.real
+
+
+def delta_values(blocks: Sequence[Block], delta: ArrayLike) -> dict[str, Any]:
+    """Inverse of `delta_matrix`: one value per block name (float, complex, or a complex matrix)."""
+    full = np.asarray(delta)
+    values: dict[str, Any] = {}
+    for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
+        part = full[rows, cols]
+        if isinstance(block, FullBlock):
+            values[block.name] = part.copy()
+        elif isinstance(block, RealScalar):
+            values[block.name] = float(part[0, 0].real)
+        else:
+            values[block.name] = complex(part[0, 0])
+    return values
