@@ -68,8 +68,6 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[[i
 
 def main_guard(run: Callable[[], int | None]) -> int:
     """Run a command and turn every way it can end into its exit code; see `robustlab.errors`."""
-    import click
-
     try:
         code = run()
         sys.stdout.flush()
@@ -77,12 +75,9 @@ def main_guard(run: Callable[[], int | None]) -> int:
     except RobustlabError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    except click.exceptions.Exit as stop:
+    except typer.Exit as stop:
         return stop.exit_code
-    except click.ClickException as error:
-        error.show(sys.stderr)
-        return error.exit_code
-    except (KeyboardInterrupt, click.exceptions.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
@@ -90,6 +85,9 @@ def main_guard(run: Callable[[], int | None]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:  # noqa: BLE001  the outermost handler: a bug of ours becomes exit code 70 and a report file
+        if isinstance(show := getattr(error, "show", None), Callable) and hasattr(error, "exit_code"):
+            show(sys.stderr)  # a usage error of the parser (its class is click's, or typer's own copy of it)
+            return int(getattr(error, "exit_code"))
         print(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}", file=sys.stderr)
         return EXIT_BUG
 
