@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-__all__ = ["Status", "plain"]
+__all__ = ["Result", "Status", "plain"]
 
 
 class Status(str, Enum):
@@ -75,3 +76,26 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
         return plain(value.tolist())
     raise TypeError(f"{type(value).__name__} has no plain form")
+
+
+@dataclass(frozen=True)
+class Result:
+    """A result as it comes back from a file: what kind of result it was, its status, and its data.
+
+    Attributes
+    ----------
+    type
+        Class of the result that was saved, for example ``"Margin"``.
+    status
+        Its status.
+    data
+        What its ``to_json`` gave; arrays are numpy arrays.
+    """
+
+    type: str
+    status: Status
+    data: Mapping[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """The data with type and status."""
+        return {"type": self.type, **self.data, "status": self.status}
