@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sys
@@ -12,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, RobustlabError, plain_text
+from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, plain_text
 
 __all__ = ["JsonOption", "OutOption", "SeedOption", "emit", "main_guard", "note", "progress", "table"]
 
@@ -21,6 +22,9 @@ SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numb
 OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
 
 SCHEMA = "robustlab.result/1"
+
+# Errors of the machine that any write can meet: the disk is full, the folder is read-only, a quota is used up.
+_MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE}
 
 
 def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> None:
@@ -69,9 +73,11 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[[i
 def main_guard(run: Callable[[], int | None]) -> int:
     """Run a command and turn every way it can end into its exit code; see `robustlab.errors`."""
     try:
-        code = run()
+        code = int(run() or 0)
         sys.stdout.flush()
-        return int(code or 0)
+        if code == EXIT_INTERRUPTED:  # the parser has caught Ctrl-C already
+            print("interrupted", file=sys.stderr)
+        return code
     except RobustlabError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
@@ -84,12 +90,22 @@ def main_guard(run: Callable[[], int | None]) -> int:
         # The reader went away (``| head``): not an error of ours. Python would complain again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in _MACHINE_FAULTS:
+            return _bug(error)
+        where = plain_text(str(error.filename or "robustlab"))
+        print(f"error: {where}: {error.strerror}; what was there before is kept", file=sys.stderr)
+        return EnvironmentFault.exit_code
     except Exception as error:  # noqa: BLE001  the outermost handler: a bug of ours becomes exit code 70 and a report file
         if isinstance(show := getattr(error, "show", None), Callable) and hasattr(error, "exit_code"):
             show(sys.stderr)  # a usage error of the parser (its class is click's, or typer's own copy of it)
             return int(getattr(error, "exit_code"))
-        print(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}", file=sys.stderr)
-        return EXIT_BUG
+        return _bug(error)
+
+
+def _bug(error: Exception) -> int:
+    print(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}", file=sys.stderr)
+    return EXIT_BUG
 
 
 def _bug_report() -> str:

@@ -1,46 +1,94 @@
-"""The ``robustlab`` command."""
+"""The ``robustlab`` command: a table of command groups, each loaded only when it is called.
+
+The first word decides the group, and the group's own parser (typer) reads the rest. The top level needs no parser for that,
+and so ``robustlab --help`` loads neither typer nor any numerical library.
+"""
 
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from collections.abc import Sequence
+from importlib import import_module
 
-import typer
+__all__ = ["GROUPS", "help_text", "main"]
 
-from robustlab.cli.console import main_guard
+# Command -> (module that holds its `app`, one line of help).
+GROUPS = {
+    "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
+    "uncertain": ("robustlab.cli.uncertain", "Build, show and sample uncertain models."),
+    "worst-case": ("robustlab.cli.worst_case", "Search the worst member of an uncertain model."),
+    "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
+    "synth": ("robustlab.cli.synth", "Design an H-infinity controller and verify it."),
+    "data": ("robustlab.cli.data", "Check, convert and compare measured records."),
+    "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
+    "recipe": ("robustlab.cli.recipe", "Check a recipe, print its schema, start a new one."),
+    "report": ("robustlab.cli.report", "Write the report of a finished run again."),
+    "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
+}
 
-app = typer.Typer(
-    name="robustlab",
-    help="Robust-control workbench: uncertain models, mu bounds, H-infinity synthesis, model against measurement.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+_HEAD = """\
+Usage: robustlab COMMAND [OPTIONS] [ARGS]...
+
+  Robust-control workbench: uncertain models, mu bounds, H-infinity synthesis,
+  model against measurement. Every number is proved or labelled.
+
+Commands:
+"""
+
+_FOOT = """
+Options:
+  --version  Print the version and leave.
+  --help     Show this message and leave; COMMAND --help shows that command's.
+
+Start with:
+  robustlab run first-light
+
+Exit codes:
+  0 done and all requirements met   1 a stated requirement is not met
+  2 usage                           3 bad input
+  4 no trustworthy number           5 environment
+  70 a bug of ours                  130 interrupted
+"""
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def help_text() -> str:
+    """What ``robustlab --help`` prints."""
+    width = max(map(len, GROUPS))
+    rows = [f"  {name.ljust(width)}  {line}\n" for name, (_, line) in GROUPS.items()]
+    return _HEAD + "".join(rows) + _FOOT
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the command that ``arguments`` name; the exit code."""
+    if not arguments or arguments[0] in ("--help", "-h"):
+        print(help_text(), end="")
+        return 0 if arguments else 2
+    name, *rest = arguments
+    if name == "--version":
         from robustlab.provenance import robustlab_version
 
         print(robustlab_version())
-        raise typer.Exit
+        return 0
+    if name not in GROUPS:
+        from robustlab.errors import UsageError, did_you_mean
 
-
-@app.callback()
-def robustlab(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
-    ] = False,
-) -> None:
-    """Robust-control workbench. Exit codes: 0 done and all requirements met, 1 a stated requirement is not met, 2 usage,
-    3 bad input, 4 no trustworthy number, 5 environment, 70 a bug, 130 interrupted.
-    """  # noqa: D205
+        kind = "option" if name.startswith("-") else "command"
+        hint = did_you_mean(name, list(GROUPS)) or "robustlab --help lists the commands"
+        raise UsageError("robustlab", f"no such {kind} {name!r}", f"one of {', '.join(GROUPS)}", hint)
+    app = import_module(GROUPS[name][0]).app
+    app.rich_markup_mode = None  # help as plain text: it is also what the documentation shows
+    app.pretty_exceptions_enable = False
+    return app(args=rest, prog_name=f"robustlab {name}", standalone_mode=False)
 
 
 def main() -> None:
     """Entry point of the ``robustlab`` script."""
-    sys.exit(main_guard(lambda: app(standalone_mode=False)))
+    arguments = sys.argv[1:]
+    if arguments == ["--help"]:
+        sys.exit(run(arguments))
+    from robustlab.cli.console import main_guard
+
+    sys.exit(main_guard(lambda: run(arguments)))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,128 @@
+"""``robustlab doctor``: can this installation do its work?"""
+
+from __future__ import annotations
+
+import typer
+
+from robustlab.cli.console import JsonOption, emit, table
+from robustlab.errors import EnvironmentFault, RobustlabError
+
+app = typer.Typer(help="Say whether this installation can work.")
+
+_OK = "ok"
+
+
+@app.command()
+def doctor(as_json: JsonOption = False) -> None:
+    """Try every native library once and print the versions; exit code 5 where something needed is missing.
+
+    Example: robustlab doctor
+    """
+    from robustlab.provenance import library_versions
+
+    checks = {name: _outcome(check) for name, check in _CHECKS.items()}
+    versions = library_versions()
+    healthy = all(found.startswith(_OK) for found in checks.values())
+    verdict = "this installation can work" if healthy else "something needed is missing: see above"
+    text = f"{table(list(checks.items()))}\n\n{table(list(versions.items()))}\n\n{verdict}"
+    emit("doctor", {"healthy": healthy, "checks": checks, "versions": versions}, text, as_json)
+    if not healthy:
+        raise typer.Exit(EnvironmentFault.exit_code)
+
+
+def _outcome(check) -> str:  # pyright: ignore[reportMissingParameterType]
+    try:
+        return f"{_OK}: {check()}"
+    except (ImportError, OSError, AssertionError, RobustlabError) as error:
+        return f"missing: {type(error).__name__}: {error}"
+
+
+def _slycot() -> str:
+    import numpy as np
+
+    from robustlab.mu_analysis import mu
+    from robustlab.uncertainty.blocks import ComplexScalar
+
+    bounds = mu(np.array([[0.0, 2.0], [2.0, 0.0]], dtype=complex), [ComplexScalar("a"), ComplexScalar("b")])
+    assert abs(bounds.upper - 2.0) < 1e-6, f"mu of [[0, 2], [2, 0]] came out as {bounds.upper}, not 2"
+    return "mu of a known matrix is right"
+
+
+def _riccati() -> str:
+    import numpy as np
+    from scipy.linalg import solve_continuous_are
+
+    one = np.ones((1, 1))
+    x = solve_continuous_are(0 * one, one, one, one)
+    assert abs(x[0, 0] - 1.0) < 1e-12, f"x^2 = 1 came out as {x[0, 0]}"
+    return "a Riccati equation with a known answer is solved"
+
+
+def _clarabel() -> str:
+    import clarabel
+    import numpy as np
+    from scipy.sparse import csc_matrix
+
+    # min x subject to x >= 1
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    cones = [clarabel.NonnegativeConeT(1)]
+    solution = clarabel.DefaultSolver(
+        csc_matrix((1, 1)), np.ones(1), csc_matrix([[-1.0]]), -np.ones(1), cones, settings
+    ).solve()
+    assert abs(solution.x[0] - 1.0) < 1e-6, f"min x over x >= 1 came out as {solution.x[0]}"
+    return "a program with a known answer is solved"
+
+
+def _hdf5() -> str:
+    import tempfile
+    from pathlib import Path
+
+    import h5py
+    import numpy as np
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "check.h5"
+        with h5py.File(path, "w") as file:
+            file.create_dataset("A", data=np.eye(2), fletcher32=True)
+        with h5py.File(path, "r") as file:
+            dataset = file["A"]
+            assert isinstance(dataset, h5py.Dataset)
+            assert (dataset[()] == np.eye(2)).all(), "a matrix came back changed"
+    return f"HDF5 {h5py.version.hdf5_version} writes and reads with checksums"
+
+
+def _figures() -> str:
+    import matplotlib
+
+    return f"matplotlib {matplotlib.__version__}"
+
+
+def _recipes() -> str:
+    from robustlab.recipe.shipped import shipped_recipes
+
+    found = shipped_recipes()
+    assert found, "no shipped recipe was found beside the package"
+    return ", ".join(found)
+
+
+def _threads() -> str:
+    import os
+
+    import numpy as np
+    from threadpoolctl import threadpool_info
+
+    np.eye(2) @ np.eye(2)
+    pools = ", ".join(f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info())
+    return f"{os.cpu_count()} cores; threads: {pools or 'one'}"
+
+
+_CHECKS = {
+    "slycot": _slycot,
+    "scipy": _riccati,
+    "clarabel": _clarabel,
+    "h5py": _hdf5,
+    "matplotlib": _figures,
+    "recipes": _recipes,
+    "threads": _threads,
+}

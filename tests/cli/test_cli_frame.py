@@ -1,0 +1,122 @@
+"""The frame of the command line: table of groups, laziness, exit codes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+
+from robustlab.cli.console import main_guard, table
+from robustlab.cli.main import GROUPS, help_text, run
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
+
+HEAVY = ["numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic", "slycot", "clarabel", "jinja2"]
+
+
+def loaded_after(*arguments: str) -> set[str]:
+    """Top-level packages loaded when the command has ended, asked for in a fresh interpreter."""
+    code = (
+        "import sys, runpy, atexit\n"
+        "atexit.register(lambda: print(' '.join({m.split('.')[0] for m in sys.modules}), file=sys.stderr))\n"
+        f"sys.argv = ['robustlab', *{list(arguments)!r}]\n"
+        "runpy.run_module('robustlab.cli.main', run_name='__main__')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(done.stderr.split())
+
+
+def test_help_loads_no_numerical_library():
+    modules = loaded_after("--help")
+    assert "robustlab" in modules
+    assert not modules & set(HEAVY)
+    assert "typer" not in modules
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_help_of_every_group_loads_no_numerical_library(group):
+    assert not loaded_after(group, "--help") & set(HEAVY)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_group_of_the_table_exists(group):
+    module, line = GROUPS[group]
+    app = import_module(module).app
+    assert app.registered_commands
+    assert line.endswith(".")
+    assert len(line) < 60
+
+
+def test_help_names_every_group_and_fits_a_terminal(capsys):
+    assert run(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert text == help_text()
+    assert all(f"  {name} " in text for name in GROUPS)
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_no_command_is_a_usage_error_that_shows_the_help(capsys):
+    assert run([]) == 2
+    assert "Usage: robustlab COMMAND" in capsys.readouterr().out
+
+
+def test_an_unknown_command_is_answered_with_the_nearest_one(capsys):
+    assert main_guard(lambda: run(["modle"])) == 2
+    err = capsys.readouterr().err
+    assert "no such command 'modle'" in err
+    assert "did you mean model?" in err
+
+
+def test_an_unknown_option_of_a_command_is_a_usage_error(capsys):
+    assert main_guard(lambda: run(["doctor", "--nonsense"])) == 2
+    assert "--nonsense" in capsys.readouterr().err
+
+
+def test_version(capsys):
+    from importlib.metadata import version
+
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == version("robustlab")
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (InputError("p.h5", "no such file"), 3),
+        (NoTrustworthyNumber("mu", "no answer"), 4),
+        (UsageError("robustlab", "no such command"), 2),
+        (OSError(28, "No space left on device", "out/r.h5"), 5),
+        (OSError(30, "Read-only file system", "out/r.h5"), 5),
+        (KeyboardInterrupt(), 130),
+        (BrokenPipeError(), 0),
+        (ZeroDivisionError("a bug"), 70),
+        (OSError(2, "No such file or directory", "x"), 70),
+    ],
+)
+def test_every_way_to_end_has_its_exit_code(error, code, capfd, monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("os.dup2", lambda *_: None)
+
+    def fail() -> int:
+        raise error
+
+    assert main_guard(fail) == code
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert len(err.strip().splitlines()) <= 2
+
+
+def test_control_characters_of_a_message_do_not_reach_the_terminal(capsys):
+    def fail() -> int:
+        raise InputError("p\x1b[31m.h5", "evil \u202e name")
+
+    assert main_guard(fail) == 3
+    err = capsys.readouterr().err
+    assert "\x1b" not in err
+    assert "\u202e" not in err
+
+
+def test_table_aligns_columns():
+    assert table([("a", "1"), ("long", "22")], ("name", "n")).splitlines() == ["name  n", "----  --", "a     1", "long  22"]
