@@ -1,0 +1,262 @@
+"""Reading a recipe: TOML to a checked `Recipe`, with every fault named at once by its dotted key.
+
+A recipe comes from outside. It is data only: TOML has no code and no tags, nothing of it is evaluated, and its size is limited.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.recipe.schema import Recipe, RefersTo, Step, StepBase
+
+__all__ = ["LoadedRecipe", "load_recipe", "parse_recipe"]
+
+MAX_BYTES = 1 << 20
+MAX_FAULTS_SHOWN = 50
+
+_REFUSED = {
+    ".yaml": "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code",
+    ".yml": "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code",
+    ".pkl": "a pickle runs code when it is read",
+    ".pickle": "a pickle runs code when it is read",
+    ".py": "a program is not a recipe",
+    ".json": "JSON has no comments, and a recipe explains itself",
+}
+
+
+@dataclass(frozen=True)
+class LoadedRecipe:
+    """A recipe with where it came from.
+
+    Attributes
+    ----------
+    recipe
+        The checked recipe, with ``--set`` applied.
+    path
+        Its file.
+    text
+        The file's text as read.
+    overrides
+        Dotted key -> text of the value, as given with ``--set``.
+    """
+
+    recipe: Recipe
+    path: Path
+    text: str
+    overrides: dict[str, str]
+
+
+def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe:
+    """Read and check a recipe file.
+
+    Parameters
+    ----------
+    path
+        A ``.toml`` file of at most 1 MiB.
+    overrides
+        ``"a.b=value"`` items: a is a top-level key or a step's name.
+
+    Raises
+    ------
+    InputError
+        The file is missing, too large, not TOML, or not a recipe; all faults are listed.
+    UsageError
+        An override that has no ``=`` or names no step.
+    """
+    file = Path(path)
+    if file.suffix.lower() in _REFUSED:
+        raise InputError(str(path), f"a {file.suffix} file: {_REFUSED[file.suffix.lower()]}", "a .toml recipe")
+    if file.is_dir():
+        raise InputError(str(path), "is a folder", "a .toml recipe")
+    if not file.is_file():
+        siblings = [p.name for p in file.parent.glob("*.toml")] if file.parent.is_dir() else []
+        raise InputError(str(path), "no such file", None, did_you_mean(file.name, siblings))
+    if file.stat().st_size > MAX_BYTES:
+        raise InputError(str(path), f"{file.stat().st_size} bytes", f"at most {MAX_BYTES} bytes (1 MiB)")
+    try:
+        text = file.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), f"byte {error.start} is not UTF-8", "a text file in UTF-8") from None
+    given = dict(_split_override(item) for item in overrides)
+    return LoadedRecipe(parse_recipe(text, str(path), given), file.resolve(), text, given)
+
+
+def parse_recipe(text: str, where: str = "recipe", overrides: dict[str, str] | None = None) -> Recipe:
+    """A checked recipe from TOML text; see `load_recipe`."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, f"not valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # a number of more than 4300 digits; brackets nested 1000 deep
+        raise InputError(where, f"not readable as TOML: {error}") from None
+    for key, value in (overrides or {}).items():
+        _override(data, key, value)
+    faults: list[str]
+    try:
+        recipe = Recipe.model_validate(data)
+    except ValidationError as error:
+        faults = list(dict.fromkeys(_fault(e, data) for e in error.errors(include_url=False)))
+    else:
+        faults = _reference_faults(recipe)
+        if not faults:
+            return recipe
+    if len(faults) == 1:
+        key, _, found = faults[0].partition(": ")
+        raise InputError(f"{where}: {key}", found)
+    shown = faults[:MAX_FAULTS_SHOWN]
+    if len(faults) > len(shown):
+        shown.append(f"and {len(faults) - len(shown)} more")
+    raise InputError(where, f"{len(faults)} faults", None, None, tuple(f"  {fault}" for fault in shown))
+
+
+# --- faults in words ---------------------------------------------------------------------------------------------------
+
+
+def _fault(error: Any, data: dict[str, Any]) -> str:
+    """One fault as ``dotted.key: what is wrong``."""
+    loc = [str(part) for part in error["loc"]]
+    kinds = _kinds()
+    is_step = len(loc) >= 3 and loc[0] == "step" and loc[2] in kinds
+    if is_step:
+        del loc[2]  # the tag of the union, which the user did not write
+    if loc and loc[-1] == "[key]":
+        loc.pop()
+    key = ".".join(loc) or "recipe"
+    match error["type"]:
+        case "extra_forbidden":
+            known = _known_keys(error["loc"], kinds)
+            return f"{key}: unknown key{_suggestion(loc[-1], known)}"
+        case "missing":
+            return f"{key}: missing"
+        case "union_tag_not_found":
+            return f"{key}.do: missing, expected one of {', '.join(kinds)}"
+        case "union_tag_invalid":
+            given = str(data["step"][error["loc"][1]]["do"])
+            return f"{key}.do: no such kind of step {given!r}{_suggestion(given, list(kinds))}; one of {', '.join(kinds)}"
+        case "string_pattern_mismatch":
+            return f"{key}: {error['input']!r} has characters that are not allowed here"
+    text = str(error["msg"])
+    return f"{key}: {text[:1].lower()}{text[1:]}, found {_short(error['input'])}"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _suggestion(name: str, known: list[str]) -> str:
+    hint = did_you_mean(name, known)
+    return f" ({hint})" if hint else ""
+
+
+def _kinds() -> dict[str, type[StepBase]]:
+    """Kind of step -> its model, in the order of the schema."""
+    union = Step.__origin__  # pyright: ignore[reportAttributeAccessIssue]
+    return {cls.model_fields["do"].annotation.__args__[0]: cls for cls in union.__args__}
+
+
+def _known_keys(loc: tuple[Any, ...], kinds: dict[str, type[StepBase]]) -> list[str]:
+    """Keys that are allowed beside the unknown one."""
+    if loc[0] == "step" and len(loc) == 4:
+        return list(kinds[loc[2]].model_fields)
+    if loc[0] == "require":
+        return list(Recipe.model_fields["require"].annotation.__args__[0].model_fields)  # pyright: ignore[reportOptionalMemberAccess]
+    return [field.alias or name for name, field in Recipe.model_fields.items()] if len(loc) == 1 else []
+
+
+# --- references between steps ----------------------------------------------------------------------------------------------
+
+
+def _reference_faults(recipe: Recipe) -> list[str]:
+    """A step may refer to steps before it, and only to such as give what it needs; so may requirements."""
+    faults: list[str] = []
+    earlier: dict[str, StepBase] = {}
+    for name, step in recipe.step.items():
+        for field, wanted in _references(step):
+            key, target = f"step.{name}.{field}", getattr(step, field)
+            if target in earlier:
+                gives = earlier[target].gives
+                if gives not in wanted:
+                    expected = " or ".join(w for w in wanted if w != "any")
+                    faults.append(f"{key}: step {target!r} gives {gives}, expected a step that gives {expected}")
+            elif target in recipe.step:
+                faults.append(f"{key}: step {target!r} comes later; steps run in the order written")
+            else:
+                faults.append(f"{key}: no step {target!r} before this one{_suggestion(target, list(earlier))}")
+        earlier[name] = step
+    for i, requirement in enumerate(recipe.require):
+        target = requirement.that.split(".")[0]
+        if target not in recipe.step:
+            faults.append(f"require.{i}.that: no step {target!r}{_suggestion(target, list(recipe.step))}")
+        elif "." not in requirement.that:
+            faults.append(f"require.{i}.that: {target!r} names a step, expected one of its numbers, such as {target}.status")
+    return faults
+
+
+def _references(step: StepBase) -> list[tuple[str, tuple[str, ...]]]:
+    """Fields of a step that name another step, with what that one must give."""
+    found: list[tuple[str, tuple[str, ...]]] = []
+    for name, field in type(step).model_fields.items():
+        marks = [m for m in field.metadata if isinstance(m, RefersTo)]
+        if not marks:  # an optional reference keeps its mark inside the union
+            arguments = getattr(field.annotation, "__args__", ())
+            marks = [m for a in arguments for m in getattr(a, "__metadata__", ()) if isinstance(m, RefersTo)]
+        if marks and getattr(step, name) is not None:
+            found.append((name, marks[0].gives))
+    return found
+
+
+# --- overrides -----------------------------------------------------------------------------------------------------------
+
+
+def _split_override(item: str) -> tuple[str, str]:
+    key, equals, value = item.partition("=")
+    if not equals or not key.strip():
+        raise UsageError(f"--set {item}", "no key and value", "--set key=value", "for example --set seed=7")
+    return key.strip(), value.strip()
+
+
+def _override(data: dict[str, Any], key: str, text: str) -> None:
+    """Put a value into the recipe's data; the value is read as TOML, and as a plain text where it is none."""
+    where = f"--set {key}"
+    parts = key.split(".")
+    steps = data.get("step")
+    steps = steps if isinstance(steps, dict) else {}
+    top = [field.alias or name for name, field in Recipe.model_fields.items()]
+    if parts[0] in steps and parts[0] not in top:
+        parts.insert(0, "step")
+    if parts[0] not in top:
+        known = [*top, *steps]
+        raise UsageError(where, f"no step and no key {parts[0]!r}", f"one of {', '.join(known)}", did_you_mean(parts[0], known))
+    if parts[0] == "step" and (len(parts) < 3 or parts[1] not in steps):
+        hint = did_you_mean(parts[1], list(steps)) if len(parts) > 1 else None
+        raise UsageError(where, "names no key of a step", f"step.NAME.KEY with a step of {', '.join(steps)}", hint)
+    target: Any = data
+    for part in parts[:-1]:
+        if isinstance(target, list) and part.isdigit() and int(part) < len(target):
+            target = target[int(part)]
+        elif isinstance(target, dict):
+            target = target.setdefault(part, {})
+        else:
+            raise UsageError(where, f"{part!r} is not a table", "a key that holds a value")
+    last = parts[-1]
+    if isinstance(target, list) and last.isdigit() and int(last) < len(target):
+        target[int(last)] = _value(text)
+    elif isinstance(target, dict):
+        target[last] = _value(text)
+    else:
+        raise UsageError(where, f"{last!r} is inside a value", "a key that holds a value")
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"x = {text}")["x"] if "\n" not in text else text
+    except (ValueError, RecursionError):
+        return text

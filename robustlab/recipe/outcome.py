@@ -1,0 +1,107 @@
+"""What a step leaves behind, and what it may use while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robustlab.result import Status
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Fact", "Outcome", "Workspace", "quantity"]
+
+
+def quantity(value: float, unit: str = "", digits: int = 5) -> str:
+    """A number with its unit for reading, for example ``779.07 rad/s``."""
+    text = f"{value:.{digits}g}"
+    return f"{text} {unit}" if unit and unit != "1" else text
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A line of the report: what, and its value with unit."""
+
+    label: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step leaves behind.
+
+    Attributes
+    ----------
+    value
+        What later steps get when they refer to this one.
+    summary
+        One sentence: what was done.
+    numbers
+        What requirements refer to (``step.key.key``); plain types.
+    facts
+        The key numbers in words.
+    status
+        How much the numbers can be trusted.
+    notes
+        What the reader must know to judge the numbers.
+    """
+
+    value: Any
+    summary: str
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    facts: tuple[Fact, ...] = ()
+    status: Status = Status.CONVERGED
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class Workspace:
+    """What a step may use: the values of earlier steps, the files found for it, the seed, and a folder to write to.
+
+    Attributes
+    ----------
+    folder
+        Where this run writes; `files` lists what was written, relative to it.
+    values
+        Step name -> value of each step that is done.
+    sources
+        Step name -> the file it reads; see `robustlab.recipe.paths.find_files`.
+    seed
+        Seed of the recipe.
+    step
+        Name of the step that runs now.
+    figures
+        Step name -> its figures as (file stem, caption).
+    """
+
+    folder: Path
+    sources: Mapping[str, Path]
+    seed: int
+    values: dict[str, Any] = field(default_factory=dict)
+    files: list[str] = field(default_factory=list)
+    inputs: dict[str, str] = field(default_factory=dict)
+    figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    step: str = ""
+    advance: Callable[[int], None] = lambda _steps: None
+
+    def draw(self, figure: Figure, name: str, caption: str) -> None:
+        """Save a figure of the present step as SVG and PNG."""
+        from robustlab.report.figures import save_figure
+
+        stem = f"{self.step}-{name}"
+        for path in save_figure(figure, self.folder / "figures", stem):
+            self.files.append(f"figures/{path.name}")
+        self.figures.setdefault(self.step, []).append((stem, caption))
+
+    def keep(self, result: Any) -> None:
+        """Save a result with its evidence as ``evidence/STEP.h5``, so that it can be checked again without a new run."""
+        from robustlab.provenance import Provenance
+        from robustlab.storage import save
+
+        path = self.folder / "evidence" / f"{self.step}.h5"
+        path.parent.mkdir(exist_ok=True)
+        save(path, result, Provenance.now(f"recipe step {self.step}", self.inputs, self.seed))
+        self.files.append(f"evidence/{path.name}")

@@ -1,0 +1,363 @@
+"""What a recipe may say (format ``robustlab.recipe/1``): one small model per kind of step, one for a requirement.
+
+The JSON Schema made from these models is committed as ``recipes/recipe.schema.json``, so that an editor can complete and check recipes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, WrapValidator, model_validator
+from pydantic_core import PydanticCustomError, ValidationError
+
+__all__ = ["SCHEMA", "Recipe", "RefersTo", "Requirement", "Step", "StepBase"]
+
+SCHEMA = "robustlab.recipe/1"
+
+
+class Strict(BaseModel):
+    """No unknown keys, no silent conversion (TOML has types), no NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
+
+
+# --- words that the steps share ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RefersTo:
+    """Marks a field that names an earlier step, and what that step must give; see `robustlab.recipe.load`."""
+
+    gives: tuple[str, ...]
+
+
+# "any": a loaded file shows only at run time what it holds.
+ToPlant = Annotated[str, RefersTo(("plant",))]
+ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
+ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
+ToController = Annotated[str, RefersTo(("controller", "any"))]
+ToRecord = Annotated[str, RefersTo(("record", "any"))]
+ToSaved = Annotated[str, RefersTo(("saved",))]
+ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "controller", "record", "any"))]
+
+StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
+FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=100)]
+Text = Annotated[str, Field(max_length=2000)]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=0, le=1_000_000)]
+Points = Annotated[int, Field(ge=2, le=100_000)]
+Tolerance = Annotated[float, Field(gt=0, lt=1)]
+
+
+def _number_or_pair(value: Any, handler: Any) -> Any:
+    try:
+        return handler(value)
+    except ValidationError:
+        raise PydanticCustomError("number_or_pair", "expected a number, or [number, relative tolerance]") from None
+
+
+NumberOrPair = Annotated[
+    float | Annotated[list[float], Field(min_length=2, max_length=2)], WrapValidator(_number_or_pair)
+]
+
+
+class StepBase(Strict):
+    """What every step has."""
+
+    gives: ClassVar[str] = "nothing"
+
+    title: Text = Field("", description="What the report calls this step; the step's name where left out.")
+
+
+class TransferFunction(Strict):
+    """A weight as polynomials in s, highest power first."""
+
+    num: Annotated[list[float], Field(min_length=1, max_length=20)]
+    den: Annotated[list[float], Field(min_length=1, max_length=20)]
+
+
+class ReferenceLine(Strict):
+    """A known value to draw beside a response."""
+
+    output: str
+    value: float
+    text: Text
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
+
+
+class PlantStep(StepBase):
+    """A plant from physics."""
+
+    gives: ClassVar[str] = "plant"
+    do: Literal["plant"]
+    plant: str = Field(description='Name of the plant, for example "dc-motor".')
+    parameters: dict[str, NumberOrPair] = Field({}, description="Values in SI units, or [value, relative tolerance].")
+
+
+class LineariseStep(StepBase):
+    """The linear state-space model of a plant; states that the kept outputs do not show are left out."""
+
+    gives: ClassVar[str] = "model"
+    do: Literal["linearise"]
+    of: ToPlant
+    outputs: list[str] | None = None
+
+
+class LoadStep(StepBase):
+    """A model from an HDF5 file: a path, or the file that an earlier step saved."""
+
+    gives: ClassVar[str] = "any"
+    do: Literal["load"]
+    path: Text | None = None
+    saved: ToSaved | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.path is None) == (self.saved is None):
+            raise PydanticCustomError("one_source", "expected either path or saved")
+        return self
+
+
+class SaveStep(StepBase):
+    """Write the object of an earlier step to an HDF5 file in the output folder."""
+
+    gives: ClassVar[str] = "saved"
+    do: Literal["save"]
+    of: ToAnything
+    file: FileName
+
+
+class StructuralStep(StepBase):
+    """Controllability and observability."""
+
+    do: Literal["structural"]
+    of: ToModel
+
+
+class SteadyStateStep(StepBase):
+    """Outputs in steady state under constant inputs; inputs left out are zero."""
+
+    do: Literal["steady-state"]
+    of: ToModel
+    inputs: dict[str, float]
+    outputs: list[str] | None = None
+
+
+class UncertainStep(StepBase):
+    """An uncertain model of a plant: each parameter in `tolerances` varies by that share of its value."""
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["uncertain"]
+    of: ToPlant
+    tolerances: Annotated[dict[str, Tolerance], Field(min_length=1)]
+    outputs: list[str] | None = None
+
+
+class ElementwiseStep(StepBase):
+    """An uncertain model from a nominal model and the same model perturbed as far as it may go."""
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["elementwise"]
+    nominal: ToModel
+    perturbed: ToModel
+    structure: Literal["elements", "columns", "rows", "matrices", "single"] = "elements"
+
+
+# --- analysis --------------------------------------------------------------------------------------------------------
+
+
+class ResponseStep(StepBase):
+    """What the steps that simulate responses share: a step of `input` at t = 0, watched until `t_end`."""
+
+    of: ToUncertain
+    input: Annotated[dict[str, float], Field(min_length=1, description="Amplitude of the step on each input.")]
+    t_end: Positive
+    points: Points = 401
+    seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
+
+
+class SampleStep(ResponseStep):
+    """Responses of random members of an uncertain model and of vertices of Delta, with their envelope."""
+
+    do: Literal["sample"]
+    n: Count = 20
+    vertices: Count = 0
+    reference: list[ReferenceLine] = []
+
+
+class WorstCaseStep(StepBase):
+    """Search over Delta for the largest value of a metric."""
+
+    do: Literal["worst-case"]
+    of: ToUncertain
+    metric: Literal["peak-deviation", "hinf", "spectral-abscissa"] = "peak-deviation"
+    output: str | None = None
+    input: dict[str, float] = Field({}, description="Amplitude of the step on each input (peak-deviation only).")
+    t_end: Positive | None = None
+    points: Points = 401
+    n: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Evaluations of the metric.")
+    seed: Annotated[int, Field(ge=0)] | None = None
+
+    @model_validator(mode="after")
+    def _needs_a_response(self) -> Self:
+        if self.metric == "peak-deviation" and (not self.input or self.t_end is None):
+            raise PydanticCustomError("needs_response", "peak-deviation needs input and t_end")
+        return self
+
+
+class HinfNormStep(StepBase):
+    """H-infinity norm of a model."""
+
+    do: Literal["hinf-norm"]
+    of: ToModel
+
+
+class RobustStabilityStep(StepBase):
+    """Robust stability margin over the whole frequency axis, with its mu bounds."""
+
+    do: Literal["robust-stability"]
+    of: ToUncertain
+
+
+# --- synthesis -------------------------------------------------------------------------------------------------------
+
+
+class MixsynStep(StepBase):
+    """Mixed-sensitivity H-infinity controller: makes the norm of [W1 S; W2 K S; W3 T] small."""
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["mixsyn"]
+    of: ToModel
+    W1: TransferFunction | None = Field(None, description="Weight of the control error (sensitivity S).")
+    W2: TransferFunction | None = Field(None, description="Weight of the control signal (K S).")
+    W3: TransferFunction | None = Field(None, description="Weight of the output (complementary sensitivity T).")
+
+    @model_validator(mode="after")
+    def _some_weight(self) -> Self:
+        if self.W1 is None and self.W2 is None and self.W3 is None:
+            raise PydanticCustomError("some_weight", "expected at least one of W1, W2, W3")
+        return self
+
+
+class HinfStep(StepBase):
+    """H-infinity controller of a generalised plant: its last inputs are controls, its last outputs measurements."""
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["hinf"]
+    of: ToModel
+    measurements: Annotated[int, Field(ge=1)]
+    controls: Annotated[int, Field(ge=1)]
+
+
+class CloseLoopStep(StepBase):
+    """The tracking loop of a controller around a model: reference in, the controlled outputs out."""
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["close-loop"]
+    of: ToModel
+    controller: ToController
+
+
+# --- measurements ----------------------------------------------------------------------------------------------------
+
+
+class RecordStep(StepBase):
+    """A measured record from HDF5, MATLAB or CSV; its file may lie anywhere, because measured data are not ours to ship."""
+
+    gives: ClassVar[str] = "record"
+    do: Literal["record"]
+    path: Text
+    group: str | None = None
+    inputs: list[str] | None = None
+    outputs: list[str] | None = None
+    dt: Positive | None = None
+    units: dict[str, str] = {}
+    about: Text = Field("", description="What the record is, who published it, how to get it; shown where the file is absent.")
+
+
+class CompareStep(StepBase):
+    """Simulate a model with the inputs of a record and report the disagreement."""
+
+    do: Literal["compare"]
+    of: ToModel
+    record: ToRecord
+
+
+Step = Annotated[
+    PlantStep
+    | LineariseStep
+    | LoadStep
+    | SaveStep
+    | StructuralStep
+    | SteadyStateStep
+    | UncertainStep
+    | ElementwiseStep
+    | SampleStep
+    | WorstCaseStep
+    | HinfNormStep
+    | RobustStabilityStep
+    | MixsynStep
+    | HinfStep
+    | CloseLoopStep
+    | RecordStep
+    | CompareStep,
+    Field(discriminator="do"),
+]
+
+
+# --- requirements and the recipe ---------------------------------------------------------------------------------------
+
+
+class Requirement(Strict):
+    """A statement about a number of a step; together the requirements decide the exit code."""
+
+    that: Annotated[str, Field(min_length=1, max_length=300)] = Field(description='For example "margin.lower".')
+    text: Text = Field(description="What is required and why, in a sentence.")
+    at_least: float | None = None
+    at_most: float | None = None
+    within: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    equals: float | bool | str | None = None
+    tolerance: Annotated[float, Field(ge=0)] | None = Field(None, description="Largest allowed difference from `equals`.")
+
+    @model_validator(mode="after")
+    def _one_condition(self) -> Self:
+        given = [n for n in ("at_least", "at_most", "within", "equals") if getattr(self, n) is not None]
+        if not given:
+            raise PydanticCustomError("condition", "expected at_least, at_most, within or equals")
+        if len(given) > 1:
+            raise PydanticCustomError("condition", "expected one condition; a range is within = [low, high]")
+        if self.within is not None and self.within[0] > self.within[1]:
+            raise PydanticCustomError("condition", "within is [low, high], and low is above high")
+        if self.tolerance is not None and (isinstance(self.equals, (bool, str)) or self.equals is None):
+            raise PydanticCustomError("condition", "tolerance belongs to an equals with a number")
+        return self
+
+    @property
+    def condition(self) -> str:
+        """The condition in words, for example ``at least 1``."""
+        if self.at_least is not None:
+            return f"at least {self.at_least:.10g}"
+        if self.at_most is not None:
+            return f"at most {self.at_most:.10g}"
+        if self.within is not None:
+            return f"between {self.within[0]:.10g} and {self.within[1]:.10g}"
+        if isinstance(self.equals, bool):
+            return "yes" if self.equals else "no"
+        if isinstance(self.equals, str):
+            return f"{self.equals!r}"
+        margin = f" ± {self.tolerance:.10g}" if self.tolerance else ""
+        return f"{self.equals:.10g}{margin}"
+
+
+class Recipe(Strict):
+    """A whole recipe."""
+
+    schema_: Literal["robustlab.recipe/1"] = Field(alias="schema")
+    name: StepName
+    description: Text = ""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    step: Annotated[dict[StepName, Step], Field(min_length=1, max_length=200)] = Field(description="Run in the order written.")
+    require: Annotated[list[Requirement], Field(max_length=1000)] = []
