@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.recipe.schema import Recipe, RefersTo, Step, StepBase
 
-__all__ = ["LoadedRecipe", "load_recipe", "parse_recipe"]
+__all__ = ["LoadedRecipe", "load_recipe", "parse_recipe", "references"]
 
 MAX_BYTES = 1 << 20
 MAX_FAULTS_SHOWN = 50
@@ -179,7 +179,7 @@ def _reference_faults(recipe: Recipe) -> list[str]:
     faults: list[str] = []
     earlier: dict[str, StepBase] = {}
     for name, step in recipe.step.items():
-        for field, wanted in _references(step):
+        for field, wanted in references(step):
             key, target = f"step.{name}.{field}", getattr(step, field)
             if target in earlier:
                 gives = earlier[target].gives
@@ -200,7 +200,7 @@ def _reference_faults(recipe: Recipe) -> list[str]:
     return faults
 
 
-def _references(step: StepBase) -> list[tuple[str, tuple[str, ...]]]:
+def references(step: StepBase) -> list[tuple[str, tuple[str, ...]]]:
     """Fields of a step that name another step, with what that one must give."""
     found: list[tuple[str, tuple[str, ...]]] = []
     for name, field in type(step).model_fields.items():

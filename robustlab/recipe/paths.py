@@ -54,14 +54,13 @@ def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path
 
 
 def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
-    allowed = recipe.parent.resolve().parent
-    if allowed.parent == allowed or not path.is_relative_to(allowed):  # the folder above must not be the whole disk
-        inside = path.is_relative_to(recipe.parent.resolve())
-        if not inside:
-            key_hint = key.removeprefix("step.")
-            raise InputError(
-                recipe.name,
-                f'{key} = "{given}" leaves the recipe folder',
-                f"a file in {recipe.parent} or {allowed}",
-                f"to read it all the same, type --set {key_hint}={given}",
-            )
+    folder = recipe.parent
+    roots = [folder, folder.parent] if folder.parent.parent != folder.parent else [folder]  # never the whole disk
+    if any(path.is_relative_to(root) for root in roots):
+        return
+    raise InputError(
+        recipe.name,
+        f'{key} = "{given}" leaves the recipe folder',
+        f"a file in {' or '.join(map(str, roots))}",
+        f"to read it all the same, type --set {key.removeprefix('step.')}={given}",
+    )

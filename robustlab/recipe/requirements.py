@@ -102,7 +102,7 @@ def look_up(path: str, numbers: Mapping[str, Any]) -> Any:
 
 def _holds(requirement: Requirement, value: Any) -> bool:
     r = requirement
-    if r.equals is not None and not (isinstance(r.equals, float) and not isinstance(value, str)):
+    if isinstance(r.equals, (bool, str)):
         return type(value) is type(r.equals) and value == r.equals
     if isinstance(value, bool) or value is None:
         raise InputError(f"require: {r.that}", f"{value!r}", "a number, because the condition compares numbers")
@@ -118,5 +118,5 @@ def _holds(requirement: Requirement, value: Any) -> bool:
         return value <= r.at_most
     if r.within is not None:
         return r.within[0] <= value <= r.within[1]
-    assert isinstance(r.equals, (int, float))
+    assert r.equals is not None
     return abs(value - r.equals) <= (r.tolerance or 0.0)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, WrapValidator, model_validator
 from pydantic_core import PydanticCustomError, ValidationError
 
-__all__ = ["SCHEMA", "Recipe", "RefersTo", "Requirement", "Step", "StepBase"]
+__all__ = ["SCHEMA", "Recipe", "RefersTo", "Requirement", "Step", "StepBase", "json_schema"]
 
 SCHEMA = "robustlab.recipe/1"
 
@@ -357,7 +357,13 @@ class Recipe(Strict):
 
     schema_: Literal["robustlab.recipe/1"] = Field(alias="schema")
     name: StepName
-    description: Text = ""
+    title: Text = Field("", description="Heading of the report; the name where left out.")
+    description: Annotated[str, Field(max_length=10_000)] = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     step: Annotated[dict[StepName, Step], Field(min_length=1, max_length=200)] = Field(description="Run in the order written.")
     require: Annotated[list[Requirement], Field(max_length=1000)] = []
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of a recipe, as committed in ``recipes/recipe.schema.json``."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Recipe.model_json_schema(by_alias=True)}

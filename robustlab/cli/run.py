@@ -1,0 +1,58 @@
+"""``robustlab run``: run a recipe."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from robustlab.cli.console import JsonOption, emit, note, table
+
+app = typer.Typer(help="Run a recipe: steps, requirements, report.")
+
+
+@app.command()
+def run(
+    recipe: Annotated[str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)],
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="A.B=V", help="Change a value: a top-level key or STEP.KEY. May be repeated.", show_default=False),
+    ] = None,
+    out: Annotated[str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
+
+    Exit code 0: all requirements met; 1: one is not; 4: a step ended without a trustworthy number.
+
+    Example: robustlab run first-light --set seed=7 --out out/first-light
+    """
+    from pathlib import Path
+
+    from robustlab.recipe.load import load_recipe
+    from robustlab.recipe.run import run_recipe
+    from robustlab.recipe.shipped import recipe_path
+
+    loaded = load_recipe(recipe_path(recipe), changes or [])
+    folder = Path(out) if out else Path("out") / loaded.recipe.name
+    result = run_recipe(loaded, folder, note)
+    data = result.data
+    rows = [
+        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or _short(q["value"]), q["condition"]) for q in data["requirements"]
+    ]
+    doubtful = [f"no trustworthy number: step {s['name']}: {s['error'] or s['status']}" for s in data["steps"] if not s["trustworthy"]]
+    met = sum(q["met"] for q in data["requirements"])
+    parts = [
+        table(rows, ("", "requirement", "found", "condition")) if rows else "no requirement stated",
+        *doubtful,
+        f"{met} of {len(rows)} requirements met in {data['seconds']:.1f} s",
+        f"report: {result.folder / 'report.html'}",
+    ]
+    emit("run", {**data, "folder": str(result.folder)}, "\n\n".join(parts), as_json)
+    raise typer.Exit(result.exit_code)
+
+
+def _short(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,239 @@
+"""Running a recipe: its steps in the order written, its requirements judged, everything written to one folder.
+
+::
+
+    out/NAME/result.json    everything: requirements, steps, numbers, provenance, the recipe itself
+    out/NAME/report.html    the same for reading
+    out/NAME/junit.xml      the requirements for a CI system
+    out/NAME/figures/       each figure as SVG and PNG
+    out/NAME/evidence/      results with what is needed to check them again, as HDF5
+    out/NAME/*.h5           what save steps wrote
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robustlab.errors import EXIT_OK, EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, InputError, NoTrustworthyNumber, RobustlabError
+from robustlab.files.atomic import atomic_write
+from robustlab.provenance import Provenance, file_sha256
+from robustlab.recipe.load import LoadedRecipe, references
+from robustlab.recipe.outcome import Outcome, Workspace
+from robustlab.recipe.paths import find_files
+from robustlab.recipe.requirements import judge
+from robustlab.recipe.schema import StepBase
+from robustlab.report.html import render
+from robustlab.report.junit import junit_xml
+from robustlab.result import Status, plain
+
+__all__ = ["RunResult", "read_result", "run_recipe", "write_report"]
+
+NOT_RUN = "not run"
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A finished run.
+
+    Attributes
+    ----------
+    data
+        Content of ``result.json``.
+    folder
+        Where everything was written.
+    """
+
+    data: Mapping[str, Any]
+    folder: Path
+
+    @property
+    def exit_code(self) -> int:
+        """0 all requirements met, 1 one is not, 4 a step ended without a trustworthy number."""
+        return int(self.data["exit_code"])
+
+
+def run_recipe(loaded: LoadedRecipe, out: str | Path, report: Callable[[str], None] = lambda _line: None) -> RunResult:
+    """Run a recipe and write its results into ``out``.
+
+    Files appear in ``out`` only when the run is through, ``result.json`` last: an interrupted run leaves the previous one as it was.
+
+    Parameters
+    ----------
+    out
+        The folder; files in it that are no result of an earlier run stay.
+    report
+        Called with a line before each step.
+
+    Raises
+    ------
+    InputError, UsageError, EnvironmentFault
+        A step cannot be done as the recipe says; the step is named. (A step that is done, but ends without a trustworthy number, is
+        no error: the run goes on with the steps that do not need it, and says so.)
+    """
+    started = time.monotonic()
+    sources = find_files(loaded)
+    target = Path(out).resolve()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if target.exists() and not target.is_dir():
+        raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
+    folder = Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
+    try:
+        workspace = Workspace(folder, sources, loaded.recipe.seed)
+        workspace.inputs = {path.name: file_sha256(path) for path in sources.values()}
+        steps = _run_steps(loaded, workspace, report)
+        data = _result(loaded, workspace, steps, time.monotonic() - started)
+        _write(folder / "result.json", json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False))
+        write_report(data, folder)
+        _publish(folder, target)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return RunResult(data, target)
+
+
+def write_report(data: Mapping[str, Any], folder: Path) -> None:
+    """Write ``report.html`` and ``junit.xml`` from the content of ``result.json``."""
+    page, xml = render(data, folder), junit_xml(data)
+    _write(folder / "report.html", page)
+    _write(folder / "junit.xml", xml)
+
+
+# --- steps ---------------------------------------------------------------------------------------------------------------
+
+
+def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str], None]) -> list[dict[str, Any]]:
+    from robustlab.recipe.steps import EXECUTORS
+
+    done: list[dict[str, Any]] = []
+    count = len(loaded.recipe.step)
+    for number, (name, step) in enumerate(loaded.recipe.step.items(), 1):
+        missing = [target for field, _ in references(step) if (target := getattr(step, field)) not in workspace.values]
+        if missing:
+            done.append(_entry(name, step, None, f"not run: it needs step {missing[0]!r}, which gave nothing", 0.0, []))
+            continue
+        kind = step.do  # pyright: ignore[reportAttributeAccessIssue]
+        report(f"[{number}/{count}] {name} ({kind})")
+        workspace.step = name
+        begun = time.monotonic()
+        try:
+            outcome = EXECUTORS[kind](step, workspace)
+        except NoTrustworthyNumber as error:
+            done.append(_entry(name, step, None, str(error), time.monotonic() - begun, []))
+            continue
+        except RobustlabError as error:
+            raise _at_step(error, loaded.path.name, name) from error
+        workspace.values[name] = outcome.value
+        done.append(_entry(name, step, outcome, "", time.monotonic() - begun, workspace.figures.get(name, [])))
+    return done
+
+
+def _at_step(error: RobustlabError, recipe: str, name: str) -> RobustlabError:
+    return type(error)(f"{recipe}: step.{name}: {error.where}", error.found, error.expected, error.hint, error.more)
+
+
+def _entry(
+    name: str, step: StepBase, outcome: Outcome | None, error: str, seconds: float, figures: list[tuple[str, str]]
+) -> dict[str, Any]:
+    status = outcome.status if outcome else Status.FAILED if not error.startswith(NOT_RUN) else None
+    numbers = {**plain(outcome.numbers), "status": plain(outcome.status)} if outcome else {}
+    return {
+        "name": name,
+        "do": step.do,  # pyright: ignore[reportAttributeAccessIssue]
+        "title": step.title,
+        "status": str(status) if status else NOT_RUN,
+        "trustworthy": bool(status and status.trustworthy),
+        "summary": outcome.summary if outcome else "",
+        "error": error,
+        "numbers": numbers,
+        "facts": [{"label": fact.label, "value": fact.value} for fact in (outcome.facts if outcome else ())],
+        "notes": list(outcome.notes if outcome else ()),
+        "figures": [{"stem": stem, "caption": caption} for stem, caption in figures],
+        "seconds": round(seconds, 3),
+    }
+
+
+# --- result ----------------------------------------------------------------------------------------------------------------
+
+
+def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
+    recipe = loaded.recipe
+    numbers = {s["name"]: s["numbers"] for s in steps if not s["error"]}
+    missing = {s["name"]: f"step {s['name']!r} gave no number" for s in steps if s["error"]}
+    judgements = [judge(requirement, numbers, missing).to_json() for requirement in recipe.require]
+    if not all(s["trustworthy"] for s in steps):
+        code = NoTrustworthyNumber.exit_code
+    else:
+        code = EXIT_OK if all(j["met"] for j in judgements) else EXIT_REQUIREMENT_NOT_MET
+    provenance = Provenance.now("robustlab run", workspace.inputs, recipe.seed)
+    return {
+        "schema": "robustlab.result/1",
+        "command": "run",
+        "exit_code": code,
+        "requirements": judgements,
+        "steps": steps,
+        "recipe": {
+            "name": recipe.name,
+            "title": recipe.title,
+            "description": recipe.description,
+            "file": loaded.path.name,
+            "sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),
+            "overrides": loaded.overrides,
+            "text": loaded.text,
+        },
+        "seed": recipe.seed,
+        "seconds": round(seconds, 3),
+        "provenance": provenance.to_json(),
+        "files": sorted({*workspace.files, "report.html", "junit.xml", "result.json"}),
+    }
+
+
+def _write(path: Path, text: str) -> None:
+    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _publish(folder: Path, target: Path) -> None:
+    """Move the files of a finished run to their place, ``result.json`` last, and remove what only the previous run had."""
+    fresh = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    fresh.sort(key=lambda path: path.name == "result.json")
+    stale = _files_of_previous_run(target)
+    for path in fresh:
+        (target / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).replace(target / path)
+    for name in stale - {path.as_posix() for path in fresh}:
+        (target / name).unlink(missing_ok=True)
+
+
+def _files_of_previous_run(target: Path) -> set[str]:
+    try:
+        listed = json.loads((target / "result.json").read_text(encoding="utf-8"))["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()  # no earlier run, or not one of ours: nothing to remove
+    inside = [str(name) for name in listed]
+    return {name for name in inside if (target / name).resolve().is_relative_to(target)}
+
+
+def read_result(folder: str | Path) -> dict[str, Any]:
+    """Content of ``result.json`` of a finished run.
+
+    Raises
+    ------
+    InputError
+        No such file, or not the result of a run.
+    """
+    path = Path(folder) / "result.json"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", "the folder that robustlab run wrote") from None
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), f"not readable: {error}", "the JSON that robustlab run wrote") from None
+    if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
+        raise InputError(str(path), "not the result of a run", "the result.json that robustlab run wrote")
+    return data

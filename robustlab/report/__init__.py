@@ -1,0 +1,1 @@
+"""What a run shows: figures, a self-contained HTML page, a JUnit file."""

@@ -1,0 +1,127 @@
+"""The report of a run as one self-contained HTML page: opens offline, runs no script, reaches no network.
+
+Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it, control and
+bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in an image cannot run
+anything), and the page's Content-Security-Policy forbids everything but its own style and such images.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robustlab.errors import InputError, plain_text
+from robustlab.result import Status
+
+__all__ = ["Verdict", "render", "verdict"]
+
+MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
+
+_MEANING = {
+    Status.CERTIFIED: "derived again from its evidence, outside the solver",
+    Status.CONVERGED: "the method ended as intended and its value was evaluated again",
+    Status.INACCURATE: "there is a value, but digits were lost",
+    Status.INFEASIBLE: "shown to have no solution",
+    Status.INCONCLUSIVE: "neither a value nor an impossibility could be shown",
+    Status.TIMEOUT: "the time limit ended the search",
+    Status.FAILED: "the method broke down; there is no value",
+}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The first thing a reader sees."""
+
+    tone: str
+    mark: str
+    headline: str
+    detail: str
+
+
+def verdict(result: Mapping[str, Any]) -> Verdict:
+    """The verdict of a run: trustworthy or not, and how many requirements are met."""
+    requirements = result["requirements"]
+    unmet = [q for q in requirements if not q["met"]]
+    doubtful = [s for s in result["steps"] if not s["trustworthy"]]
+    count = f"{len(requirements) - len(unmet)} of {len(requirements)} requirements met"
+    if doubtful:
+        names = ", ".join(s["name"] for s in doubtful)
+        return Verdict("bad", "✗", "No trustworthy number", f"These steps ended without one: {names}. {count}.")
+    if unmet:
+        word = "requirement is" if len(unmet) == 1 else "requirements are"
+        return Verdict("bad", "✗", f"{len(unmet)} {word} not met", f"{count}; every step ended with a number that can be vouched for.")
+    if not requirements:
+        return Verdict("warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for.")
+    headline = "The requirement is met" if len(requirements) == 1 else f"All {len(requirements)} requirements are met"
+    return Verdict("good", "✓", headline, "Every step ended with a number that can be vouched for.")
+
+
+def render(result: Mapping[str, Any], folder: str | Path) -> str:
+    """The page for a result as ``result.json`` holds it.
+
+    Parameters
+    ----------
+    result
+        Content of ``result.json``; see `robustlab.recipe.run`.
+    folder
+        The run's folder, with ``figures/*.svg``.
+
+    Raises
+    ------
+    InputError
+        A figure that the result names is not there, or the result lacks a part.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined, UndefinedError
+
+    environment = Environment(
+        loader=PackageLoader("robustlab.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["pretty"] = _pretty
+    environment.globals.update(
+        found=_found, paragraphs=_paragraphs, status_meaning=_status_meaning, image=lambda stem: _image(Path(folder), stem)
+    )
+    try:
+        return environment.get_template("page.html.j2").render(r=_readable(result), verdict=verdict(_readable(result)))
+    except (UndefinedError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder}/result.json", f"a part is missing or has another form ({error})", "the result of a run") from None
+
+
+def _readable(value: Any) -> Any:
+    """All texts without characters that change how other text is shown; line breaks stay."""
+    if isinstance(value, str):
+        return "\n".join(plain_text(line) for line in value.split("\n"))
+    if isinstance(value, Mapping):
+        return {_readable(str(key)): _readable(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_readable(item) for item in value]
+    return value
+
+
+def _found(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _paragraphs(text: str) -> list[str]:
+    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
+
+
+def _status_meaning(status: str) -> str:
+    return _MEANING[Status(status)] if status in set(Status) else "not run"
+
+
+def _pretty(numbers: Any) -> str:
+    text = json.dumps(numbers, indent=2, ensure_ascii=False)
+    return text if len(text) <= MAX_NUMBERS else f"{text[:MAX_NUMBERS]}\n... (the rest is in result.json)"
+
+
+def _image(folder: Path, stem: str) -> str:
+    path = folder / "figures" / f"{stem}.svg"
+    if Path(stem).name != stem or not path.is_file():
+        raise InputError(str(path), "no such figure", "the figures of the run beside its result.json")
+    return "data:image/svg+xml;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
