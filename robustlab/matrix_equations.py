@@ -1,0 +1,187 @@
+"""Riccati and Lyapunov equations: finite input in, residual-checked solution out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import real_array
+
+__all__ = ["RiccatiSolution", "care", "lyapunov"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RiccatiSolution:
+    """Stabilising solution of a Riccati equation.
+
+    Attributes
+    ----------
+    X
+        The symmetric solution, shape (n, n).
+    gain
+        ``F = -R^-1 (B^T X + S^T)``, shape (m, n); ``A + B F`` is stable.
+    residual
+        Norm of the equation's left-hand side divided by the sum of the norms of its terms.
+    """
+
+    X: Array
+    gain: Array
+    residual: float
+
+
+def care(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, tolerance: float = 1e-6
+) -> RiccatiSolution:
+    r"""Stabilising solution of the continuous-time algebraic Riccati equation.
+
+    .. math:: A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0, \qquad A - B R^{-1} (B^T X + S^T) \text{ stable}
+
+    R is symmetric and invertible and may be indefinite, as in H-infinity synthesis.
+
+    Parameters
+    ----------
+    A, B, Q, R, S
+        Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
+    tolerance
+        Largest relative residual that is accepted.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, or NaN or Inf.
+    NoTrustworthyNumber
+        No stabilising solution was found (the Hamiltonian has eigenvalues on or too close to the imaginary axis), or none
+        whose residual is small enough.
+
+    Notes
+    -----
+    First the QZ algorithm on the balanced extended pencil (Van Dooren 1981; scipy), then the ordered real Schur form of the
+    balanced Hamiltonian (Laub 1979).
+
+    Examples
+    --------
+    >>> float(round(care([[0.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
+    1.0
+    """
+    a, b, q, r = (real_array(k, v, 2, "care") for k, v in (("A", A), ("B", B), ("Q", Q), ("R", R)))
+    n, m = a.shape[0], r.shape[0]
+    s = np.zeros((n, m)) if S is None else real_array("S", S, 2, "care")
+    for name, matrix, shape in (("A", a, (n, n)), ("B", b, (n, m)), ("Q", q, (n, n)), ("R", r, (m, m)), ("S", s, (n, m))):
+        if matrix.shape != shape:
+            raise InputError("care", f"{name} is {matrix.shape}", f"{shape}")
+    if n == 0:
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((m, 0)), 0.0)
+    best: RiccatiSolution | None = None
+    solvers: tuple[Callable[..., Array | None], ...] = (_extended_pencil, _ordered_schur)
+    for solve in solvers:
+        X = solve(a, b, q, r, s)
+        if X is None:
+            continue
+        found = _checked_care(a, b, q, r, s, 0.5 * (X + X.T))
+        if found is not None and (best is None or found.residual < best.residual):
+            best = found
+        if best is not None and best.residual <= tolerance:
+            return best
+    if best is None:
+        raise NoTrustworthyNumber("care", "no stabilising solution: the Hamiltonian has eigenvalues on the imaginary axis")
+    raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
+
+
+def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | None:
+    from scipy.linalg import LinAlgError, LinAlgWarning, solve_continuous_are
+
+    with warnings.catch_warnings():
+        # An ill-conditioned step is judged by the residual afterwards, not by a warning.
+        warnings.simplefilter("ignore", LinAlgWarning)
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            X = solve_continuous_are(a, b, q, r, s=s)
+        except (LinAlgError, ValueError):  # ValueError: R is singular to working precision
+            return None
+    return X if np.isfinite(X).all() else None
+
+
+def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | None:
+    from scipy.linalg import LinAlgError, matrix_balance, schur
+
+    n = a.shape[0]
+    try:
+        ri = np.linalg.inv(r)
+        a1 = a - b @ ri @ s.T
+        hamiltonian = np.block([[a1, -b @ ri @ b.T], [-(q - s @ ri @ s.T), -a1.T]])
+        if not np.isfinite(hamiltonian).all():
+            return None
+        balanced, (scale, _) = matrix_balance(hamiltonian, permute=False, separate=True)
+        _, z, count = schur(balanced, output="real", sort="lhp")
+        if count != n:
+            return None
+        z = scale[:, None] * z[:, :n]
+        X = np.linalg.solve(z[:n].T, z[n:].T).T
+    except (LinAlgError, np.linalg.LinAlgError):
+        return None
+    return X if np.isfinite(X).all() else None
+
+
+def _checked_care(a: Array, b: Array, q: Array, r: Array, s: Array, X: Array) -> RiccatiSolution | None:
+    """Residual and gain of a candidate; None where it does not stabilise."""
+    try:
+        gain = -np.linalg.solve(r, b.T @ X + s.T)
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(gain).all() or np.linalg.eigvals(a + b @ gain).real.max() >= 0:
+        return None
+    quadratic = (X @ b + s) @ gain
+    size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
+    residual = np.linalg.norm(a.T @ X + X @ a + q + quadratic) / size if size else 0.0
+    return RiccatiSolution(X, gain, float(residual))
+
+
+def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, tolerance: float = 1e-6) -> Array:
+    r"""Solution X of the Lyapunov equation, shape (n, n).
+
+    .. math:: A X + X A^T + Q = 0 \qquad\text{or, discrete,}\qquad A X A^T - X + Q = 0
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN or Inf.
+    NoTrustworthyNumber
+        No unique solution (eigenvalues that mirror each other at the stability boundary), or a relative residual above ``tolerance``.
+
+    Examples
+    --------
+    >>> float(lyapunov([[-0.5]], [[2.0]])[0, 0])
+    2.0
+    """
+    from scipy.linalg import LinAlgError, LinAlgWarning, solve_continuous_lyapunov, solve_discrete_lyapunov
+
+    a, q = real_array("A", A, 2, "lyapunov"), real_array("Q", Q, 2, "lyapunov")
+    n = a.shape[0]
+    for name, matrix in (("A", a), ("Q", q)):
+        if matrix.shape != (n, n):
+            raise InputError("lyapunov", f"{name} is {matrix.shape}", f"{(n, n)}")
+    if n == 0:
+        return np.zeros((0, 0))
+    with warnings.catch_warnings():
+        # Judged by the residual below.
+        warnings.simplefilter("ignore", LinAlgWarning)
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            X = solve_discrete_lyapunov(a, q) if discrete else solve_continuous_lyapunov(a, -q)
+        except (LinAlgError, ValueError):
+            raise NoTrustworthyNumber("lyapunov", "no unique solution: eigenvalues mirror each other") from None
+    if not np.isfinite(X).all():
+        raise NoTrustworthyNumber("lyapunov", "the solution is not finite")
+    terms = (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q)
+    size = sum(np.linalg.norm(term) for term in terms)
+    residual = float(np.linalg.norm(sum(terms)) / size) if size else 0.0
+    if residual > tolerance:
+        raise NoTrustworthyNumber("lyapunov", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+    return X

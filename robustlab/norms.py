@@ -1,0 +1,367 @@
+"""System norms: H-infinity as a proved bracket, H2 by both Gramians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.matrix_equations import lyapunov
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+
+__all__ = ["H2Norm", "HinfNorm", "bilinear_to_continuous", "bilinear_to_discrete", "h2_norm", "hinf_norm", "peak_gain"]
+
+Array = NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
+
+MAX_LEVELS = 60
+# Points of a zoom step and steps of a zoom: the bracket of a peak shrinks by a factor of 6 in each.
+ZOOM_POINTS, ZOOM_STEPS, ZOOM_PEAKS = 13, 8, 6
+
+
+@dataclass(frozen=True)
+class HinfNorm:
+    """H-infinity norm of a model with its evidence.
+
+    Attributes
+    ----------
+    value
+        The norm; equal to ``lower``.
+    frequency
+        Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
+        infinite norm without such a frequency.
+    lower
+        ``sigma_max`` of the given model at ``frequency``, evaluated.
+    upper
+        Level that no singular value crosses, by the Hamiltonian test; ``lower <= norm <= upper``.
+    status
+        CERTIFIED, or INACCURATE where rounding leaves the sign of a pole or a level test open.
+    reason
+        Why the norm is infinite or inaccurate; else empty.
+    """
+
+    value: float
+    frequency: float
+    lower: float
+    upper: float
+    status: Status
+    reason: str = ""
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return vars(self).copy()
+
+
+@dataclass(frozen=True)
+class H2Norm:
+    """H2 norm of a model: value, status, and why it is infinite or inaccurate."""
+
+    value: float
+    status: Status
+    reason: str = ""
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return vars(self).copy()
+
+
+# --- H-infinity ------------------------------------------------------------------------------------------------------
+
+
+def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
+    r"""H-infinity norm as a bracket: a frequency attains ``lower``, no frequency exceeds ``upper``.
+
+    .. math:: \|G\|_\infty = \sup_\omega \sigma_{max}(G(j\omega)) \qquad (G(e^{j\omega dt}) \text{ for } dt > 0)
+
+    Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The imaginary
+    part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part, and
+    ``sigma_max`` is evaluated at all of them and between each two; the level is an upper bound where none of these exceeds
+    it. A zoom on the highest peaks looks for what rounding may have hidden.
+
+    Parameters
+    ----------
+    model
+        Model with any numbers of states, inputs and outputs, including zero; or a python-control object.
+    rtol
+        Relative width of the bracket.
+
+    Returns
+    -------
+    HinfNorm
+        Infinite for a model that is unstable or has poles on the stability boundary, reachable or not.
+
+    References
+    ----------
+    Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-2.0]], [[1.0]], [[6.0]], [[0.0]])
+    >>> norm = hinf_norm(lag)
+    >>> norm.value, norm.frequency, norm.status.value
+    (3.0, 0.0, 'certified')
+    """
+    m = as_model(model, "hinf_norm")
+    if not 1e-12 <= rtol < 1:
+        raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
+    if not m.n_inputs or not m.n_outputs:
+        return HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
+    if not m.n_states:
+        gain = float(np.linalg.norm(m.D, 2))
+        return HinfNorm(gain, 0.0, gain, gain, Status.CERTIFIED)
+    unstable = _unstable(m)
+    if unstable is not None:
+        return unstable
+    try:
+        scaled, rate = _well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
+        lower, omega, upper, trusted = _bracket(scaled, rtol)
+    except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
+        return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
+    omega *= rate
+    if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
+        omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
+    attained = float(_sigma(m, np.array([omega]))[0])
+    reason = "" if trusted else "the level test and a direct search disagreed; digits were lost"
+    if abs(attained - lower) > 10 * rtol * lower and lower > upper - lower:
+        trusted = False
+        reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
+    upper = max(upper, attained)
+    return HinfNorm(attained, omega, attained, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
+
+
+def peak_gain(model: Any, points: int = 120) -> float:
+    """A quick lower bound of the H-infinity norm of a stable model from a frequency grid; for scaling, not for proof."""
+    m = as_model(model, "peak_gain")
+    if not m.n_states or not m.n_inputs or not m.n_outputs:
+        return float(np.linalg.norm(m.D, 2)) if m.D.size else 0.0
+    return float(_sigma(m, _grid(m, points)).max())
+
+
+def _unstable(m: StateSpaceModel) -> HinfNorm | None:
+    """The infinite norm of a model that is not stable, or None."""
+    abscissa = m.spectral_abscissa()
+    # Eigenvalues are known to about eps ||A||; a pole closer to the boundary has no sign.
+    blur = 10 * EPS * (np.linalg.norm(m.A, 1) if not m.is_discrete else max(1.0, float(np.linalg.norm(m.A, 1))))
+    if abscissa < -min(blur, 1e-2 * float(np.abs(m.poles()).max())):
+        return None
+    poles = m.poles()
+    worst = poles[np.argmax(np.abs(poles) if m.is_discrete else poles.real)]
+    if abscissa < 0:
+        text = f"pole {_text(worst)} cannot be told from the stability boundary"
+        return HinfNorm(np.inf, abs(worst.imag), 0.0, np.inf, Status.INACCURATE, text)
+    word = "unstable" if abscissa > blur else "on the stability boundary"
+    return HinfNorm(np.inf, np.nan, np.inf, np.inf, Status.CERTIFIED, f"pole {_text(worst)} is {word}")
+
+
+def _text(pole: complex) -> str:
+    return f"{pole.real:.6g}{pole.imag:+.6g}j"
+
+
+def _well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
+    """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
+    size = np.abs(m.poles())
+    size = size[size > 1e-12 * size.max()]
+    rate = float(2.0 ** np.round(np.log2(np.median(size))))
+    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
+    level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
+    n, t = m.n_states, np.ones(m.n_states)
+    c = c * level  # only for the balancing: B and C weigh the same
+    for _ in range(20):
+        row = np.sqrt((a**2).sum(1) - np.diag(a) ** 2 + (b**2).sum(1) + 1e-300)
+        column = np.sqrt((a**2).sum(0) - np.diag(a) ** 2 + (c**2).sum(0) + 1e-300)
+        factor = 2.0 ** np.clip(np.round(0.5 * np.log2(row / column)), -40, 40)
+        if n == 0 or (factor == 1).all():
+            break
+        # One state at a time would be Osborne's order; damped simultaneous steps need no Python loop over states.
+        factor = np.where(np.abs(np.log2(factor)) > 1, 2.0 ** np.round(0.5 * np.log2(factor)), factor)
+        a, b, c, t = a / factor[:, None] * factor, b / factor[:, None], c * factor, t * factor
+    return StateSpaceModel(a, b, c / level, m.D), rate
+
+
+def _sigma(m: StateSpaceModel, omega: Array) -> Array:
+    """``sigma_max`` at each frequency, shape (n_omega,)."""
+    response = frequency_response(m, omega)
+    if not np.isfinite(response).all():
+        raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
+    if min(m.n_inputs, m.n_outputs) == 1:
+        return np.sqrt((np.abs(response) ** 2).sum(axis=(1, 2)))
+    return np.linalg.svd(response, compute_uv=False)[:, 0]
+
+
+def _grid(m: StateSpaceModel, points: int) -> Array:
+    """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them."""
+    poles = m.poles()
+    if m.is_discrete:
+        poles = np.log(poles[np.abs(poles) > 1e-12]) / m.dt
+    size = np.abs(poles)
+    size = size[size > 0]
+    low, high = (size.min() / 10, size.max() * 10) if len(size) else (1e-1, 1e1)
+    resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
+    omega = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), resonance, np.geomspace(low, high, points)])
+    if m.is_discrete:
+        return np.unique(np.append(omega[omega < np.pi / m.dt], np.pi / m.dt))
+    return np.append(np.unique(omega), np.inf)
+
+
+def _bracket(m: StateSpaceModel, rtol: float) -> tuple[float, float, float, bool]:
+    """``(lower, frequency, upper, trusted)`` for a stable continuous model that is well scaled."""
+    size = np.abs(m.poles())
+    decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max()))
+    omega = _grid(m, int(20 * decades))
+    sigma = _sigma(m, omega)
+    peak = int(np.argmax(sigma))
+    lower, at = float(sigma[peak]), float(omega[peak])
+    # What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero.
+    states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
+    floor = 4 * EPS * (float(np.linalg.norm(m.C, 2)) * float(_sigma(states, omega).max()) + float(np.linalg.norm(m.D, 2)))
+    if floor == 0:
+        return 0.0, 0.0, 0.0, True
+    trusted, upper = True, np.inf
+    for _ in range(MAX_LEVELS):
+        upper = lower * (1 + rtol) + floor
+        new_omega = _candidates(m, upper)
+        new_sigma = _sigma(m, new_omega)
+        omega, sigma = np.concatenate([omega, new_omega]), np.concatenate([sigma, new_sigma])
+        peak = int(np.argmax(new_sigma))
+        if new_sigma[peak] > upper:
+            lower, at = float(new_sigma[peak]), float(new_omega[peak])
+            continue
+        zoomed, zoomed_at = _zoom(m, omega, sigma)
+        if zoomed <= upper:
+            if zoomed > lower:
+                lower, at = zoomed, zoomed_at
+            return lower, at, upper, trusted
+        # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say so.
+        lower, at = zoomed, zoomed_at
+        trusted = False
+    return lower, at, upper, False
+
+
+def _candidates(m: StateSpaceModel, level: float) -> Array:
+    """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them."""
+    from scipy.linalg import matrix_balance
+
+    root = np.sqrt(level)
+    b, c, d = m.B / root, m.C / root, m.D / level
+    r = np.eye(m.n_inputs) - d.T @ d
+    s = np.eye(m.n_outputs) - d @ d.T
+    a1 = m.A + b @ np.linalg.solve(r, d.T @ c)
+    hamiltonian = np.block([[a1, b @ np.linalg.solve(r, b.T)], [-c.T @ np.linalg.solve(s, c), -a1.T]])
+    if not np.isfinite(hamiltonian).all():
+        raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
+    balanced, _ = matrix_balance(hamiltonian, permute=False)
+    crossing = np.unique(np.concatenate([[0.0], np.abs(np.linalg.eigvals(balanced).imag)]))
+    between = 0.5 * (crossing[:-1] + crossing[1:])
+    beyond = [2 * crossing[-1], 10 * crossing[-1]]
+    return np.concatenate([crossing, between, beyond])
+
+
+def _zoom(m: StateSpaceModel, omega: Array, sigma: Array) -> tuple[float, float]:
+    """Highest value near the highest local maxima of the points known so far, and its frequency."""
+    order = np.argsort(omega, kind="stable")
+    omega, sigma = omega[order], sigma[order]
+    omega, first = np.unique(omega, return_index=True)
+    sigma = sigma[first]
+    best, at = float(sigma.max()), float(omega[np.argmax(sigma)])
+    left, right = np.append(-np.inf, sigma[:-1]), np.append(sigma[1:], -np.inf)
+    peaks = np.flatnonzero((sigma >= left) & (sigma >= right) & np.isfinite(omega) & (sigma >= 0.9 * best))
+    peaks = peaks[np.argsort(-sigma[peaks])][:ZOOM_PEAKS]
+    if not len(peaks):
+        return best, at
+    low, high = omega[np.maximum(peaks - 1, 0)], omega[np.minimum(peaks + 1, len(omega) - 1)]
+    high = np.where(np.isfinite(high), high, 10 * omega[peaks] + 1)
+    share = np.linspace(0, 1, ZOOM_POINTS)
+    for _ in range(ZOOM_STEPS):
+        points = low[:, None] + (high - low)[:, None] * share
+        values = _sigma(m, points.ravel()).reshape(points.shape)
+        top = values.argmax(axis=1)
+        rows = np.arange(len(peaks))
+        k = int(values[rows, top].argmax())
+        if values[k, top[k]] > best:
+            best, at = float(values[k, top[k]]), float(points[k, top[k]])
+        low, high = points[rows, np.maximum(top - 1, 0)], points[rows, np.minimum(top + 1, ZOOM_POINTS - 1)]
+    return best, at
+
+
+# --- H2 --------------------------------------------------------------------------------------------------------------
+
+
+def h2_norm(model: Any) -> H2Norm:
+    r"""H2 norm from both Gramians, which must agree.
+
+    .. math:: \|G\|_2^2 = \mathrm{tr}(C P C^T) = \mathrm{tr}(B^T Q B), \quad A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0
+
+    and, discrete, :math:`\|G\|_2^2 = \mathrm{tr}(C P C^T + D D^T)` with ``A P A^T - P + B B^T = 0``.
+    Infinite for an unstable model, and for a continuous one with D != 0.
+    INACCURATE where the two Gramians differ by more than 1e-6.
+    """
+    m = as_model(model, "h2_norm")
+    if not m.is_stable():
+        return H2Norm(np.inf, Status.CERTIFIED, "the model is not stable")
+    if not m.is_discrete and m.D.any():
+        return H2Norm(np.inf, Status.CERTIFIED, "the model has a direct term")
+    direct = float((m.D**2).sum())
+    if not m.n_states:
+        return H2Norm(float(np.sqrt(direct)), Status.CERTIFIED)
+    # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
+    s, rate = (m, 1.0) if m.is_discrete else _well_scaled(m)
+    try:
+        reach = lyapunov(s.A, s.B @ s.B.T, m.is_discrete)
+        see = lyapunov(s.A.T, s.C.T @ s.C, m.is_discrete)
+    except NoTrustworthyNumber as error:
+        return H2Norm(np.inf, Status.FAILED, error.line)
+    squares = [max(float(np.trace(s.C @ reach @ s.C.T)), 0.0), max(float(np.trace(s.B.T @ see @ s.B)), 0.0)]
+    one, two = (np.sqrt(rate * x + direct) for x in squares)
+    agree = abs(one - two) <= 1e-6 * max(one, two)
+    reason = "" if agree else f"the two Gramians give {one:.9g} and {two:.9g}"
+    return H2Norm(float(max(one, two)), Status.CONVERGED if agree else Status.INACCURATE, reason)
+
+
+# --- the bilinear map keeps stability and the H-infinity norm ---------------------------------------------------------
+
+
+def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
+    r"""Continuous model with ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``; stability and H-infinity norm are the same.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        A pole at z = -1, which the map sends to infinity.
+    """
+    a = 2 / model.dt
+    plus = np.eye(model.n_states) + model.A
+    if model.n_states and np.linalg.cond(plus) > 1e12:
+        raise NoTrustworthyNumber("bilinear map", "a pole at z = -1 has no place in continuous time")
+    e = np.linalg.inv(plus)
+    root = np.sqrt(2 * a)
+    A = a * e @ (model.A - np.eye(model.n_states))
+    return StateSpaceModel(
+        A, root * e @ model.B, root * model.C @ e, model.D - model.C @ e @ model.B, 0.0,
+        model.inputs, model.outputs, model.states, where="bilinear map",
+    )  # fmt: skip
+
+
+def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
+    r"""Inverse of `bilinear_to_continuous` (Tustin's rule, with the input and output scaling that keeps Gramians).
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        A pole at s = 2 / dt, which the map sends to infinity.
+    """
+    a = 2 / dt
+    minus = a * np.eye(model.n_states) - model.A
+    if model.n_states and np.linalg.cond(minus) > 1e14:
+        raise NoTrustworthyNumber("bilinear map", f"a pole at s = 2/dt = {a:g} has no place in discrete time")
+    e = np.linalg.inv(minus)
+    root = np.sqrt(2 * a)
+    A = e @ (a * np.eye(model.n_states) + model.A)
+    return StateSpaceModel(
+        A, root * e @ model.B, root * model.C @ e, model.D + model.C @ e @ model.B, dt,
+        model.inputs, model.outputs, model.states, where="bilinear map",
+    )  # fmt: skip

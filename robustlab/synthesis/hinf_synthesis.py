@@ -1,0 +1,179 @@
+"""H-infinity synthesis: the controller of smallest verified closed-loop norm, or a sane one close to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.assumptions import require_stabilisable
+from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.generalized_plant import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.scaling import equilibrated, paths_first
+from robustlab.synthesis.search import Candidate, Deadline, Search, smallest
+
+__all__ = ["hinf", "synthesize"]
+
+# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
+ILL_POSED = 1e10
+
+
+def hinf(
+    P: Any, n_meas: int | None = None, n_con: int | None = None, gamma_rel: float = 1.05, time_limit: float = 60.0
+) -> Synthesis:
+    r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
+
+    .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
+
+    Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant. Nothing is assumed about the
+    ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the verified
+    norm of the loop rebuilt from the returned K. A discrete P is mapped by the bilinear rule and verified in discrete time.
+
+    Parameters
+    ----------
+    P
+        Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and z), or
+        python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls and ``n_meas`` measurements last.
+    n_meas, n_con
+        Numbers of measurements and controls; left out for a `GeneralizedPlant`.
+    gamma_rel
+        How much larger than the smallest gamma found the returned controller's may be (>= 1); within it the one with the
+        slowest poles is taken. 1 asks for the smallest gamma, whose controller is often absurdly fast.
+    time_limit
+        Time in s, asked between trials. A controller verified by then is returned, and ``reason`` says that time was up.
+
+    Returns
+    -------
+    Synthesis
+        Always with a stabilising, verified K.
+
+    Raises
+    ------
+    InputError
+        Numbers of channels that P does not have, ``gamma_rel`` below 1.
+    NoTrustworthyNumber
+        An unstable or marginal mode that no controller can stabilise (named), or no controller could be verified.
+
+    References
+    ----------
+    Glover, Doyle 1988; Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapters 16 and 17.
+
+    Examples
+    --------
+    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> design = hinf(P, n_meas=1, n_con=1, gamma_rel=1.0)
+    >>> design.status.value, round(design.gamma, 3)
+    ('certified', 0.732)
+    """
+    plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
+    return synthesize(plant, "hinf", gamma_rel, time_limit)
+
+
+def synthesize(
+    plant: GeneralizedPlant,
+    method: str,
+    gamma_rel: float,
+    time_limit: float,
+    weights: Mapping[str, StateSpaceModel] | None = None,
+) -> Synthesis:
+    """The search behind `hinf` and `mixsyn`; see there."""
+    where = f"synth {method}"
+    if not np.isfinite(gamma_rel) or gamma_rel < 1:
+        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
+    if np.isnan(time_limit) or time_limit <= 0:
+        raise InputError(where, f"time_limit is {time_limit}", "a positive time in s")
+    deadline = Deadline(time_limit)
+    dt = plant.model.dt
+    continuous = plant
+    if dt:
+        continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)
+    matrices = continuous.matrices()
+    scalings = (paths_first(matrices), equilibrated(matrices))
+    require_stabilisable(scalings[0].apply(matrices), plant.model.state_names, where, scalings[0].rate)
+
+    def verify(K: StateSpaceModel) -> Candidate | None:
+        return _verified(plant, continuous.D22, K)
+
+    searches = [Search(matrices, scaling, verify, deadline) for scaling in scalings]
+    for search in searches:
+        search.run()
+    best = smallest([c for search in searches for c in search.candidates])
+    if best is None:
+        late = " in the time limit" if deadline.passed() else ""
+        raise NoTrustworthyNumber(
+            where,
+            f"no controller could be verified{late}: each one found leaves the rebuilt loop unstable, or none was found",
+            hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
+        )
+    reached = [search.best.gamma for search in searches if search.best is not None]
+    disagree = max(reached) / min(reached) - 1 if len(reached) == 2 and min(reached) > 0 else float("nan")
+    chosen = best
+    if gamma_rel > 1:
+        for search in searches:
+            search.soften(best, gamma_rel * best.gamma)
+        chosen = _softest([c for search in searches for c in search.candidates], best, gamma_rel)
+    return _finished(plant, chosen, best, disagree, deadline.passed(), method, weights or {})
+
+
+def _softest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> Candidate:
+    allowed = [c for c in candidates if c.gamma <= gamma_rel * best.gamma and c.norm.status == best.norm.status]
+    return min(allowed, key=lambda c: (c.pace, c.gamma))
+
+
+def _verified(plant: GeneralizedPlant, D22: NDArray[np.float64], K: StateSpaceModel) -> Candidate | None:
+    """K for the plant as given (D22 taken back in, bilinear map undone), with the norm of its loop; None if not stable."""
+    try:
+        full = _with_direct_term(K, D22)
+        if plant.model.dt:
+            full = bilinear_to_discrete(full, plant.model.dt)
+        named = StateSpaceModel(
+            full.A, full.B, full.C, full.D, full.dt, plant.measurements, plant.controls, [f"k{i + 1}" for i in range(full.n_states)]
+        )
+        norm = hinf_norm(plant.close(named))
+    except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
+        return None
+    return Candidate(named, K, norm) if np.isfinite(norm.upper) else None
+
+
+def _with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:
+    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
+    if not D22.any():
+        return K
+    loop = np.eye(K.n_outputs) + K.D @ D22
+    if np.linalg.cond(loop) > ILL_POSED:
+        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
+    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
+    return StateSpaceModel(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)
+
+
+def _finished(
+    plant: GeneralizedPlant, chosen: Candidate, best: Candidate, disagree: float, late: bool, method: str, weights: Mapping[str, StateSpaceModel]
+) -> Synthesis:
+    loop = plant.close(chosen.K)
+    status = Status.CERTIFIED if chosen.norm.status is Status.CERTIFIED else Status.INACCURATE
+    parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.norm.reason]
+    if chosen is not best:
+        parts.append(f"softest controller found within {chosen.gamma / best.gamma - 1:.1%} of the smallest gamma {best.gamma:.6g}")
+    if late:
+        parts.append("time limit reached: a smaller gamma may exist")
+    return Synthesis(
+        K=chosen.K,
+        gamma=chosen.gamma,
+        closed_loop=loop,
+        status=status,
+        peak_frequency=chosen.norm.frequency,
+        reason="; ".join(parts),
+        limit=limiting_channels(loop, chosen.norm.frequency),
+        smallest_gamma=best.gamma,
+        scalings_disagree=disagree,
+        norm=chosen.norm,
+        plant=plant,
+        method=method,
+        weights=dict(weights),
+    )
