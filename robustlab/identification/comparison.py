@@ -1,0 +1,424 @@
+"""`compare`: how well a plant or model reproduces a measured record, and where it does not.
+
+Two simulations of the recorded input are judged. The *free run* starts from the measured state at the start of the record and
+runs to its end. The *windowed* simulation starts anew in every window from the state that suits the window best, so that a model
+with an integrator is judged by its faults and not by the drift they add up to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.initial_state import InitialState, starting_state
+from robustlab.identification.localisation import (
+    Bin,
+    Motion,
+    Spectrum,
+    bins,
+    motion_of,
+    position_edges,
+    spectrum,
+    speed_edges,
+    time_shares,
+)
+from robustlab.identification.record_quality import channel_warnings
+from robustlab.identification.residual_tests import InputCorrelation, Whiteness, input_correlation, whiteness
+from robustlab.identification.response import Response, response_of
+from robustlab.identification.windowed_simulation import WindowedSimulation, windowed_simulation
+from robustlab.record import Record
+from robustlab.result import Status
+
+__all__ = ["Comparison", "OutputGap", "ResidualTests", "WindowErrors", "compare"]
+
+Array = NDArray[np.float64]
+
+LAGS = 25
+SHORTEST_WINDOW = 20  # samples
+WINDOWS_AT_LEAST = 4  # that a window chosen by us leaves in the record
+WINDOWS_WITHOUT_TIME_CONSTANT = 50
+LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
+
+REFERENCE = (
+    "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
+    "(each sample predicted from the samples before it in its window)"
+)
+
+
+@dataclass(frozen=True)
+class OutputGap:
+    r"""Disagreement at one output, in its unit and in percent.
+
+    Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
+    :math:`100 (1 - \|y - \hat y\| / \|y - \bar y\|)` percent: 100 is perfect, 0 as good as the mean, negative worse.
+
+    Attributes
+    ----------
+    name, unit, range
+        The output and its measured range.
+    peak, rms, peak_percent, rms_percent, fit
+        Free run. ``peak_time`` is when its peak error occurs [s].
+    windowed_peak, windowed_rms, windowed_peak_percent, windowed_rms_percent, windowed_fit
+        The same of the windowed simulation.
+    """
+
+    name: str
+    unit: str
+    range: float
+    peak: float
+    rms: float
+    peak_percent: float
+    rms_percent: float
+    fit: float
+    peak_time: float
+    windowed_peak: float
+    windowed_rms: float
+    windowed_peak_percent: float
+    windowed_rms_percent: float
+    windowed_fit: float
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class WindowErrors:
+    """Error of one output window by window; all arrays have shape (n_windows,).
+
+    Attributes
+    ----------
+    start, stop
+        First and last time of each window in s.
+    rms, share
+        RMS of the free run's error, and its share of the record's squared error (sum 1).
+    windowed_rms, windowed_share
+        The same of the windowed simulation.
+    worst, worst_free
+        Index of the window with the largest windowed RMS, and with the largest free-run RMS.
+    """
+
+    start: Array
+    stop: Array
+    rms: Array
+    share: Array
+    windowed_rms: Array
+    windowed_share: Array
+    worst: int
+    worst_free: int
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class ResidualTests:
+    """Tests of one output's recursive residual (see `robustlab.identification.windowed_simulation`).
+
+    Attributes
+    ----------
+    rms
+        RMS of the residual in the unit of the output.
+    whiteness
+        Autocorrelation and Ljung-Box test.
+    inputs
+        Input name -> correlation with the residual.
+    """
+
+    rms: float
+    whiteness: Whiteness
+    inputs: Mapping[str, InputCorrelation]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of `compare`.
+
+    Attributes
+    ----------
+    status
+        CONVERGED: both simulations are finite and every number follows from the series kept here.
+    model, record
+        What was compared.
+    outputs
+        Output name -> `OutputGap`.
+    windows
+        Output name -> `WindowErrors`.
+    speed, position
+        Output name -> bins of the windowed error over the measured speed and position; empty where neither is recorded.
+    motion
+        The speed and position signals used for that.
+    frequency
+        Output name -> `Spectrum`.
+    residual
+        Output name -> `ResidualTests`.
+    initial_state
+        Where the free run starts.
+    window
+        Length of the windows in s.
+    measured, simulated, windowed, recursive
+        The compared signals: measured, free run, windowed simulation, and the recursive residual (n,) by output, NaN where a
+        sample only fixes the state of its window.
+    warnings
+        What a reader must know before trusting the numbers.
+    """
+
+    status: Status
+    model: str
+    record: str
+    outputs: Mapping[str, OutputGap]
+    windows: Mapping[str, WindowErrors]
+    speed: Mapping[str, tuple[Bin, ...]]
+    position: Mapping[str, tuple[Bin, ...]]
+    motion: Motion
+    frequency: Mapping[str, Spectrum]
+    residual: Mapping[str, ResidualTests]
+    initial_state: InitialState
+    window: float
+    measured: Record
+    simulated: Record
+    windowed: Record
+    recursive: Mapping[str, Array]
+    warnings: tuple[str, ...]
+
+    def summary(self) -> str:
+        """The result as a few lines of text."""
+        from robustlab.identification.comparison_text import summary
+
+        return summary(self)
+
+    def to_json(self, series: bool = True) -> dict[str, object]:
+        """All fields; without ``series`` the time series and the densities over frequency are left out."""
+        data: dict[str, object] = {
+            "status": self.status,
+            "model": self.model,
+            "record": self.record,
+            "percent_of": "measured range (max - min) of the output",
+            "outputs": self.outputs,
+            "windows": self.windows,
+            "worst_window": {name: [w.start[w.worst], w.stop[w.worst]] for name, w in self.windows.items()},
+            "speed": {"signal": self.motion.speed_source, "unit": self.motion.speed_unit, "bins": self.speed},
+            "position": {"signal": self.motion.position_name, "unit": self.motion.position_unit, "bins": self.position},
+            "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
+            "residual_reference": REFERENCE,
+            "residual": self.residual,
+            "initial_state": self.initial_state,
+            "window": self.window,
+            "warnings": list(self.warnings),
+        }
+        if series:
+            data |= {
+                "t": self.measured.t,
+                "input": self.measured.inputs,
+                "measured": self.measured.outputs,
+                "simulated": self.simulated.outputs,
+                "windowed": self.windowed.outputs,
+            }
+        return data
+
+
+def compare(
+    plant_or_model: Any,
+    record: Record,
+    window: float | None = None,
+    start: float | None = None,
+    lags: int = LAGS,
+    speed: str | None = None,
+    position: str | None = None,
+) -> Comparison:
+    """Compare a plant or model with a measured record at all outputs they share.
+
+    Parameters
+    ----------
+    plant_or_model
+        A linear `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record. Inputs are held between
+        samples.
+    record
+        The measurement; it may hold any subset of the outputs, and signals that the model does not know.
+    window
+        Length of the windows in s. Left out: the model's slowest time constant, but at most a quarter of the record; a fiftieth of
+        the record for a model of integrators only.
+    start
+        Longest opening stretch in s to which the initial state of the free run is fitted; ``window`` where left out
+        (see `robustlab.identification.initial_state.starting_state`).
+    lags
+        Number of lags of the residual tests.
+    speed, position
+        Recorded outputs over which the error is sorted; chosen by their units where left out.
+
+    Returns
+    -------
+    Comparison
+        A large gap is a result, not an error.
+
+    Raises
+    ------
+    InputError
+        An input of the model or every output is missing, a wrong sample time, a window that does not fit.
+    UnitMismatch
+        Model and record state different units of a signal.
+    NoTrustworthyNumber
+        The free run of an unstable model overflows.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
+    >>> t = np.linspace(0, 10, 501)
+    >>> gap = compare(lag, Record(t, {"u": np.ones(501)}, {"y": 1.1 * (1 - np.exp(-t))})).outputs["y"]
+    >>> round(gap.peak, 3), round(gap.peak_percent, 2)
+    (0.1, 9.09)
+    """
+    response = response_of(plant_or_model, record)
+    names, u = response.output_names, {name: record.inputs[name] for name in response.model.input_names}
+    y = np.column_stack([record.outputs[name] for name in names])
+    spread = np.ptp(y, axis=0)
+    weight = 1.0 / np.where(spread > 0, spread, 1.0)
+    length = _window_length(response, record, window)
+    longest = length if start is None else _samples("start", start, record)
+    initial = starting_state(response, record.t, u, y, weight, longest)
+    free = response.simulate(record.t, u, initial.x0)
+    if not np.isfinite(free).all() or np.abs(free).max() > LARGEST_OUTPUT:
+        raise NoTrustworthyNumber(
+            f"compare {record.name}",
+            "the free run of the unstable model overflows",
+            None,
+            "compare a shorter stretch (Record.between)",
+        )
+    windows = windowed_simulation(response, record.t, u, y, weight, length)
+    motion = motion_of(record, speed, position, length)
+    by_output = _localised(record, names, u, y, free, windows, motion, lags)
+    units = {name: record.unit(name) for name in (*u, *names)}
+    return Comparison(
+        status=Status.CONVERGED,
+        model=_name(plant_or_model),
+        record=record.name,
+        motion=motion,
+        initial_state=initial,
+        window=length * record.dt,
+        measured=_kept(record, u, y, names, units, record.name),
+        simulated=_kept(record, u, free, names, units, f"{record.name} (free run)"),
+        windowed=_kept(record, u, windows.y, names, units, f"{record.name} (windowed simulation)"),
+        recursive={name: windows.residual[:, k] for k, name in enumerate(names)},
+        warnings=_warnings(response, record, initial, motion),
+        **by_output,
+    )
+
+
+def _localised(
+    record: Record,
+    names: tuple[str, ...],
+    u: Mapping[str, Array],
+    y: Array,
+    free: Array,
+    windows: WindowedSimulation,
+    motion: Motion,
+    lags: int,
+) -> dict[str, Any]:
+    """Gap, windows, speed, position, frequency and residual tests of every output."""
+    result: dict[str, dict[str, Any]] = {
+        key: {} for key in ("outputs", "windows", "speed", "position", "frequency", "residual")
+    }
+    lags = min(lags, record.n // 4)
+    for k, name in enumerate(names):
+        error, local = y[:, k] - free[:, k], y[:, k] - windows.y[:, k]
+        result["outputs"][name] = _gap(name, record.unit(name), record.t, y[:, k], error, local)
+        result["windows"][name] = _window_errors(record.t, error, local, windows.edges)
+        if motion.speed is not None:
+            result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
+        if motion.position is not None:
+            result["position"][name] = bins(motion.position, local, position_edges(motion.position))
+        result["frequency"][name] = spectrum(record.t, u, y[:, k], free[:, k], windows.y[:, k])
+        residual = windows.residual[:, k]
+        known = residual[np.isfinite(residual)]
+        rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        against = {name_u: input_correlation(samples, residual, lags) for name_u, samples in u.items()}
+        result["residual"][name] = ResidualTests(rms, whiteness(residual, lags), against)
+    return result
+
+
+def _gap(name: str, unit: str, t: Array, y: Array, error: Array, local: Array) -> OutputGap:
+    spread, spread_rms = float(np.ptp(y)), float(np.sqrt(np.mean((y - y.mean()) ** 2)))
+
+    def judged(e: Array) -> tuple[float, float, float, float, float]:
+        peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
+        percent = 100.0 / spread if spread else np.nan
+        fit = 100.0 * (1.0 - rms / spread_rms) if spread else np.nan
+        return peak, rms, peak * percent, rms * percent, fit
+
+    return OutputGap(name, unit, spread, *judged(error), float(t[np.abs(error).argmax()]), *judged(local))
+
+
+def _window_errors(t: Array, error: Array, local: Array, edges: NDArray[np.int_]) -> WindowErrors:
+    size = np.diff(edges)
+    rms, local_rms = (np.sqrt(np.add.reduceat(e**2, edges[:-1]) / size) for e in (error, local))
+    return WindowErrors(
+        t[edges[:-1]],
+        t[edges[1:] - 1],
+        rms,
+        time_shares(error, edges),
+        local_rms,
+        time_shares(local, edges),
+        int(local_rms.argmax()),
+        int(rms.argmax()),
+    )
+
+
+def _window_length(response: Response, record: Record, window: float | None) -> int:
+    """Samples per window."""
+    if window is not None:
+        return _samples("window", window, record)
+    seconds = response.slowest_time_constant() or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
+    shortest = max(SHORTEST_WINDOW, 10 * response.n_states)
+    return min(record.n, max(shortest, min(round(seconds / record.dt), record.n // WINDOWS_AT_LEAST)))
+
+
+def _samples(what: str, seconds: float, record: Record) -> int:
+    if not np.isfinite(seconds) or not 2 * record.dt <= seconds <= record.duration + record.dt:
+        raise InputError(
+            f"compare {record.name}: {what}", f"{seconds:g} s", f"{2 * record.dt:g} s to {record.duration:g} s"
+        )
+    return round(seconds / record.dt)
+
+
+def _kept(
+    record: Record, u: Mapping[str, Array], y: Array, names: tuple[str, ...], units: Mapping[str, str], name: str
+) -> Record:
+    return Record(record.t, u, {key: y[:, k] for k, key in enumerate(names)}, units, name)
+
+
+def _name(plant_or_model: Any) -> str:
+    return str(getattr(plant_or_model, "name", None) or repr(plant_or_model))
+
+
+def _warnings(response: Response, record: Record, initial: InitialState, motion: Motion) -> tuple[str, ...]:
+    warnings = [*response.warnings, *channel_warnings(record, response.model.input_names, response.output_names)]
+    slowest = response.slowest_time_constant()
+    if record.duration < slowest:
+        warnings.append(
+            f"the record lasts {record.duration:.3g} s, the slowest time constant of the model is {slowest:.3g} s: "
+            "slow behaviour is not tested"
+        )
+    if initial.rank < response.n_states:
+        warnings.append(
+            f"the recorded outputs determine {initial.rank} of {response.n_states} states at the start; "
+            "the rest was taken as the smallest that fits"
+        )
+    if not record.is_uniform:
+        warnings.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
+    if motion.speed is None:
+        warnings.append(
+            "no output in a unit of speed, length or angle: the error is not sorted by speed (name one with speed=)"
+        )
+    return tuple(warnings)
