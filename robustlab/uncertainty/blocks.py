@@ -1,4 +1,4 @@
-"""The blocks of a structured perturbation Delta; every block is normalised, ``|delta| <= 1`` or ``sigma_max(Delta_i) <= 1``."""
+"""The blocks of a structured perturbation Delta, each normalised: ``|delta| <= 1`` or ``sigma_max(Delta_i) <= 1``."""
 
 from __future__ import annotations
 
@@ -122,8 +122,8 @@ def _check(name: str, size: int) -> None:
 def as_blocks(given: Any) -> tuple[Block, ...]:
     """Blocks as given, or from rows in the notation of MATLAB's ``mussv``.
 
-    ``[-r, 0]`` is one real scalar repeated r times, ``[r, 0]`` a complex one, ``[r, c]`` a full block of r rows and c columns;
-    ``[-1, 1]`` and ``[1, 1]`` are a real and a complex scalar. Such blocks are called ``delta1, delta2, ...``.
+    ``[-r, 0]`` is one real scalar repeated r times, ``[r, 0]`` a complex one, ``[r, c]`` a full block of r rows and c
+    columns; ``[-1, 1]`` and ``[1, 1]`` are a real and a complex scalar. Such blocks are called ``delta1, delta2, ...``.
 
     Raises
     ------
@@ -142,12 +142,15 @@ def as_blocks(given: Any) -> tuple[Block, ...]:
     if not isinstance(given, Iterable) or isinstance(given, (str, bytes)):
         raise InputError("blocks", f"{type(given).__name__}", "a list of blocks or of mussv rows")
     blocks = tuple(
-        b if isinstance(b, (RealScalar, ComplexScalar, FullBlock)) else _from_mussv_row(b, i) for i, b in enumerate(given)
+        b if isinstance(b, (RealScalar, ComplexScalar, FullBlock)) else _from_mussv_row(b, i)
+        for i, b in enumerate(given)
     )
     names = [b.name for b in blocks]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
-        raise InputError("blocks", f"block name {twice[0]!r} is used twice", "unique names", "use repeats=... for a repeated scalar")
+        raise InputError(
+            "blocks", f"block name {twice[0]!r} is used twice", "unique names", "use repeats=... for a repeated scalar"
+        )
     return blocks
 
 
@@ -197,9 +200,11 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
     known = tuple(b.name for b in blocks)
     for name in values:
         if name not in known:
-            raise InputError(f"delta {name!r}", "no such block", f"one of {', '.join(known) or 'none'}", did_you_mean(name, known))
+            raise InputError(
+                f"delta {name!r}", "no such block", f"one of {', '.join(known) or 'none'}", did_you_mean(name, known)
+            )
     q, p = structure_size(blocks)
-    delta = np.zeros((q, p), dtype=complex)
+    delta: NDArray[Any] = np.zeros((q, p), dtype=complex)
     for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
         if block.name not in values:
             continue

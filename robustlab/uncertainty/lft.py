@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import (
@@ -27,14 +27,14 @@ from robustlab.uncertainty.blocks import (
     structure_size,
 )
 
-__all__ = ["UncertainModel", "upper_lft"]
+__all__ = ["UncertainModel", "generalized_plant", "upper_lft"]
 
 # I - M11 Delta with a condition number above this has no digits left that could be trusted.
 ILL_POSED = 1e12
 
 
 def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
-    r"""``F_u(M, Delta)`` for a constant real Delta of shape (q, p): the first q inputs and p outputs of M are closed by it.
+    r"""``F_u(M, Delta)`` for a constant real Delta (q, p), which closes the first q inputs and p outputs of M.
 
     Raises
     ------
@@ -43,7 +43,9 @@ def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
     """
     d = np.asarray(delta)
     if np.iscomplexobj(d):
-        raise InputError("upper_lft", "a complex Delta", "a real one", "a complex Delta acts on frequency responses only")
+        raise InputError(
+            "upper_lft", "a complex Delta", "a real one", "a complex Delta acts on frequency responses only"
+        )
     q, p = d.shape
     n_w, n_z = M.n_inputs, M.n_outputs
     b1, b2 = M.B[:, :q], M.B[:, q:]
@@ -178,7 +180,7 @@ class UncertainModel:
         return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
-        """Parameter values and units that belong to a Delta, for the real blocks that stand for a physical parameter."""
+        """Parameter values and units that belong to a Delta, for real blocks that stand for a physical parameter."""
         return {
             b.name: (b.parameter.value(float(np.real(delta.get(b.name, 0.0)))), b.parameter.unit)
             for b in self.blocks
@@ -193,14 +195,16 @@ class UncertainModel:
         return UncertainModel(self.M.select(ins, outs), self.blocks)
 
     def close(self, K: StateSpaceModel) -> UncertainModel:
-        """The uncertain closed loop: K from the last ``K.n_inputs`` outputs to the last ``K.n_outputs`` inputs, ``u = K y``."""
+        """The uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs."""
         return UncertainModel(lower_lft(self.M, as_model(K, "close: K")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
         """The same set with each repeated scalar block repeated as rarely as its own channels allow.
 
-        Block i alone is an LFT in one variable; like the states of a transfer function in 1/s, repetitions that its channels
-        cannot reach or that do not show at its outputs are removed (Kalman decomposition, one block after the other).
+        Block i alone is an LFT in one variable; like the states of a transfer function in 1/s, repetitions that its
+        channels cannot reach or that do not show at its outputs are removed (Kalman decomposition, one block after the
+        other).
+        A scalar block without any effect vanishes altogether: its name is then unknown to `evaluate`.
 
         Parameters
         ----------
@@ -224,6 +228,58 @@ class UncertainModel:
         kinds = [type(b).__name__ for b in self.blocks]
         count = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds)) or "no uncertainty"
         return f"UncertainModel({self.M.n_states} states, Delta {self.delta_shape[0]} x {self.delta_shape[1]}: {count})"
+
+
+def generalized_plant(
+    uncertain: UncertainModel, controls: Sequence[str], measurements: Sequence[str]
+) -> StateSpaceModel:
+    r"""The plant for synthesis: Delta channels first, then what acts and counts, then what the controller has in hand.
+
+    .. math:: \begin{bmatrix} z_\Delta \\ z \\ y \end{bmatrix} =
+              P \begin{bmatrix} w_\Delta \\ w \\ u \end{bmatrix}, \qquad w_\Delta = \Delta z_\Delta, \quad u = K y
+
+    Parameters
+    ----------
+    controls
+        Names of the inputs ``u`` that the controller drives, in its order; every other input is exogenous (``w``).
+    measurements
+        Names of the outputs ``y`` that the controller reads, in its order; every other output is a performance output
+        (``z``).
+
+    Returns
+    -------
+    StateSpaceModel
+        P with inputs ``[w_Delta, w, u]`` and outputs ``[z_Delta, z, y]``. It is M with its signals sorted: the direct
+        channels of E and the nominal D (the block that is missing in print in eq. 10.15) are in its D.
+
+    Raises
+    ------
+    InputError
+        A name that is no input or output of the set, or one that is named twice.
+
+    References
+    ----------
+    Březina 2010, equation 10.15.
+    """
+    q, p = uncertain.delta_shape
+    m = uncertain.M
+    controls = [controls] if isinstance(controls, str) else list(controls)
+    measurements = [measurements] if isinstance(measurements, str) else list(measurements)
+    for kind, wanted, known in (
+        ("control", controls, m.input_names[q:]),
+        ("measurement", measurements, m.output_names[p:]),
+    ):
+        for name in wanted:
+            if name not in known:
+                raise InputError(
+                    f"{kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
+                )
+    exogenous = [name for name in m.input_names[q:] if name not in controls]
+    performance = [name for name in m.output_names[p:] if name not in measurements]
+    return m.select(
+        [*m.input_names[:q], *exogenous, *controls],
+        [*m.output_names[:p], *performance, *measurements],
+    )
 
 
 def _block_json(block: Block) -> dict[str, object]:

@@ -1,0 +1,395 @@
+r"""Uncertain models from two models: a nominal one and a maximally perturbed one.
+
+.. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}(\Delta) =
+          \begin{bmatrix} A & B \\ C & D \end{bmatrix}_{nominal} + L \, \Delta \, R, \qquad
+          L R = E = \begin{bmatrix} A_D & B_D \\ C_D & D_D \end{bmatrix} = perturbed - nominal
+
+At ``Delta = I`` this is the perturbed model, at 0 the nominal one, at ``-I`` the mirror ``2 nominal - perturbed``.
+Delta acts on constant matrices: there is no direct way from w to z, and every Delta is well posed.
+
+References
+----------
+Březina 2010, equations 10.5-10.15. The printed form (10.13) scales whole columns: ``M12 = I``, ``M21 = A_D`` with a
+diagonal Delta. It is kept as structure ``"columns"``; what the text says in words, each entry by itself, is
+``"elements"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.statespace import MAX_NAME, MAX_STATES, Signal, StateSpaceModel, as_model
+from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["STRUCTURES", "EndpointResidual", "elementwise", "endpoint_residual"]
+
+Array = NDArray[np.float64]
+
+# Rank factors may miss an entry of E by this share of its natural magnitude: above rounding, below the promised 1e-12.
+EXACT = 3e-14
+
+# Pivot rows, pivot columns, and the rows and columns that an elimination step may change.
+Stage = tuple[slice, slice, slice, slice]
+_EVERYWHERE: Stage = (slice(None), slice(None), slice(None), slice(None))
+
+
+def elementwise(
+    nominal: Any, perturbed: Any, structure: str = "elements", tolerance: float | None = None
+) -> UncertainModel:
+    r"""The set of models between (and mirrored beyond) a nominal and a maximally perturbed model.
+
+    Parameters
+    ----------
+    nominal, perturbed
+        Two models of equal sizes, sample time and signals (StateSpaceModel, control.StateSpace, or with ``to_model``).
+    structure
+        What moves together:
+
+        ========== ===================================================================== =============================
+        elements   each differing entry of A, B, C, D by itself                          rank one each
+        columns    each differing column of A, of B, of C, of D (the thesis' eq. 10.13)  rank one each
+        rows       each differing row of A, of B, of C, of D                             rank one each
+        matrices   A, B, C, D, as far as they differ                                     repeated rank(A_D), ... times
+        single     one number for everything: the straight line through both models      repeated rank(E) times
+        ========== ===================================================================== =============================
+    tolerance
+        Differences below ``tolerance`` times an entry's natural magnitude count as noise (a linearisation by finite
+        differences needs about 1e-9 to show its true rank). Left out, nothing is dropped and the ends hold to 1e-12;
+        with it they hold to what `endpoint_residual` says.
+
+    Returns
+    -------
+    UncertainModel
+        With real scalars named by their signals: ``A[omega,i]``, ``A[:,i]``, ``A[omega,:]``, ``A``, ``single``.
+        No block at all where the two models are equal.
+
+    Raises
+    ------
+    InputError
+        Sizes, sample times or signal names differ; unknown structure.
+    UnitMismatch
+        A signal carries different units in the two models.
+
+    Examples
+    --------
+    >>> B, C, D, names = [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], ["omega", "i"]
+    >>> nominal = StateSpaceModel([[-1.0, 2.0], [0.0, -3.0]], B, C, D, states=names)
+    >>> perturbed = StateSpaceModel([[-1.0, 2.5], [0.0, -3.0]], B, C, D, states=names)
+    >>> model = elementwise(nominal, perturbed)
+    >>> model.blocks[0].name, float(model.evaluate({"A[omega,i]": 1.0}).A[0, 1])
+    ('A[omega,i]', 2.5)
+    """
+    first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
+    if structure not in STRUCTURES:
+        raise InputError(
+            "elementwise",
+            f"structure {structure!r}",
+            f"one of {', '.join(STRUCTURES)}",
+            did_you_mean(structure, STRUCTURES),
+        )
+    if tolerance is not None and not 0 <= tolerance < 1:
+        raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
+    _check_pair(first, second)
+    difference = _difference(first, second, tolerance or 0.0)
+    parts = _FACTORS[structure](difference)
+    return _assemble(first, parts)
+
+
+@dataclass(frozen=True)
+class EndpointResidual:
+    """How far the ends of a set are from the two models it was made of.
+
+    Attributes
+    ----------
+    absolute
+        For each of A, B, C, D the largest ``|F_u(M, I) - perturbed|``.
+    relative
+        The same divided by the largest magnitude of that matrix in either model (0 for a matrix that is met exactly).
+    """
+
+    absolute: dict[str, float]
+    relative: dict[str, float]
+
+    @property
+    def largest(self) -> float:
+        """Largest relative residual."""
+        return max(self.relative.values())
+
+
+def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResidual:
+    """Evaluate the set at ``Delta = I`` and compare with the perturbed model, matrix by matrix."""
+    target = as_model(perturbed, "endpoint_residual: perturbed")
+    reached = uncertain.evaluate({b.name: 1.0 for b in uncertain.blocks})
+    absolute: dict[str, float] = {}
+    relative: dict[str, float] = {}
+    for name in "ABCD":
+        wanted, nominal = getattr(target, name), getattr(uncertain.nominal, name)
+        miss = float(np.abs(getattr(reached, name) - wanted).max(initial=0.0))
+        size = float(max(np.abs(wanted).max(initial=0.0), np.abs(nominal).max(initial=0.0)))
+        absolute[name] = miss
+        relative[name] = 0.0 if miss == 0 else (miss / size if size else np.inf)
+    return EndpointResidual(absolute, relative)
+
+
+# --- the difference of two models ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Difference:
+    """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and what is needed to factor it.
+
+    ``scale`` is the natural magnitude of each entry, an outer product of powers of two; ``allowance`` what a
+    factorisation may miss.
+    """
+
+    E: Array
+    scale: Array
+    allowance: Array
+    n_states: int
+    row_names: tuple[str, ...]
+    col_names: tuple[str, ...]
+
+    def part(self, matrix: str) -> tuple[slice, slice]:
+        """Rows and columns of E that hold A, B, C or D."""
+        n = self.n_states
+        upper, lower = slice(0, n), slice(n, None)
+        return {"A": (upper, upper), "B": (upper, lower), "C": (lower, upper), "D": (lower, lower)}[matrix]
+
+
+class _Part(NamedTuple):
+    """One block: E contains ``left @ right``, left (n_x + n_y, r), right (r, n_x + n_u)."""
+
+    name: str
+    left: Array
+    right: Array
+
+
+def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance: float) -> _Difference:
+    n = nominal.n_states
+    first, second = (np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed))
+    size = np.maximum(np.abs(first), np.abs(second))
+    scale = _natural_magnitude(size)
+    # An entry of a matrix of small numbers must not be judged by the large units of its row and column alone.
+    limit = scale.copy()
+    for rows in (slice(0, n), slice(n, None)):
+        for cols in (slice(0, n), slice(n, None)):
+            limit[rows, cols] = np.minimum(limit[rows, cols], size[rows, cols].max(initial=0.0))
+    e = second - first
+    e[np.abs(e) <= tolerance * limit] = 0.0
+    row_names, col_names = nominal.state_names + nominal.output_names, nominal.state_names + nominal.input_names
+    return _Difference(e, scale, max(tolerance, EXACT) * limit, n, row_names, col_names)
+
+
+def _natural_magnitude(size: Array) -> Array:
+    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one.
+
+    This takes the units of signals and states out: a rank does not change when a state is counted in mm instead of m.
+    """
+    with np.errstate(divide="ignore"):
+        level = np.log2(size)
+    row, col = np.zeros(size.shape[0]), np.zeros(size.shape[1])
+    if size.size == 0:
+        return np.ones(size.shape)
+    for _ in range(20):
+        for axis, exponent in ((1, row), (0, col)):
+            peak = (level - row[:, None] - col).max(axis=axis)
+            exponent += np.where(np.isfinite(peak), 0.5 * peak, 0.0)
+    return np.exp2(np.clip(np.rint(row)[:, None] + np.rint(col), -1000, 1000))
+
+
+# --- one way to factor for each structure ----------------------------------------------------------------------------
+
+
+def _elements(d: _Difference) -> list[_Part]:
+    rows, cols = d.E.shape
+    found = [(m, i, j) for m in "ABCD" for i, j in _nonzeros(d, m)]
+    names = _unique(
+        [f"{m}[{d.row_names[i]},{d.col_names[j]}]" for m, i, j in found],
+        [f"{m}[{i},{j}]" for m, i, j in found],
+    )
+    return [
+        _Part(name, d.E[i, j] * _unit(rows, i)[:, None], _unit(cols, j)[None])
+        for name, (_, i, j) in zip(names, found, strict=True)
+    ]
+
+
+def _columns(d: _Difference) -> list[_Part]:
+    found = [(m, j) for m in "ABCD" for j in sorted({j for _, j in _nonzeros(d, m)})]
+    names = _unique([f"{m}[:,{d.col_names[j]}]" for m, j in found], [f"{m}[:,{j}]" for m, j in found])
+    parts = []
+    for name, (m, j) in zip(names, found, strict=True):
+        left = np.zeros((d.E.shape[0], 1))
+        rows, _ = d.part(m)
+        left[rows, 0] = d.E[rows, j]
+        parts.append(_Part(name, left, _unit(d.E.shape[1], j)[None]))
+    return parts
+
+
+def _rows(d: _Difference) -> list[_Part]:
+    found = [(m, i) for m in "ABCD" for i in sorted({i for i, _ in _nonzeros(d, m)})]
+    names = _unique([f"{m}[{d.row_names[i]},:]" for m, i in found], [f"{m}[{i},:]" for m, i in found])
+    parts = []
+    for name, (m, i) in zip(names, found, strict=True):
+        right = np.zeros((1, d.E.shape[1]))
+        _, cols = d.part(m)
+        right[0, cols] = d.E[i, cols]
+        parts.append(_Part(name, _unit(d.E.shape[0], i)[:, None], right))
+    return parts
+
+
+def _matrices(d: _Difference) -> list[_Part]:
+    parts = []
+    for m in "ABCD":
+        rows, cols = d.part(m)
+        if not d.E[rows, cols].any():
+            continue
+        inner = _rank_factors(d.E[rows, cols], d.allowance[rows, cols], d.scale[rows, cols], [_EVERYWHERE])
+        left, right = np.zeros((d.E.shape[0], inner[0].shape[1])), np.zeros((inner[1].shape[0], d.E.shape[1]))
+        left[rows], right[:, cols] = inner
+        parts.append(_Part(m, left, right))
+    return parts
+
+
+def _single(d: _Difference) -> list[_Part]:
+    if not d.E.any():
+        return []
+    every, x, rest = slice(None), slice(0, d.n_states), slice(d.n_states, None)
+    stages = [_EVERYWHERE]
+    if not d.E[d.part("D")].any():
+        # D_D = 0 is kept exactly (noise in D would turn a strictly proper model into one that is not): with
+        # rank E = rank C_D + rank B_D + rank(what is left of A_D), no channel feeds both an output and from an input.
+        stages = [(rest, x, every, x), (x, rest, x, every), (x, x, x, x)]
+    return [_Part("single", *_rank_factors(d.E, d.allowance, d.scale, stages))]
+
+
+_FACTORS: dict[str, Callable[[_Difference], list[_Part]]] = {
+    "elements": _elements,
+    "columns": _columns,
+    "rows": _rows,
+    "matrices": _matrices,
+    "single": _single,
+}
+STRUCTURES = tuple(_FACTORS)
+
+
+def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Stage]) -> tuple[Array, Array]:
+    """``left (m, r), right (r, n)`` with ``|left @ right - e| <= allowance`` and r as small as complete pivoting finds.
+
+    Gaussian elimination with complete pivoting, the pivot chosen relative to ``scale``. It reveals the rank like a
+    singular value decomposition, but its error in an entry is rounding of what met in that entry, and zeros of rows and
+    columns stay zeros. A full rank needs no factors (identity), nor does a difference that is all below the allowance.
+    """
+    residual, lefts, rights = e.copy(), [], []
+    used_rows, used_cols = e.any(axis=1), e.any(axis=0)
+    full = min(used_rows.sum(), used_cols.sum())
+    for rows, cols, changed_rows, changed_cols in stages:
+        part = (rows, cols)
+        while len(lefts) < full and (np.abs(residual[part]) > allowance[part]).any():
+            index = np.unravel_index(np.argmax(np.abs(residual[part]) / scale[part]), residual[part].shape)
+            i, j = int(index[0]) + (rows.start or 0), int(index[1]) + (cols.start or 0)
+            left, right = np.zeros(e.shape[0]), np.zeros(e.shape[1])
+            left[changed_rows] = residual[changed_rows, j]
+            right[changed_cols] = residual[i, changed_cols] / residual[i, j]
+            residual -= np.outer(left, right)
+            lefts.append(left)
+            rights.append(right)
+    if 0 < len(lefts) < full:
+        return np.array(lefts).T, np.array(rights)
+    if used_cols.sum() <= used_rows.sum():
+        return e[:, used_cols], np.eye(e.shape[1])[used_cols]
+    return np.eye(e.shape[0])[:, used_rows], e[used_rows]
+
+
+def _nonzeros(d: _Difference, matrix: str) -> list[tuple[int, int]]:
+    rows, cols = d.part(matrix)
+    offset = np.array([rows.start or 0, cols.start or 0])
+    return [(int(i), int(j)) for i, j in np.argwhere(d.E[rows, cols]) + offset]
+
+
+def _unit(size: int, index: int) -> Array:
+    vector = np.zeros(size)
+    vector[index] = 1.0
+    return vector
+
+
+def _unique(names: list[str], numbered: list[str]) -> list[str]:
+    """Names by signal where they are short and unambiguous, names by number otherwise."""
+    # Room is left for the channel's prefix and number.
+    clear = len(set(names)) == len(names) and all(len(name) <= MAX_NAME - 20 for name in names)
+    return names if clear else numbered
+
+
+# --- the uncertain model ---------------------------------------------------------------------------------------------
+
+
+def _assemble(nominal: StateSpaceModel, parts: list[_Part]) -> UncertainModel:
+    """Eqs 10.8, 10.9: the nominal model with the channels of Delta in front."""
+    n, m = nominal.n_states, nominal
+    size = sum(part.right.shape[0] for part in parts)
+    if size > MAX_STATES:
+        raise InputError(
+            "elementwise", f"{size} channels of Delta", f"at most {MAX_STATES}", "use structure matrices or single"
+        )
+    left = np.hstack([np.zeros((n + m.n_outputs, 0)), *(part.left for part in parts)])
+    right = np.vstack([np.zeros((0, n + m.n_inputs)), *(part.right for part in parts)])
+    model = StateSpaceModel(
+        m.A,
+        np.hstack([left[:n], m.B]),
+        np.vstack([right[:, :n], m.C]),
+        np.block([[np.zeros((size, size)), right[:, n:]], [left[n:], m.D]]),
+        m.dt,
+        _channels("w", parts, m.input_names) + list(m.inputs),
+        _channels("z", parts, m.output_names) + list(m.outputs),
+        m.states,
+        where="elementwise",
+    )
+    return UncertainModel(model, [RealScalar(p.name, p.right.shape[0]) for p in parts], m.operating_point)
+
+
+def _channels(prefix: str, parts: list[_Part], taken: Sequence[str]) -> list[Signal]:
+    """Names of the Delta channels, for example ``w:A[omega,i]`` or ``w:A#2``; none of them is a signal of the model."""
+    while any(name.startswith(f"{prefix}:") for name in taken) and len(prefix) < 10:
+        prefix += prefix[0]
+    names = []
+    for part in parts:
+        r = part.right.shape[0]
+        names += [f"{prefix}:{part.name}" if r == 1 else f"{prefix}:{part.name}#{k + 1}" for k in range(r)]
+    return [Signal(name) for name in names]
+
+
+# --- checks ----------------------------------------------------------------------------------------------------------
+
+
+def _check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> None:
+    shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
+    wrong = [
+        f"perturbed {name} is {found}, expected {wanted} to match nominal {name}"
+        for name, (found, wanted) in shapes.items()
+        if found != wanted
+    ]
+    if wrong:
+        raise InputError("elementwise", wrong[0], more=tuple(wrong[1:]))
+    if nominal.dt != perturbed.dt:
+        raise InputError("elementwise", f"perturbed has dt = {perturbed.dt:g} s", f"{nominal.dt:g} s to match nominal")
+    for kind, prefix in (("inputs", "u"), ("outputs", "y"), ("states", "x")):
+        _check_signals(kind, prefix, getattr(nominal, kind), getattr(perturbed, kind))
+
+
+def _check_signals(kind: str, prefix: str, first: Sequence[Signal], second: Sequence[Signal]) -> None:
+    names, others = [s.name for s in first], [s.name for s in second]
+    unnamed = [f"{prefix}{i + 1}" for i in range(len(first))]
+    if names != others and unnamed not in (names, others):
+        hint = f"bring them into one order with select({kind}=...)" if sorted(names) == sorted(others) else None
+        raise InputError(
+            "elementwise", f"perturbed {kind} are {', '.join(others)}", f"{', '.join(names)} to match nominal", hint
+        )
+    for a, b in zip(first, second, strict=True):
+        if a.unit and b.unit and a.unit != b.unit:
+            raise UnitMismatch("elementwise", f"perturbed {b.name} is in {b.unit}", f"{a.unit} to match nominal")

@@ -1,0 +1,161 @@
+r"""Removing repetitions of a scalar block that its channels cannot reach or that do not show.
+
+Seen from block i alone, everything else (states, other blocks, inputs, outputs) is outside, and M is a constant N:
+
+.. math:: F(\delta) = N_{22} + N_{21} \, \delta \, (I - \delta N_{11})^{-1} N_{12}
+
+the same form as a transfer function in ``1/s`` with ``A = N11, B = N12, C = N21``. Its uncontrollable and unobservable
+part in this sense can go without changing F for any delta, real or complex.
+
+References
+----------
+D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
+
+__all__ = ["reduce_blocks"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# A reduced block must give the same F(delta) to this share of the entries' natural magnitude, or it is not reduced.
+UNCHANGED = 1e-10
+
+
+def reduce_blocks(
+    M: StateSpaceModel, blocks: Sequence[Block], tolerance: float = 1e-12
+) -> tuple[StateSpaceModel, tuple[Block, ...]]:
+    """M and blocks with each scalar block repeated as rarely as its own channels allow.
+
+    Every reduced block is checked against the unreduced one at random deltas of the unit disc; where they differ by
+    more than 1e-10, that block stays as it was. A scalar block without any effect vanishes, and its name with it.
+
+    Parameters
+    ----------
+    M
+        Model whose first q inputs and p outputs are the channels of the blocks.
+    tolerance
+        Singular values below ``tolerance`` times the largest count as zero.
+    """
+    if not 0 < tolerance < 1:
+        raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")
+    n = M.n_states
+    constant = np.block([[M.A, M.B], [M.C, M.D]])
+    kept: list[Block] = list(blocks)
+    outputs, inputs = list(M.outputs), list(M.inputs)
+    index = 0
+    while index < len(kept):
+        block = kept[index]
+        w, z = block_slices(kept)[index]
+        rows, cols = np.arange(n + z.start, n + z.stop), np.arange(n + w.start, n + w.stop)
+        smaller = None if isinstance(block, FullBlock) else _reduced(constant, rows, cols, tolerance)
+        if smaller is None:
+            index += 1
+            continue
+        constant, size = smaller
+        del outputs[z.start + size : z.stop], inputs[w.start + size : w.stop]
+        if size:
+            kept[index] = dataclasses.replace(block, repeats=size)
+            index += 1
+        else:
+            del kept[index]
+    model = StateSpaceModel(
+        constant[:n, :n],
+        constant[:n, n:],
+        constant[n:, :n],
+        constant[n:, n:],
+        M.dt,
+        inputs,
+        outputs,
+        M.states,
+        where="reduce",
+    )
+    return model, tuple(kept)
+
+
+def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) -> tuple[Array, int] | None:
+    """The constant matrix with a smaller block at these rows and columns, and its new size; None where it stays."""
+    n11 = constant[np.ix_(rows, cols)]
+    n12 = np.delete(constant[rows], cols, axis=1)
+    n21 = np.delete(constant[:, cols], rows, axis=0)
+    # Units of the outside must not decide what counts as zero: its signals are scaled to norm one.
+    into, out = _power_of_two(np.abs(n12).max(axis=0, initial=0.0)), _power_of_two(np.abs(n21).max(axis=1, initial=0.0))
+    a, b, c = n11, n12 / into, n21 / out[:, None]
+    # Channels of one block may carry any scaling T: the one that makes what comes in and what goes out alike is used.
+    balance = _power_of_two(np.sqrt(np.abs(b).max(axis=1, initial=0.0) / _nonzero(np.abs(c).max(axis=0, initial=0.0))))
+    a, b, c = a / balance[:, None] * balance, b / balance[:, None], c * balance
+    reach = _invariant_basis(a, b, tolerance)
+    a, b, c = reach.T @ a @ reach, reach.T @ b, c @ reach
+    show = _invariant_basis(a.T, c.T, tolerance)
+    a, b, c = show.T @ a @ show, show.T @ b, c @ show
+    size = a.shape[0]
+    if size == len(rows) or not _same_map((n11, n12 / into, n21 / out[:, None]), (a, b, c)):
+        return None
+    keep_rows, keep_cols = (
+        np.delete(np.arange(constant.shape[0]), rows[size:]),
+        np.delete(np.arange(constant.shape[1]), cols[size:]),
+    )
+    result = constant[np.ix_(keep_rows, keep_cols)]
+    inside_rows, inside_cols = rows[:size], cols[:size]
+    outside_rows = np.delete(np.arange(result.shape[0]), inside_rows)
+    outside_cols = np.delete(np.arange(result.shape[1]), inside_cols)
+    result[np.ix_(inside_rows, inside_cols)] = a
+    result[np.ix_(inside_rows, outside_cols)] = b * into
+    result[np.ix_(outside_rows, inside_cols)] = c * out[:, None]
+    return result, size
+
+
+def _invariant_basis(a: Array, b: Array, tolerance: float) -> Array:
+    """Orthonormal basis of the smallest a-invariant subspace that holds the range of b (staircase by SVD)."""
+    basis = np.zeros((a.shape[0], 0))
+    fresh = b
+    size = np.linalg.norm(b, 2) if b.size else 0.0
+    while fresh.size and basis.shape[1] < a.shape[0]:
+        fresh = fresh - basis @ (basis.T @ fresh)
+        u, s, _ = np.linalg.svd(fresh, full_matrices=False)
+        new = u[:, s > tolerance * size]
+        if not new.shape[1]:
+            break
+        # Orthogonalised twice: the small directions of an SVD carry rounding of the large ones.
+        new, _ = np.linalg.qr(new - basis @ (basis.T @ new))
+        basis = np.hstack([basis, new])
+        fresh = a @ new
+        size = np.linalg.norm(a, 2)
+    return basis
+
+
+def _same_map(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array]) -> bool:
+    """Whether both give the same ``c delta (I - delta a)^-1 b`` at random deltas of the unit disc, entry by entry."""
+    rng = np.random.default_rng(0)
+    radius, phase = np.sqrt(rng.random(6)), 2 * np.pi * rng.random(6)
+    for delta in radius * np.exp(1j * phase):
+        maps = []
+        for a, b, c in (first, second):
+            loop = np.eye(a.shape[0]) - delta * a
+            if loop.size and np.linalg.cond(loop) > 1 / UNCHANGED:
+                return False
+            maps.append(c @ np.linalg.solve(loop, delta * b) if loop.size else np.zeros((c.shape[0], b.shape[1])))
+        size = max(float(np.abs(maps[0]).max(initial=0.0)), np.finfo(float).tiny)
+        if np.abs(maps[0] - maps[1]).max(initial=0.0) > UNCHANGED * size:
+            return False
+    return True
+
+
+def _nonzero(size: Array) -> Array:
+    return np.where(size > 0, size, 1.0)
+
+
+def _power_of_two(size: Array) -> Array:
+    """The power of two next to each size; one where the size is zero."""
+    return np.exp2(np.rint(np.log2(_nonzero(size))))
