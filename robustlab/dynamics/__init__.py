@@ -1,0 +1,66 @@
+"""Plants from physics: parameters with sources, equations of motion, linear models, simulation."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.linearisation import linearise
+from robustlab.dynamics.parameters import Parameter, overridden
+from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.simulation import simulate
+from robustlab.errors import InputError, did_you_mean
+
+__all__ = [
+    "Descriptor",
+    "LinearPlant",
+    "Parameter",
+    "Plant",
+    "linearise",
+    "overridden",
+    "plant",
+    "plant_names",
+    "simulate",
+]
+
+# name -> module; the module holds a function of the same name that makes the plant from its parameters
+_PLANTS = {
+    "dc-motor": "dc_motor",
+    "servo-axis": "servo_axis",
+    "mass-spring-damper": "mass_spring_damper",
+    "two-mass": "two_mass",
+}
+
+
+def plant(name: str, /, **parameters: Any) -> LinearPlant:
+    """The named plant with its published parameters, or with the given ones in their places.
+
+    Parameters
+    ----------
+    name
+        One of `plant_names`.
+    parameters
+        Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``.
+
+    Raises
+    ------
+    InputError
+        Unknown plant or parameter (with the closest known name), NaN, a mass or resistance that is not positive.
+
+    Examples
+    --------
+    >>> motor = plant("dc-motor", Kf=(4.8e-5, 0.35))
+    >>> motor.parameters["R"].value, motor.parameters["R"].unit
+    (2.07, 'ohm')
+    """
+    if not isinstance(name, str) or name not in _PLANTS:
+        known = ", ".join(_PLANTS)
+        raise InputError(f"plant {name!r}", "no such plant", f"one of {known}", did_you_mean(str(name), plant_names()))
+    module = _PLANTS[name]
+    return getattr(import_module(f"robustlab.dynamics.{module}"), module)(**parameters)
+
+
+def plant_names() -> tuple[str, ...]:
+    """Names that `plant` knows."""
+    return tuple(_PLANTS)

@@ -1,0 +1,265 @@
+r"""Linear plants in descriptor form, and their exact parametric uncertainty.
+
+.. math:: E(p)\,\dot x = F(p)\,x + G(p)\,u, \qquad y = C(p)\,x + D(p)\,u
+
+with matrices that are affine in the parameters p. The state space ``A = E^-1 F, B = E^-1 G`` is rational in p; the
+descriptor form is not, and that is what makes the linear fractional transformation minimal: with :math:`p_k = \bar
+p_k + r_k \delta_k`
+
+.. math:: \bar E \dot x = \bar F x + \bar G u + \sum_k \delta_k r_k (F_k x + G_k u - E_k \dot x),
+
+and a parameter whose :math:`[F_k\; G_k\; {-E_k}; C_k\; D_k\; 0] = l_k r_k^T` has rank one costs one channel, wherever
+it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.dynamics.parameters import overridden
+from robustlab.dynamics.plant_contract import Array, Plant
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+from robustlab.structural import drop_unconnected
+from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["Descriptor", "LinearPlant"]
+
+# What counts as rounding when the affine form is checked, and when the rank of a parameter's coefficients is taken.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Descriptor:
+    """The matrices of ``E x' = F x + G u``, ``y = C x + D u``.
+
+    Shapes: E and F (n_x, n_x), G (n_x, n_u), C (n_y, n_x), D (n_y, n_u); D left out is zero.
+    """
+
+    E: ArrayLike
+    F: ArrayLike
+    G: ArrayLike
+    C: ArrayLike
+    D: ArrayLike | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearPlant(Plant):
+    """A linear plant, given by one function from its parameters to a `Descriptor`.
+
+    Attributes
+    ----------
+    equations
+        Function of a dict ``{parameter name: value}`` that returns the `Descriptor`. Every entry must be affine in
+        the parameters (sums of constant multiples, no products or quotients): a quotient belongs on the left-hand
+        side, in E.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit the signals, equations that are not affine in the parameters, a singular E.
+
+    Examples
+    --------
+    >>> from robustlab.dynamics.parameters import Parameter
+    >>> from robustlab.statespace import Signal
+    >>> tank = LinearPlant(
+    ...     "tank",
+    ...     {"area": Parameter("area", 2.0, "m2", tolerance=0.1)},
+    ...     inputs=(Signal("inflow", "m3/s"),),
+    ...     outputs=(Signal("h", "m"),),
+    ...     states=(Signal("h", "m"),),
+    ...     equations=lambda p: Descriptor(E=[[p["area"]]], F=[[0.0]], G=[[1.0]], C=[[1.0]]),
+    ... )
+    >>> tank.state_space().B
+    array([[0.5]])
+    """
+
+    equations: Callable[[Mapping[str, float]], Descriptor]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_affine()
+        self.state_space()
+
+    # --- the linear model --------------------------------------------------------------------------------------------
+
+    def state_space(self) -> StateSpaceModel:
+        """``A = E^-1 F, B = E^-1 G, C, D`` at the nominal parameters, with the plant's signals."""
+        e, f, g, c, d = self._matrices(self.values)
+        solved = self._solve(e, np.hstack([f, g]))
+        n = len(self.states)
+        return StateSpaceModel(
+            solved[:, :n], solved[:, n:], c, d, 0.0, self.inputs, self.outputs, self.states, where=self.name
+        )
+
+    def to_model(self) -> StateSpaceModel:
+        """The same as `state_space`; functions that take a model call it, so they take a linear plant too."""
+        return self.state_space()
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """``A x + B u``, shape (n_x,)."""
+        state, force = self.point(x, u)
+        model = self.state_space()
+        return model.A @ state + model.B @ force
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """``C x + D u``, shape (n_y,)."""
+        state, force = self.point(x, u)
+        model = self.state_space()
+        return model.C @ state + model.D @ force
+
+    def with_parameters(self, **given: Any) -> LinearPlant:
+        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
+        return replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+
+    # --- uncertainty -------------------------------------------------------------------------------------------------
+
+    def uncertain(self, outputs: Sequence[str] | None = None) -> UncertainModel:
+        r"""The set of all models whose parameters lie within their tolerances, as an exact and minimal LFT.
+
+        .. math::
+            z_k = r_k \rho_k^T [x; u; \dot x], \quad w_k = \delta_k z_k, \quad
+            \dot x = \bar A x + \bar B u + \bar E^{-1} L w
+
+        Every parameter with a tolerance becomes one `RealScalar` of its name (repeated only where its coefficients
+        have a higher rank than one). A parameter without a tolerance stays at its value.
+
+        Parameters
+        ----------
+        outputs
+            Names of the outputs to keep; states that then neither show nor act are left out (a motor's angle, where
+            only its speed is looked at). All outputs and states where left out.
+
+        Returns
+        -------
+        UncertainModel
+            At Delta = 0 the nominal plant; at any other Delta the plant rebuilt with those parameter values.
+
+        References
+        ----------
+        Březina 2010, eqs 10.1-10.4; the rows of R, L, Kb there want -1/L and those of Km, Kf, J want 1/J as
+        coefficients when the deltas are absolute, which is what comes out here.
+        """
+        n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
+        e, _, _, c, d = self._matrices(self.values)
+        nominal = self.state_space()
+        left, right, blocks = self._channels()
+        into_x = self._solve(e, left[:n]) + 0.0  # no negative zeros
+        r_x, r_u, r_rate = right[:, :n], right[:, n : n + n_u], right[:, n + n_u :]
+        q = left.shape[1]
+        names = [(f"{b.name}[{i + 1}]" if b.repeats > 1 else b.name) for b in blocks for i in range(b.repeats)]
+        m = StateSpaceModel(
+            nominal.A,
+            np.hstack([into_x, nominal.B]),
+            np.vstack([r_x + r_rate @ nominal.A, c]),
+            np.block([[r_rate @ into_x, r_u + r_rate @ nominal.B], [left[n:].reshape(n_y, q), d]]),
+            0.0,
+            [*(f"w_{name}" for name in names), *self.inputs],
+            [*(f"z_{name}" for name in names), *self.outputs],
+            self.states,
+            where=f"{self.name}: uncertain",
+        )
+        if outputs is not None:
+            kept = m.select(m.input_names, [*(f"z_{name}" for name in names), *outputs])
+            m = drop_unconnected(kept)
+        return UncertainModel(m, blocks)
+
+    def _channels(self) -> tuple[Array, Array, tuple[RealScalar, ...]]:
+        """L (n_x + n_y, q), R (q, n_x + n_u + n_x) and the blocks; R is scaled by the parameters' radii."""
+        n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
+        constant = self._matrices(dict.fromkeys(self.parameters, 0.0))
+        left, right, blocks = [np.zeros((n + n_y, 0))], [np.zeros((0, 2 * n + n_u))], []
+        for name, parameter in self.parameters.items():
+            if parameter.radius == 0:
+                continue
+            e, f, g, c, d = self._coefficients(name, constant)
+            columns, rows = _rank_factors(np.block([[f, g, -e], [c, d, np.zeros((n_y, n))]]))
+            if columns.shape[1]:
+                left.append(columns)
+                right.append(parameter.radius * rows)
+                blocks.append(RealScalar(name, columns.shape[1], parameter.range))
+        return np.hstack(left), np.vstack(right), tuple(blocks)
+
+    # --- matrices ----------------------------------------------------------------------------------------------------
+
+    def _coefficients(self, name: str, constant: list[Array]) -> list[Array]:
+        """What the named parameter is multiplied with in E, F, G, C, D; ``constant`` is their part without any."""
+        at_unit = self._matrices({**dict.fromkeys(self.parameters, 0.0), name: 1.0})
+        return [there - here for there, here in zip(at_unit, constant, strict=True)]
+
+    def _check_affine(self) -> None:
+        """The equations must equal their own affine form at two points (two, so that a power of a parameter shows)."""
+        constant = self._matrices(dict.fromkeys(self.parameters, 0.0))
+        linear = [np.zeros_like(m) for m in constant]
+        size = [np.abs(m) for m in constant]
+        for name, value in self.values.items():
+            for total, bound, term in zip(linear, size, self._coefficients(name, constant), strict=True):
+                total += value * term
+                bound += np.abs(value * term)
+        for scale in (1.0, 1.75):
+            there = self._matrices({name: scale * value for name, value in self.values.items()})
+            for name, found, fixed, varying, bound in zip("EFGCD", there, constant, linear, size, strict=True):
+                if (np.abs(found - fixed - scale * varying) > ROUNDING * scale * bound).any():
+                    raise InputError(
+                        f"{self.name}: equations",
+                        f"{name} is not affine in the parameters",
+                        "sums of constant multiples of parameters",
+                        "bring a quotient to the left-hand side (into E); give a product a parameter of its own",
+                    )
+
+    def _matrices(self, values: Mapping[str, float]) -> list[Array]:
+        """E, F, G, C, D of the equations at these parameter values, with their shapes checked."""
+        try:
+            form = self.equations(values)
+        except ZeroDivisionError:
+            raise InputError(
+                f"{self.name}: equations",
+                "a division by a parameter",
+                "matrices that are affine in the parameters",
+                "bring the quotient to the left-hand side (into E)",
+            ) from None
+        n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
+        shapes = {"E": (n, n), "F": (n, n), "G": (n, n_u), "C": (n_y, n), "D": (n_y, n_u)}
+        matrices = []
+        for name, shape in shapes.items():
+            given = getattr(form, name)
+            matrix = np.zeros(shape) if given is None else np.array(given, dtype=float)
+            if matrix.shape != shape:
+                raise InputError(f"{self.name}: equations", f"{name} is {matrix.shape}", f"{shape}")
+            if not np.isfinite(matrix).all():
+                raise InputError(f"{self.name}: equations", f"{name} has NaN or infinite entries", "finite numbers")
+            matrices.append(matrix)
+        return matrices
+
+    def _solve(self, e: Array, right: Array) -> Array:
+        """``E^-1 right``; a small inductance in one row and a large mass in another say nothing of the rank of E."""
+        size = np.abs(e).max(axis=1, initial=0.0)
+        if (size == 0).any() or (len(e) and np.linalg.cond(e / size[:, None]) > 1 / ROUNDING):
+            raise InputError(f"{self.name}: equations", "E is singular", "an equation for the rate of every state")
+        return np.asarray(np.linalg.solve(e, right), dtype=float)
+
+
+def _rank_factors(matrix: Array) -> tuple[Array, Array]:
+    """``matrix = columns @ rows`` with as few columns as its rank, by elimination with full pivoting.
+
+    Coefficients of a parameter are small whole numbers as a rule, and elimination leaves them exact where an SVD
+    would not.
+    """
+    rest = matrix.copy()
+    columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
+    smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
+    while np.abs(rest).max(initial=0.0) > smallest:
+        i, j = np.unravel_index(np.argmax(np.abs(rest)), rest.shape)
+        column, row = rest[:, [j]] / rest[i, j], rest[[i], :].copy()
+        columns.append(column)
+        rows.append(row)
+        rest = rest - column @ row
+        rest[i, :], rest[:, j] = 0.0, 0.0
+    return np.hstack(columns), np.vstack(rows)

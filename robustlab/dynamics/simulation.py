@@ -1,0 +1,222 @@
+"""Simulation of linear models: exact at the samples for piecewise constant and for piecewise linear inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.dynamics.plant_contract import Plant
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.record import Record
+from robustlab.statespace import StateSpaceModel, as_model, real_array
+
+__all__ = ["Hold", "simulate", "transition"]
+
+Array = NDArray[np.float64]
+Hold = Literal["zoh", "foh"]
+
+# Steps of the clock that differ by less than this share of the mean step count as equal: the rounding of time stamps.
+CLOCK_ROUNDING = 1e-9
+# A discrete model's clock may jitter by this share of its sample time.
+SAMPLE_TIME_TOLERANCE = 1e-6
+
+
+def simulate(
+    plant_or_model: Any,
+    t: ArrayLike,
+    u: Mapping[str, ArrayLike] | ArrayLike,
+    x0: ArrayLike | None = None,
+    *,
+    name: str | None = None,
+    hold: Hold = "zoh",
+) -> Record:
+    r"""Response of a linear plant or model to given inputs.
+
+    .. math:: x(t_{k+1}) = e^{A h_k} x(t_k) + \int_0^{h_k} e^{A (h_k - s)} B\, u(t_k + s)\, ds
+
+    evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped.
+
+    Parameters
+    ----------
+    plant_or_model
+        A linear plant, a StateSpaceModel, or a ``control.StateSpace``; of an uncertain model the nominal one.
+    t
+        Times in s, shape (n,), strictly increasing; the steps may differ (for a discrete model they are its dt).
+    u
+        Name of input -> samples of shape (n,), for every input; or an array (n,) for a single input, or (n, n_u).
+    x0
+        State at t[0], shape (n_x,); zero where left out.
+    name
+        Name of the record; the plant's own, or "simulation", where left out.
+    hold
+        What the input does between samples: "zoh" keeps its last value (a D/A converter), "foh" goes straight to the
+        next one (a sampled smooth signal).
+
+    Returns
+    -------
+    Record
+        The inputs and all outputs with their units. A model with an operating point is in deviations from it.
+
+    Raises
+    ------
+    InputError
+        Unknown or missing inputs, wrong lengths, NaN, a clock that runs backwards or is not the discrete model's own.
+    NoTrustworthyNumber
+        The response outgrows double precision; the message names the time.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> simulate(lag, [0.0, 1.0, 2.0], [1.0, 1.0, 1.0])["y1"].round(6)
+    array([0.      , 0.632121, 0.864665])
+    """
+    if isinstance(plant_or_model, Plant) and not hasattr(plant_or_model, "to_model"):
+        raise InputError("simulate", f"{plant_or_model.name} is not linear", "a linear plant or a model")
+    model = as_model(plant_or_model, "simulate")
+    title = name or getattr(plant_or_model, "name", None) or "simulation"
+    clock = Record(t, name="simulate").t
+    force = _inputs(model, u, len(clock))
+    start = np.zeros(model.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
+    if len(start) != model.n_states:
+        states = ", ".join(model.state_names) or "none"
+        raise InputError("simulate", f"x0 has {len(start)} entries", f"{model.n_states} (states: {states})")
+    if hold not in ("zoh", "foh"):
+        raise InputError("simulate: hold", f"{hold!r}", "'zoh' or 'foh'")
+    with np.errstate(over="ignore", invalid="ignore"):
+        x = (
+            _discrete_states(model, clock, force, start, hold)
+            if model.is_discrete
+            else _states(model, clock, force, start, hold)
+        )
+        y = x @ model.C.T + force @ model.D.T
+    _check_finite(np.hstack([x, y]), clock, title)
+    return Record(
+        clock,
+        dict(zip(model.input_names, force.T, strict=True)),
+        dict(zip(model.output_names, y.T, strict=True)),
+        {s.name: s.unit for s in (*model.inputs, *model.outputs)},
+        title,
+    )
+
+
+def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:
+    r"""``(Phi, Gamma, Gamma1)`` of one step of length h in s of a continuous model.
+
+    .. math:: x_{k+1} = \Phi x_k + \Gamma u_k + \Gamma_1 (u_{k+1} - u_k)
+
+    with :math:`\Phi = e^{A h}`, :math:`\Gamma = \int_0^h e^{A s} B ds` and :math:`\Gamma_1 = \frac{1}{h} \int_0^h (h
+    - s) e^{A (h-s)} B ds`; the last term is left out for a piecewise constant input.
+
+    References
+    ----------
+    Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978).
+    """
+    from scipy.linalg import expm, matrix_balance
+
+    n, n_u = model.n_states, model.n_inputs
+    if n == 0:
+        return np.zeros((0, 0)), np.zeros((0, n_u)), np.zeros((0, n_u))
+    # Powers of two for states and inputs: the exponential's squarings amplify the rounding of a badly scaled matrix.
+    balanced, (scale, _) = matrix_balance(model.A, permute=False, separate=True)
+    b = model.B / scale[:, None]
+    size = np.abs(b).max(axis=0, initial=0.0)
+    column = np.asarray(np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0)))), dtype=np.float64)
+    block = np.zeros((n + 2 * n_u, n + 2 * n_u))
+    block[:n, :n] = balanced * h
+    block[:n, n : n + n_u] = b / column * h
+    block[n : n + n_u, n + n_u :] = np.eye(n_u)
+    e = np.asarray(expm(block)[:n], dtype=np.float64)
+    phi = scale[:, None] * e[:, :n] / scale
+    gamma, gamma1 = scale[:, None] * e[:, n : n + n_u] * column, scale[:, None] * e[:, n + n_u :] * column
+    return phi, gamma, gamma1
+
+
+def _states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -> Array:
+    """States of a continuous model at the times t, shape (n, n_x); one matrix exponential for each length of step."""
+    step = np.diff(t)
+    mean = step.mean()
+    _, first, kind = np.unique(np.round(step / (CLOCK_ROUNDING * mean)), return_index=True, return_inverse=True)
+    length = np.bincount(kind, weights=step) / np.bincount(kind)
+    phi = np.empty((len(first), model.n_states, model.n_states))
+    forced = np.empty((len(step), model.n_states))
+    order = np.argsort(kind, kind="stable")
+    bounds = np.searchsorted(kind[order], np.arange(len(first) + 1))
+    for j, h in enumerate(length):
+        phi[j], gamma, gamma1 = transition(model, float(h))
+        k = order[bounds[j] : bounds[j + 1]]
+        forced[k] = u[k] @ gamma.T
+        if hold == "foh":
+            forced[k] += (u[k + 1] - u[k]) @ gamma1.T
+    return _recursion(phi, kind, forced, x0)
+
+
+def _discrete_states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -> Array:
+    if hold == "foh":
+        raise InputError(
+            "simulate: hold", "'foh' for a discrete model", "'zoh': a discrete model sees the samples only"
+        )
+    step = np.diff(t)
+    wrong = np.abs(step - model.dt) > SAMPLE_TIME_TOLERANCE * model.dt
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise InputError(
+            "simulate", f"t[{k + 1}] - t[{k}] = {step[k]:.9g} s", f"the discrete model's sample time {model.dt:.9g} s"
+        )
+    return _recursion(model.A[None], np.zeros(len(step), dtype=np.intp), u[:-1] @ model.B.T, x0)
+
+
+def _recursion(phi: Array, kind: NDArray[np.intp], forced: Array, x0: Array) -> Array:
+    """``x[k+1] = phi[kind[k]] x[k] + forced[k]``, shape (n, n_x)."""
+    x = np.empty((len(forced) + 1, len(x0)))
+    x[0] = x0
+    state = x0
+    for k, j in enumerate(kind.tolist()):
+        state = phi[j].dot(state) + forced[k]
+        x[k + 1] = state
+    return x
+
+
+def _inputs(model: StateSpaceModel, u: Mapping[str, ArrayLike] | ArrayLike, n: int) -> Array:
+    """The inputs as an array of shape (n, n_u) in the model's order."""
+    names = model.input_names
+    if isinstance(u, Mapping):
+        for key in u:
+            if key not in names:
+                known = ", ".join(names) or "none"
+                raise InputError(
+                    f"simulate: input {key!r}", "no such input", f"one of {known}", did_you_mean(str(key), names)
+                )
+        missing = [key for key in names if key not in u]
+        if missing:
+            raise InputError("simulate", f"no samples for input {', '.join(missing)}", "samples for every input")
+        columns = [real_array(key, u[key], 1, "simulate") for key in names]
+        for key, column in zip(names, columns, strict=True):
+            if len(column) != n:
+                raise InputError(f"simulate: {key}", f"{len(column)} samples", f"{n} to match t")
+        return np.column_stack(columns) if columns else np.zeros((n, 0))
+    try:
+        ndim = 1 if np.ndim(u) == 1 else 2
+    except ValueError:  # ragged: real_array says so
+        ndim = 2
+    samples = real_array("u", u, ndim, "simulate")
+    if samples.ndim == 1 and model.n_inputs == 1:
+        samples = samples.reshape(-1, 1)
+    if samples.shape != (n, model.n_inputs):
+        hint = f"the inputs are {', '.join(names)}; a dict of name -> samples leaves no doubt about their order"
+        raise InputError("simulate", f"u has shape {samples.shape}", f"{(n, model.n_inputs)}", hint)
+    return samples
+
+
+def _check_finite(values: Array, t: Array, where: str) -> None:
+    bad = ~np.isfinite(values).all(axis=1)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise NoTrustworthyNumber(
+            where,
+            f"the response outgrows double precision at t = {t[k]:.9g} s (sample {k})",
+            None,
+            "the model is unstable: simulate a shorter time, or close a loop around it",
+        )

@@ -1,0 +1,394 @@
+r"""Structural properties of linear models: controllability, observability, and states that are not connected at all.
+
+The rank of the controllability matrix (eq. 4.2 of the thesis) is the definition, and a poor computation: powers of A
+drown the weak directions of a badly scaled model. Here the controllable subspace is built up by orthogonal steps (the
+staircase form), and every mode is tested by itself,
+
+.. math:: \operatorname{rank} [A - \lambda I \;\; B] = n \quad \text{for every eigenvalue } \lambda \text{ of } A,
+
+after a diagonal scaling of states and inputs that does not depend on the units the model came in.
+
+References
+----------
+Březina 2010, eqs 4.2, 4.3. Paige, "Properties of numerical algorithms related to computing controllability", IEEE TAC
+26 (1981). Van Dooren, "The generalized eigenstructure problem in linear system theory", IEEE TAC 26 (1981).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.result import Status
+from robustlab.statespace import OperatingPoint, StateSpaceModel, as_model
+
+__all__ = [
+    "HiddenMode",
+    "StructuralTest",
+    "controllability",
+    "controllability_matrix",
+    "drop_unconnected",
+    "observability",
+    "observability_matrix",
+]
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Kind = Literal["controllability", "observability"]
+
+# Of the scaled matrices, whose entries are at most 1: smaller singular values count as zero ...
+ZERO = 1e-12
+# ... rounding alone stays below ROUNDING, and CLEAR is well above it; a singular value between the two leaves doubt.
+ROUNDING = 1e-14
+CLEAR = 1e-10
+# A state belongs to a mode's combination from this share of the largest weight on.
+SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class HiddenMode:
+    """A mode that no input moves (controllability), or that no output shows (observability).
+
+    Attributes
+    ----------
+    eigenvalue
+        In rad/s, or in the z plane for a discrete model.
+    stable
+        True where the mode decays by itself, beyond the rounding of its eigenvalue: hidden it does no harm.
+    states
+        Names of the states whose combination it is.
+    meaning
+        The same in words.
+    """
+
+    eigenvalue: complex
+    stable: bool
+    states: tuple[str, ...]
+    meaning: str
+
+    def to_json(self) -> dict[str, object]:
+        """All attributes as plain types."""
+        return vars(self).copy()
+
+
+@dataclass(frozen=True, eq=False)
+class StructuralTest:
+    """Result of a controllability or observability test.
+
+    Attributes
+    ----------
+    kind
+        ``"controllability"`` or ``"observability"``.
+    rank
+        Dimension of the controllable (observable) subspace.
+    n_states
+        Number of states.
+    modes
+        The hidden modes, ``n_states - rank`` of them.
+    margin
+        Smallest singular value of ``[A - lambda I, B]`` over all modes, relative to the norm of ``[A, B]``, of the
+        scaled model: so small a change, relatively, would hide a mode. An upper bound of the distance to the next
+        uncontrollable (unobservable) model in that scaling; inf without states.
+    weakest
+        The eigenvalue where the margin is attained; None without states.
+    eigenvalues, margins
+        The same for every mode, shape (n_states,).
+    smallest_kept, largest_dropped
+        Singular values next to the rank decision, each relative to the scaled model (inf, 0 where there is none).
+    status
+        CONVERGED where the decision is clear of rounding, INACCURATE where it is not.
+    """
+
+    kind: Kind
+    rank: int
+    n_states: int
+    modes: tuple[HiddenMode, ...]
+    margin: float
+    weakest: complex | None
+    eigenvalues: ComplexArray
+    margins: Array
+    smallest_kept: float
+    largest_dropped: float
+    status: Status
+
+    @property
+    def complete(self) -> bool:
+        """True where no mode is hidden: the model is controllable (observable)."""
+        return self.rank == self.n_states
+
+    @property
+    def unstable_modes(self) -> tuple[HiddenMode, ...]:
+        """Hidden modes that do not decay; none of them: the model is stabilisable (detectable)."""
+        return tuple(mode for mode in self.modes if not mode.stable)
+
+    def to_json(self) -> dict[str, object]:
+        """All attributes as plain types."""
+        return {**vars(self), "modes": [mode.to_json() for mode in self.modes], "complete": self.complete}
+
+    def __str__(self) -> str:
+        word = {"controllability": "controllable", "observability": "observable"}[self.kind]
+        head = (
+            f"{word if self.complete else 'not ' + word}: rank {self.rank} of {self.n_states}, margin {self.margin:.3g}"
+        )
+        return "\n".join([f"{head} ({self.status})", *(f"  {mode.meaning}" for mode in self.modes)])
+
+
+def controllability(model: Any) -> StructuralTest:
+    """Which modes the inputs can move; see `StructuralTest`.
+
+    Parameters
+    ----------
+    model
+        StateSpaceModel, a linear plant, or a ``control.StateSpace``; continuous or discrete.
+
+    Examples
+    --------
+    >>> pair = StateSpaceModel([[-1.0, 0.0], [0.0, 2.0]], [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]])
+    >>> print(controllability(pair))
+    not controllable: rank 1 of 2, margin 0 (converged)
+      unstable mode 2 rad/s in x2: no input moves it
+    """
+    m = as_model(model, "controllability")
+    return _test(m, m.A, m.B, "controllability")
+
+
+def observability(model: Any) -> StructuralTest:
+    """Which modes the outputs show; the controllability test of ``(A^T, C^T)``."""
+    m = as_model(model, "observability")
+    return _test(m, m.A.T, m.C.T, "observability")
+
+
+def controllability_matrix(model: Any) -> Array:
+    """``[B, A B, ..., A^(n-1) B]``, shape (n_x, n_x n_u): the thesis' eq. 4.2, for small and well-scaled models only.
+
+    Raises
+    ------
+    InputError
+        Powers of A that overflow.
+    """
+    m = as_model(model, "controllability_matrix")
+    return _krylov(m.A, m.B)
+
+
+def observability_matrix(model: Any) -> Array:
+    """``[C; C A; ...; C A^(n-1)]``, shape (n_x n_y, n_x): the thesis' eq. 4.3 with its roles put right."""
+    m = as_model(model, "observability_matrix")
+    return _krylov(m.A.T, m.C.T).T
+
+
+def drop_unconnected(model: StateSpaceModel) -> StateSpaceModel:
+    """The model without the states that no input reaches or no output sees, along non-zero entries of A, B and C.
+
+    Nothing is computed: the input-output behaviour from zero initial state is exactly the same. Modes that cancel by
+    value rather than by structure stay.
+
+    Examples
+    --------
+    >>> motor = StateSpaceModel([[0, 1], [0, -2]], [[0], [1]], [[1, 0], [0, 1]], [[0], [0]], outputs=["phi", "omega"])
+    >>> drop_unconnected(motor.select(outputs=["omega"]))
+    StateSpaceModel(1 states, [u1] -> [omega], continuous)
+    """
+    reached = _reach(model.A != 0, (model.B != 0).any(axis=1))
+    seen = _reach((model.A != 0).T, (model.C != 0).any(axis=0))
+    keep = np.flatnonzero(reached & seen)
+    point = model.operating_point
+    if point is not None:
+        point = OperatingPoint(point.x[keep], point.u, point.y)
+    return StateSpaceModel(
+        model.A[np.ix_(keep, keep)],
+        model.B[keep],
+        model.C[:, keep],
+        model.D,
+        model.dt,
+        model.inputs,
+        model.outputs,
+        [model.states[k] for k in keep],
+        point,
+    )
+
+
+# --- the test --------------------------------------------------------------------------------------------------------
+
+
+def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralTest:
+    """Controllability of (a, b), worded for ``kind``."""
+    n = model.n_states
+    connected = _reach(a != 0, (b != 0).any(axis=1))
+    inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
+    scaled, into, rate = _scaled(a[np.ix_(inner, inner)], b[inner])
+    stairs = _staircase(scaled, into)
+    # Hidden modes: those of the states off the graph, and those of the part that the staircase does not reach.
+    names = np.array(model.state_names, dtype=object)
+    modes = [_hidden_mode(m, names[outer], model.is_discrete, kind) for m in _left_modes(a[np.ix_(outer, outer)])]
+    for mode in _left_modes(stairs.a[stairs.rank :, stairs.rank :]):
+        in_states = _LeftMode(mode.eigenvalue * rate, mode.rounding * rate, stairs.q[:, stairs.rank :] @ mode.vector)
+        modes.append(_hidden_mode(in_states, names[inner], model.is_discrete, kind))
+    # The spectrum of the two groups, each mode with its margin in the scaled model.
+    parts = slice(stairs.rank), slice(stairs.rank, None)
+    inside = np.concatenate([np.linalg.eigvals(stairs.a[k, k]).astype(np.complex128) for k in parts])
+    inside_margins = _margins(scaled, into, inside)
+    off_graph = np.linalg.eigvals(a[np.ix_(outer, outer)]).astype(np.complex128)
+    eigenvalues = np.concatenate([inside * rate, off_graph])
+    margins = np.concatenate([inside_margins, np.zeros(len(outer))])
+    worst = int(np.argmin(margins)) if n else None
+    margin = float(margins.min()) if n else np.inf
+    clear = stairs.smallest_kept > CLEAR and stairs.largest_dropped < ROUNDING * max(n, 1)
+    consistent = margin > ROUNDING * n if stairs.rank == n else margin < CLEAR
+    return StructuralTest(
+        kind,
+        stairs.rank,
+        n,
+        tuple(modes),
+        margin,
+        complex(eigenvalues[worst]) if worst is not None else None,
+        eigenvalues,
+        margins,
+        stairs.smallest_kept,
+        stairs.largest_dropped,
+        Status.CONVERGED if clear and consistent else Status.INACCURATE,
+    )
+
+
+@dataclass(frozen=True)
+class _Stairs:
+    """``q^T A q`` with its controllable part in the first ``rank`` rows and columns."""
+
+    a: Array
+    q: Array
+    rank: int
+    smallest_kept: float
+    largest_dropped: float
+
+
+def _staircase(a: Array, b: Array) -> _Stairs:
+    """Orthogonal steps into the controllable subspace: range of B, then what A adds to it, until nothing is added."""
+    from scipy.linalg import get_lapack_funcs
+
+    n = len(a)
+    a, q = a.copy(order="F"), np.eye(n, order="F")
+    block, done = b, 0
+    kept, dropped = np.inf, 0.0
+    geqrf, ormqr = get_lapack_funcs(("geqrf", "ormqr"), (a,))
+    while done < n and block.size:
+        u, s, _ = np.linalg.svd(block, full_matrices=False)
+        r = int((s > ZERO).sum())
+        kept = min(kept, float(s[:r].min(initial=np.inf)))
+        dropped = max(dropped, float(s[r:].max(initial=0.0)))
+        if r == 0:
+            break
+        # Complete u to a basis of the rest by Householder reflections and take A there: O(n^2 r) a step.
+        reflectors, tau, _, _ = geqrf(np.asfortranarray(u[:, :r]))
+        width = max(1, 64 * n)
+        a[done:, :] = ormqr("L", "T", reflectors, tau, a[done:, :], width)[0]
+        a[:, done:] = ormqr("R", "N", reflectors, tau, a[:, done:], width)[0]
+        q[:, done:] = ormqr("R", "N", reflectors, tau, q[:, done:], width)[0]
+        block = a[done + r :, done : done + r]
+        done += r
+    return _Stairs(a, q, done, kept, dropped)
+
+
+def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
+    r"""``T^-1 A T / rate`` and ``T^-1 B S`` with entries of at most 1 and at least one of about 1 in every row.
+
+    T is the strongest path from the inputs to each state, :math:`t_i = \max(|b_i|, \max_j |a_{ij}| t_j / rate)`,
+    rounded to powers of two. Units of states cancel in it: a model and its diagonal rescaling come out equal up to a
+    factor of two. ``rate`` is the Perron root of \|A\|, which bounds the mean of every cycle, so that no path gains
+    by going round. Every state must be connected to an input.
+    """
+    n = len(a)
+    magnitude = np.abs(a)
+    rate = float(np.abs(np.linalg.eigvals(magnitude)).max(initial=0.0)) or 1.0
+    size = np.abs(b).max(axis=0, initial=0.0)
+    b = b[:, size > 0] / size[size > 0]
+    with np.errstate(divide="ignore"):
+        edges = np.log2(magnitude) - np.log2(rate)
+        reach = np.log2(np.abs(b).max(axis=1, initial=0.0))
+    for _ in range(n):
+        further = np.maximum(reach, (edges + reach).max(axis=1, initial=-np.inf))
+        if np.array_equal(further, reach):
+            break
+        reach = further
+    exponent = np.round(reach).astype(np.int64)
+    scaled = np.ldexp(a, exponent[None, :] - exponent[:, None]) / rate
+    into = np.ldexp(b, -exponent[:, None])
+    width = np.abs(into).max(axis=0, initial=0.0)
+    return scaled, into / np.where(width > 0, width, 1.0), rate
+
+
+def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
+    """Smallest singular value of ``[A - lambda I, B]`` at each eigenvalue, relative to the norm of ``[A, B]``."""
+    n = len(a)
+    if n == 0:
+        return np.zeros(0)
+    norm = np.linalg.norm(np.hstack([a, b]), 2)
+    result = np.empty(n)
+    for k, value in enumerate(eigenvalues):
+        mirror = np.flatnonzero(eigenvalues[:k] == value.conjugate())
+        if len(mirror):  # the same singular values
+            result[k] = result[mirror[0]]
+            continue
+        pencil = np.hstack([a - value * np.eye(n), b])
+        result[k] = np.linalg.svd(pencil, compute_uv=False)[-1] / norm
+    return result
+
+
+@dataclass(frozen=True)
+class _LeftMode:
+    """An eigenvalue, how far rounding may have moved it, and its left eigenvector."""
+
+    eigenvalue: complex
+    rounding: float
+    vector: ComplexArray
+
+
+def _left_modes(a: Array) -> list[_LeftMode]:
+    from scipy.linalg import eig
+
+    if len(a) == 0:
+        return []
+    values, left, right = (np.asarray(part) for part in eig(a, left=True, right=True))
+    # First-order bound of a backward-stable eigenvalue: ||A|| eps / |y^H x|; a defective one gets eps^(1/2) or worse.
+    overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
+    rounding = 10 * len(a) * np.finfo(float).eps * np.linalg.norm(a, 2) / np.maximum(overlap, 1e-16)
+    return [_LeftMode(complex(v), float(rounding[k]), left[:, k]) for k, v in enumerate(values)]
+
+
+def _hidden_mode(mode: _LeftMode, states: NDArray[np.object_], discrete: bool, kind: Kind) -> HiddenMode:
+    value, weight = mode.eigenvalue, np.abs(mode.vector)
+    inside = 1 - abs(value) if discrete else -value.real
+    stable = inside > mode.rounding
+    involved = tuple(states[weight >= SHARE * weight.max()])
+    where = f"z = {_number(value)}" if discrete else f"{_number(value)} rad/s"
+    word = "no input moves it" if kind == "controllability" else "no output shows it"
+    text = f"{'stable' if stable else 'unstable'} mode {where} in {', '.join(involved)}: {word}"
+    return HiddenMode(value, stable, involved, text)
+
+
+def _number(value: complex) -> str:
+    return f"{value.real:.6g}" if value.imag == 0 else f"{value.real:.6g}{value.imag:+.6g}j"
+
+
+def _reach(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """States that can be reached from ``start`` when ``edges[i, j]`` leads from j to i."""
+    reached, frontier = start.copy(), start.copy()
+    while frontier.any():
+        frontier = edges[:, frontier].any(axis=1) & ~reached
+        reached |= frontier
+    return reached
+
+
+def _krylov(a: Array, b: Array) -> Array:
+    blocks = [b]
+    with np.errstate(over="ignore", invalid="ignore"):
+        while len(blocks) < len(a):
+            blocks.append(a @ blocks[-1])
+    matrix = np.hstack(blocks) if len(a) else np.zeros((0, 0))
+    if not np.isfinite(matrix).all():
+        raise InputError(
+            "structural", "powers of A overflow", "a well-scaled model", "use controllability or observability"
+        )
+    return matrix
