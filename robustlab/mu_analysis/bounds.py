@@ -1,0 +1,152 @@
+"""mu of constant matrices: both bounds, each with its evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError
+from robustlab.mu_analysis.lower import lower_bound
+from robustlab.mu_analysis.upper import upper_bounds
+from robustlab.result import Status
+from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
+
+__all__ = ["MuBounds", "matrix_stack", "mu"]
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class MuBounds:
+    r"""Bounds of mu with what proves them; a stack of k matrices has a leading axis k everywhere.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= mu <= upper``; floats, or arrays (k,).
+    delta
+        Delta of norm ``1 / lower`` with ``det(I - M Delta) = 0``, shape (q, p); zeros where none was found (``lower = 0``).
+    D, G
+        Scalings (q, q) and (q, p) with :math:`M^* D_z M + j (G M - M^* G^*) - upper^2 D \preceq 0`. An ``upper`` of zero of a
+        nilpotent structure is proved by its zero pattern; D then shows it in the limit only.
+    D_z
+        The scaling (p, p) on the side of the outputs of M; equal to D where all blocks are square.
+    status
+        CERTIFIED: upper proved and lower attained (or both zero). CONVERGED: upper proved, no Delta found at some matrix.
+    blocks
+        The blocks of Delta.
+    """
+
+    lower: Any
+    upper: Any
+    delta: ComplexArray
+    D: ComplexArray
+    G: ComplexArray
+    D_z: ComplexArray
+    status: Status
+    blocks: tuple[Block, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes; arrays stay arrays."""
+        names = [b.name for b in self.blocks]
+        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status")
+        return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
+
+
+def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
+    r"""Bounds of the structured singular value.
+
+    .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}, \qquad \mu = 0 \text{ where no } \Delta \text{ does}
+
+    The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an explicit
+    Delta. What lies between them is not known.
+
+    Parameters
+    ----------
+    M
+        Complex matrix (p, q), or a stack (k, p, q); Delta is (q, p).
+    blocks
+        Blocks, or rows of MATLAB's ``mussv``: ``[-r, 0]`` real and ``[r, 0]`` complex scalar repeated r times, ``[r, c]`` full.
+    seed
+        Seed of the starting points of the lower bound.
+
+    Raises
+    ------
+    InputError
+        NaN or Inf, or a shape that does not fit the blocks.
+
+    References
+    ----------
+    Doyle (1982); Fan, Tits, Doyle, IEEE TAC 36 (1991); Young, Doyle (1990).
+
+    Examples
+    --------
+    >>> bounds = mu([[0.0, 4.0], [1.0, 0.0]], [[1, 0], [1, 0]])
+    >>> round(bounds.lower, 6), round(bounds.upper, 6)
+    (2.0, 2.0)
+    """
+    structure = as_blocks(blocks)
+    stack, single = matrix_stack(M, structure)
+    uppers = upper_bounds(stack, structure)
+    lowers = [lower_bound(m, structure, seed) for m in stack]
+    q, p = structure_size(structure)
+    zero = np.zeros((q, p), dtype=complex)
+    lower = np.array([value for value, _ in lowers])
+    upper = np.array([bound.beta for bound in uppers])
+    # A lower bound is attained up to the rounding of its Delta: it may pass a tight upper bound by that much, no more.
+    lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
+    if (lower > upper).any():
+        raise _contradiction(int(np.argmax(lower - upper)), lower, upper)
+    sure = np.isfinite(upper).all()
+    attained = ((lower > 0) | (upper == 0)).all()
+    status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
+    parts: dict[str, Any] = {
+        "lower": lower,
+        "upper": upper,
+        "delta": _stacked([zero if d is None else d for _, d in lowers], (q, p)),
+        "D": _stacked([b.Dw for b in uppers], (q, q)),
+        "G": _stacked([b.G for b in uppers], (q, p)),
+        "D_z": _stacked([b.Dz for b in uppers], (p, p)),
+    }
+    if single:
+        parts = {key: value[0] for key, value in parts.items()}
+        parts.update(lower=float(parts["lower"]), upper=float(parts["upper"]))
+    for value in parts.values():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+    return MuBounds(**parts, status=status, blocks=structure)
+
+
+def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, bool]:
+    """M as a finite complex stack (k, p, q) that fits the blocks, and whether it was a single matrix."""
+    try:
+        array = np.asarray(M)
+    except ValueError as error:
+        raise InputError("mu: M", f"ragged ({error})", "a rectangular array of numbers") from None
+    if array.dtype.kind not in "fiuc":
+        raise InputError("mu: M", f"dtype {array.dtype}", "numbers")
+    q, p = structure_size(blocks)
+    single = array.ndim == 2
+    if array.ndim not in (2, 3) or array.shape[-2:] != (p, q):
+        hint = "Delta has the transposed shape of M" if array.shape[-2:] == (q, p) else None
+        raise InputError("mu: M", f"shape {array.shape}", f"{(p, q)} or (k, {p}, {q}) for a Delta of {(q, p)}", hint)
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        index = ",".join(str(i) for i in bad[0])
+        raise InputError("mu: M", f"entry [{index}] is not finite ({len(bad)} of {array.size} entries)", "finite numbers")
+    stack = array.astype(np.complex128)
+    return (stack[None] if single else stack), single
+
+
+def _stacked(parts: list[ComplexArray], shape: tuple[int, int]) -> ComplexArray:
+    return np.stack(parts) if parts else np.zeros((0, *shape), dtype=complex)
+
+
+def _contradiction(k: int, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> ArithmeticError:
+    from robustlab.errors import NoTrustworthyNumber
+
+    return NoTrustworthyNumber(f"mu: matrix {k}", f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost")

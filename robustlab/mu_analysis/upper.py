@@ -1,0 +1,165 @@
+"""Upper bounds of mu with the D and G that prove them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.mu_analysis.certificate import certified_level
+from robustlab.mu_analysis.decomposition import Component, components, expand
+from robustlab.mu_analysis.path_following import minimise
+from robustlab.mu_analysis.scalings import ScalingSpace
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, block_slices, structure_size
+
+__all__ = ["UpperBound", "upper_bounds"]
+
+ComplexArray = NDArray[np.complex128]
+
+# AB13MD needs O(n^6) operations, the batched path following O(n^4): they break even at about this order.
+AB13MD_ORDER = 12
+# Ratios of D between one component and the next; the smaller, the less their coupling costs.
+RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
+
+
+@dataclass(frozen=True)
+class UpperBound:
+    r"""``mu(M) <= beta``, proved by :math:`M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w \preceq 0`.
+
+    ``D_w`` is (q, q), ``D_z`` (p, p) (the same matrix where all blocks are square), ``G`` (q, p).
+    """
+
+    beta: float
+    Dw: ComplexArray
+    Dz: ComplexArray
+    G: ComplexArray
+
+
+def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) -> list[UpperBound]:
+    """The D-G upper bound of each matrix of the stack M (k, p, q), certified."""
+    split = [components(m, blocks) for m in M]
+    parts: list[list[UpperBound | None]] = [[None] * len(s) for s in split]
+    # Matrices with the same zero pattern go through the solver together.
+    batches: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+    for k, found in enumerate(split):
+        for j, component in enumerate(found):
+            batches.setdefault(component.members, []).append((k, j))
+    for members, places in batches.items():
+        stack = np.stack([split[k][j].matrix for k, j in places])
+        solved = _component_bounds(stack, [blocks[i] for i in members], tol)
+        for (k, j), bound in zip(places, solved, strict=True):
+            parts[k][j] = bound
+    return [
+        _assemble(m, blocks, found, [p for p in part if p is not None])
+        for m, found, part in zip(M, split, parts, strict=True)
+    ]
+
+
+def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
+    if len(blocks) == 1 and (isinstance(blocks[0], FullBlock) or structure_size(blocks) == (1, 1)):
+        return [_single(m, blocks[0]) for m in M]
+    if _suits_ab13md(blocks):
+        bounds = [_by_ab13md(m, blocks) for m in M]
+        open_ = [i for i, b in enumerate(bounds) if b is None]
+        if open_:
+            for i, b in zip(open_, _by_path(M[open_], blocks, tol), strict=True):
+                bounds[i] = b
+        return [b for b in bounds if b is not None]
+    return _by_path(M, blocks, tol)
+
+
+def _single(m: ComplexArray, block: Block) -> UpperBound:
+    """One full block: the largest singular value. One real number: G takes all of a value that is not real."""
+    q, p = block.rows, block.cols
+    Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p, dtype=complex), np.zeros((q, p), dtype=complex)
+    if isinstance(block, RealScalar) and abs(m[0, 0].imag) > 1e-12 * abs(m[0, 0]):
+        # |m|^2 - 2 g Im m < 0
+        G[0, 0] = abs(m[0, 0]) * (abs(m[0, 0]) / m[0, 0].imag)
+    return UpperBound(certified_level(m, Dw, Dz, G), Dw, Dz, G)
+
+
+def _suits_ab13md(blocks: Sequence[Block]) -> bool:
+    return structure_size(blocks)[0] <= AB13MD_ORDER and all(
+        (b.rows == b.cols) if isinstance(b, FullBlock) else b.repeats == 1 for b in blocks
+    )
+
+
+def _by_ab13md(m: ComplexArray, blocks: list[Block]) -> UpperBound | None:
+    """AB13MD's bound, or None where what it says cannot be re-derived from its D and G."""
+    from robustlab.slicot import ab13md
+
+    scale = float(np.linalg.norm(m, 2)) or 1.0
+    try:
+        claim, d, g = ab13md(m / scale, [b.rows for b in blocks], [isinstance(b, RealScalar) for b in blocks])
+    except NoTrustworthyNumber:
+        return None
+    D, G = np.diag(d).astype(complex), np.diag(g * scale).astype(complex)
+    beta = certified_level(m, D, D, G)
+    # Near zero the claim is absolute, and only the own method tells "small" from "zero".
+    if claim < 1e-3 or not beta <= claim * scale * (1 + 1e-5):
+        return None
+    return UpperBound(beta, D, D, G)
+
+
+def _by_path(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
+    space = ScalingSpace(blocks)
+    Dw, Dz, G = space.matrices(minimise(M, space, tol))
+    eye, zero = space.matrices(space.identity[None])[:2], np.zeros_like(G[0])
+    result = []
+    for m, w, z, g in zip(M, Dw, Dz, G, strict=True):
+        plain = UpperBound(certified_level(m, eye[0][0], eye[1][0], zero), eye[0][0], eye[1][0], zero)
+        best = UpperBound(certified_level(m, w, z, g), w, z, g)
+        result.append(best if best.beta <= plain.beta else plain)
+    return result
+
+
+def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], parts: list[UpperBound]) -> UpperBound:
+    """D and G of the whole matrix from those of its components, certified once more on M itself.
+
+    Couplings run from a lower to a higher depth only: with D of a depth much smaller than that of the depth before it they cost nothing.
+    """
+    q, p = structure_size(blocks)
+    floor = max((b.beta for b in parts), default=0.0)
+    best: UpperBound | None = None
+    for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
+        Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
+        G = np.zeros((q, p), dtype=complex)
+        for component, bound in zip(found, parts, strict=True):
+            _place(blocks, component, bound, ratio**component.depth, (Dw, Dz, G))
+        beta = certified_level(M, Dw, Dz, G)
+        if best is None or beta < best.beta:
+            best = UpperBound(beta, Dw, Dz, G)
+        if best.beta <= floor * (1 + 1e-9):
+            break
+    assert best is not None
+    if floor == 0.0 and all(not component.matrix.any() for component in found):
+        # Strictly block triangular: det(I - M Delta) = 1 for every Delta. D shows it in the limit of the ratio only.
+        return UpperBound(0.0, best.Dw, best.Dz, best.G)
+    return best
+
+
+def _place(
+    blocks: Sequence[Block],
+    component: Component,
+    bound: UpperBound,
+    weight: float,
+    into: tuple[ComplexArray, ComplexArray, ComplexArray],
+) -> None:
+    """Write a component's D and G, in the coordinates of M, into those of the whole."""
+    slices = block_slices(blocks)
+    part = [blocks[i] for i in component.members]
+    e_w, e_z = (np.exp2(e) for e in expand(part, component.exponents))
+    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
+    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
+    Dw, Dz, G = into
+    Dw[np.ix_(w, w)] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
+    Dz[np.ix_(z, z)] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
+    G[np.ix_(w, z)] = weight * bound.G * e_w[:, None] * e_z[None, :]
+
+
+def is_complex_only(blocks: Sequence[Block]) -> bool:
+    """Whether no block is real."""
+    return all(isinstance(b, (ComplexScalar, FullBlock)) for b in blocks)
