@@ -73,7 +73,13 @@ def care(
     a, b, q, r = (real_array(k, v, 2, "care") for k, v in (("A", A), ("B", B), ("Q", Q), ("R", R)))
     n, m = a.shape[0], r.shape[0]
     s = np.zeros((n, m)) if S is None else real_array("S", S, 2, "care")
-    for name, matrix, shape in (("A", a, (n, n)), ("B", b, (n, m)), ("Q", q, (n, n)), ("R", r, (m, m)), ("S", s, (n, m))):
+    for name, matrix, shape in (
+        ("A", a, (n, n)),
+        ("B", b, (n, m)),
+        ("Q", q, (n, n)),
+        ("R", r, (m, m)),
+        ("S", s, (n, m)),
+    ):
         if matrix.shape != shape:
             raise InputError("care", f"{name} is {matrix.shape}", f"{shape}")
     if n == 0:
@@ -90,7 +96,9 @@ def care(
         if best is not None and best.residual <= tolerance:
             return best
     if best is None:
-        raise NoTrustworthyNumber("care", "no stabilising solution: the Hamiltonian has eigenvalues on the imaginary axis")
+        raise NoTrustworthyNumber(
+            "care", "no stabilising solution: the Hamiltonian has eigenvalues on the imaginary axis"
+        )
     raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
 
 

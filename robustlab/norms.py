@@ -218,7 +218,9 @@ def _bracket(m: StateSpaceModel, rtol: float) -> tuple[float, float, float, bool
     lower, at = float(sigma[peak]), float(omega[peak])
     # What rounding in C (jw I - A)^-1 B alone can produce: a norm below it cannot be told from zero.
     states = StateSpaceModel(m.A, m.B, np.eye(m.n_states), np.zeros((m.n_states, m.n_inputs)))
-    floor = 4 * EPS * (float(np.linalg.norm(m.C, 2)) * float(_sigma(states, omega).max()) + float(np.linalg.norm(m.D, 2)))
+    floor = (
+        4 * EPS * (float(np.linalg.norm(m.C, 2)) * float(_sigma(states, omega).max()) + float(np.linalg.norm(m.D, 2)))
+    )
     if floor == 0:
         return 0.0, 0.0, 0.0, True
     trusted, upper = True, np.inf

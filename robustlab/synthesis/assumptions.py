@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.synthesis.generalized_plant import PlantMatrices
+from robustlab.synthesis.partition import PlantMatrices
 
 __all__ = ["require_stabilisable"]
 
@@ -53,7 +53,7 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
         raise NoTrustworthyNumber(
             where,
             f"no stabilising controller exists: {faults[0]}",
-            hint="add an actuator or a sensor for it, take it out of the model, or make an integrating weight a slow lag",
+            hint="add an actuator or a sensor for it; where it does not matter, robustlab.structural.drop_unconnected takes it out",
             more=tuple(dict.fromkeys(faults[1:])),
         )
 

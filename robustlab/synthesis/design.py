@@ -13,7 +13,7 @@ from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.controller import Controller
-from robustlab.synthesis.generalized_plant import GeneralizedPlant
+from robustlab.synthesis.partition import GeneralizedPlant
 
 __all__ = ["Synthesis", "limiting_channels"]
 

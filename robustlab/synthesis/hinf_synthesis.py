@@ -14,7 +14,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.design import Synthesis, limiting_channels
-from robustlab.synthesis.generalized_plant import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.scaling import equilibrated, paths_first
 from robustlab.synthesis.search import Candidate, Deadline, Search, smallest
 
@@ -88,6 +88,16 @@ def synthesize(
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
     if np.isnan(time_limit) or time_limit <= 0:
         raise InputError(where, f"time_limit is {time_limit}", "a positive time in s")
+    from threadpoolctl import threadpool_limits
+
+    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
+    with threadpool_limits(limits=1):
+        return _synthesize(plant, method, gamma_rel, time_limit, weights or {})
+
+
+def _synthesize(
+    plant: GeneralizedPlant, method: str, gamma_rel: float, time_limit: float, weights: Mapping[str, StateSpaceModel]
+) -> Synthesis:
     deadline = Deadline(time_limit)
     dt = plant.model.dt
     continuous = plant
@@ -95,7 +105,7 @@ def synthesize(
         continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)
     matrices = continuous.matrices()
     scalings = (paths_first(matrices), equilibrated(matrices))
-    require_stabilisable(scalings[0].apply(matrices), plant.model.state_names, where, scalings[0].rate)
+    require_stabilisable(scalings[0].apply(matrices), plant.model.state_names, f"synth {method}", scalings[0].rate)
 
     def verify(K: StateSpaceModel) -> Candidate | None:
         return _verified(plant, continuous.D22, K)
@@ -107,7 +117,7 @@ def synthesize(
     if best is None:
         late = " in the time limit" if deadline.passed() else ""
         raise NoTrustworthyNumber(
-            where,
+            f"synth {method}",
             f"no controller could be verified{late}: each one found leaves the rebuilt loop unstable, or none was found",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
         )
@@ -118,7 +128,7 @@ def synthesize(
         for search in searches:
             search.soften(best, gamma_rel * best.gamma)
         chosen = _softest([c for search in searches for c in search.candidates], best, gamma_rel)
-    return _finished(plant, chosen, best, disagree, deadline.passed(), method, weights or {})
+    return _finished(plant, chosen, best, disagree, deadline.passed(), method, weights)
 
 
 def _softest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> Candidate:
@@ -133,7 +143,14 @@ def _verified(plant: GeneralizedPlant, D22: NDArray[np.float64], K: StateSpaceMo
         if plant.model.dt:
             full = bilinear_to_discrete(full, plant.model.dt)
         named = StateSpaceModel(
-            full.A, full.B, full.C, full.D, full.dt, plant.measurements, plant.controls, [f"k{i + 1}" for i in range(full.n_states)]
+            full.A,
+            full.B,
+            full.C,
+            full.D,
+            full.dt,
+            plant.measurements,
+            plant.controls,
+            [f"k{i + 1}" for i in range(full.n_states)],
         )
         norm = hinf_norm(plant.close(named))
     except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
@@ -153,13 +170,21 @@ def _with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpac
 
 
 def _finished(
-    plant: GeneralizedPlant, chosen: Candidate, best: Candidate, disagree: float, late: bool, method: str, weights: Mapping[str, StateSpaceModel]
+    plant: GeneralizedPlant,
+    chosen: Candidate,
+    best: Candidate,
+    disagree: float,
+    late: bool,
+    method: str,
+    weights: Mapping[str, StateSpaceModel],
 ) -> Synthesis:
     loop = plant.close(chosen.K)
     status = Status.CERTIFIED if chosen.norm.status is Status.CERTIFIED else Status.INACCURATE
     parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.norm.reason]
     if chosen is not best:
-        parts.append(f"softest controller found within {chosen.gamma / best.gamma - 1:.1%} of the smallest gamma {best.gamma:.6g}")
+        parts.append(
+            f"softest controller found within {chosen.gamma / best.gamma - 1:.1%} of the smallest gamma {best.gamma:.6g}"
+        )
     if late:
         parts.append("time limit reached: a smaller gamma may exist")
     return Synthesis(

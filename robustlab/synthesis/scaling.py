@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.generalized_plant import PlantMatrices
+from robustlab.synthesis.partition import PlantMatrices
 
 __all__ = ["Scaling", "equilibrated", "paths_first"]
 

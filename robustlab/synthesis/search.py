@@ -19,7 +19,7 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.generalized_plant import PlantMatrices
+from robustlab.synthesis.partition import PlantMatrices
 from robustlab.synthesis.scaling import Scaling
 from robustlab.synthesis.two_riccati import TwoRiccatiProblem
 
@@ -198,7 +198,10 @@ class Search:
         gamma = loop.gamma * self.scaling.gain
         u, y, x_out, x_in = (np.minimum(gamma / np.maximum(g, 1e-300), cap / share) for g in gains)
         return Regularisation(
-            share * u / np.sqrt(len(u)), share * y / np.sqrt(len(y)), float(state_share * share * x_out), float(state_share * share * x_in)
+            share * u / np.sqrt(len(u)),
+            share * y / np.sqrt(len(y)),
+            float(state_share * share * x_out),
+            float(state_share * share * x_in),
         )
 
     def _channel_gains(self, loop: Candidate) -> tuple[Array, Array, Array, Array] | None:
@@ -209,7 +212,9 @@ class Search:
             closed = lower_lft(model, self.scaling.controller_from_plant(loop.K_bare))
             size = np.abs(closed.poles())
             size = size[size > 0]
-            omega = np.concatenate([[0.0], size, np.geomspace(size.min() / 3, size.max() * 3, 100)]) if len(size) else [0.0]
+            omega = (
+                np.concatenate([[0.0], size, np.geomspace(size.min() / 3, size.max() * 3, 100)]) if len(size) else [0.0]
+            )
             response = frequency_response(closed, omega)
         except (InputError, NoTrustworthyNumber):
             return None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import care
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.generalized_plant import PlantMatrices
+from robustlab.synthesis.partition import PlantMatrices
 
 __all__ = ["RiccatiPair", "TwoRiccatiProblem"]
 
@@ -92,7 +92,9 @@ class TwoRiccatiProblem:
         coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2
         return RiccatiPair(gamma, X, Y, F, L.T, coupling) if coupling < 1 else None
 
-    def smallest_gamma(self, start: float, stop: Callable[[], bool] = lambda: False, rtol: float = 1e-4) -> float | None:
+    def smallest_gamma(
+        self, start: float, stop: Callable[[], bool] = lambda: False, rtol: float = 1e-4
+    ) -> float | None:
         """Smallest gamma that passes the test; None where none up to ``LARGEST`` does.
 
         Brackets from ``start`` by growing steps, bisects, and then probes below the result, because the test in floating

@@ -76,7 +76,10 @@ class GeneralizedPlant:
     blocks: tuple[Block, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, count, most in (("n_meas", self.n_meas, self.model.n_outputs), ("n_con", self.n_con, self.model.n_inputs)):
+        for name, count, most in (
+            ("n_meas", self.n_meas, self.model.n_outputs),
+            ("n_con", self.n_con, self.model.n_inputs),
+        ):
             if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or not 1 <= count <= most:
                 raise InputError("generalised plant", f"{name} is {count!r}", f"a whole number from 1 to {most}")
 
@@ -121,7 +124,9 @@ def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: s
             raise InputError(where, f"n_meas={n_meas}, n_con={n_con}", f"{P.n_meas} and {P.n_con}, or leave them out")
         return P
     if n_meas is None or n_con is None:
-        raise InputError(where, "n_meas or n_con is missing", "the numbers of measurements and of controls (they come last in P)")
+        raise InputError(
+            where, "n_meas or n_con is missing", "the numbers of measurements and of controls (they come last in P)"
+        )
     if isinstance(P, UncertainModel):
         return GeneralizedPlant(P.M, n_meas, n_con, P.blocks)
     return GeneralizedPlant(as_model(P, f"{where}: P"), n_meas, n_con)
@@ -169,7 +174,9 @@ def generalized_plant(
     w = [i for i in range(len(ins)) if i not in u] if disturbances is None else _positions(disturbances, ins, "input")
     z = list(range(len(outs))) if performance is None else _positions(performance, outs, "output")
     if set(u) & set(w):
-        raise InputError("generalized_plant", "an input is both disturbance and control", "two inputs (add one to the model)")
+        raise InputError(
+            "generalized_plant", "an input is both disturbance and control", "two inputs (add one to the model)"
+        )
     columns = [*range(q), *(q + i for i in [*w, *u])]
     rows = [*range(p), *(p + i for i in [*z, *y])]
     measured = [Signal(f"{outs[i]} measured", m.outputs[p + i].unit) if i in z else m.outputs[p + i] for i in y]
@@ -186,6 +193,9 @@ def _positions(names: Sequence[str], known: tuple[str, ...], kind: str) -> list[
     for name in names:
         if name not in known:
             raise InputError(
-                f"generalized_plant: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
+                f"generalized_plant: {kind} {name!r}",
+                "no such signal",
+                f"one of {', '.join(known)}",
+                did_you_mean(name, known),
             )
     return [known.index(name) for name in names]
