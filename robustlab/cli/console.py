@@ -116,7 +116,9 @@ def _bug_report() -> str:
 
     text = f"command: {sys.argv}\nversions: {library_versions()}\n\n{traceback.format_exc()}"
     try:
-        with tempfile.NamedTemporaryFile("w", prefix="robustlab-bug-", suffix=".txt", delete=False, encoding="utf-8") as file:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="robustlab-bug-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
             file.write(text)
         return f"please report it with {file.name}"
     except OSError:

@@ -14,10 +14,17 @@ app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_
 
 @app.command()
 def check(
-    recipe: Annotated[str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)],
+    recipe: Annotated[
+        str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
+    ],
     changes: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="A.B=V", help="Change a value: a top-level key or STEP.KEY. May be repeated.", show_default=False),
+        typer.Option(
+            "--set",
+            metavar="A.B=V",
+            help="Change a value: a top-level key or STEP.KEY. May be repeated.",
+            show_default=False,
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -33,7 +40,9 @@ def check(
     files = {name: str(path) for name, path in find_files(loaded).items()}
     steps = [(name, step.do, files.get(name, "")) for name, step in loaded.recipe.step.items()]
     count = len(loaded.recipe.require)
-    text = f"{table(steps, ('step', 'does', 'reads'))}\n\n{len(steps)} steps, {count} requirements: the recipe can be run"
+    text = (
+        f"{table(steps, ('step', 'does', 'reads'))}\n\n{len(steps)} steps, {count} requirements: the recipe can be run"
+    )
     result = {"recipe": str(loaded.path), "steps": [list(step) for step in steps], "requirements": count}
     emit("recipe check", result, text, as_json)
 

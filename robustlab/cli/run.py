@@ -13,12 +13,21 @@ app = typer.Typer(help="Run a recipe: steps, requirements, report.")
 
 @app.command()
 def run(
-    recipe: Annotated[str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)],
+    recipe: Annotated[
+        str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
+    ],
     changes: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="A.B=V", help="Change a value: a top-level key or STEP.KEY. May be repeated.", show_default=False),
+        typer.Option(
+            "--set",
+            metavar="A.B=V",
+            help="Change a value: a top-level key or STEP.KEY. May be repeated.",
+            show_default=False,
+        ),
     ] = None,
-    out: Annotated[str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)] = None,
+    out: Annotated[
+        str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
@@ -38,9 +47,14 @@ def run(
     result = run_recipe(loaded, folder, note)
     data = result.data
     rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or _short(q["value"]), q["condition"]) for q in data["requirements"]
+        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or _short(q["value"]), q["condition"])
+        for q in data["requirements"]
     ]
-    doubtful = [f"no trustworthy number: step {s['name']}: {s['error'] or s['status']}" for s in data["steps"] if not s["trustworthy"]]
+    doubtful = [
+        f"no trustworthy number: step {s['name']}: {s['error'] or s['status']}"
+        for s in data["steps"]
+        if not s["trustworthy"]
+    ]
     met = sum(q["met"] for q in data["requirements"])
     parts = [
         table(rows, ("", "requirement", "found", "condition")) if rows else "no requirement stated",

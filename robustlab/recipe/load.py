@@ -139,7 +139,9 @@ def _fault(error: Any, data: dict[str, Any]) -> str:
             return f"{key}.do: missing, expected one of {', '.join(kinds)}"
         case "union_tag_invalid":
             given = str(data["step"][error["loc"][1]]["do"])
-            return f"{key}.do: no such kind of step {given!r}{_suggestion(given, list(kinds))}; one of {', '.join(kinds)}"
+            return (
+                f"{key}.do: no such kind of step {given!r}{_suggestion(given, list(kinds))}; one of {', '.join(kinds)}"
+            )
         case "string_pattern_mismatch":
             return f"{key}: {error['input']!r} has characters that are not allowed here"
     text = str(error["msg"])
@@ -196,7 +198,9 @@ def _reference_faults(recipe: Recipe) -> list[str]:
         if target not in recipe.step:
             faults.append(f"require.{i}.that: no step {target!r}{_suggestion(target, list(recipe.step))}")
         elif "." not in requirement.that:
-            faults.append(f"require.{i}.that: {target!r} names a step, expected one of its numbers, such as {target}.status")
+            faults.append(
+                f"require.{i}.that: {target!r} names a step, expected one of its numbers, such as {target}.status"
+            )
     return faults
 
 
@@ -234,7 +238,9 @@ def _override(data: dict[str, Any], key: str, text: str) -> None:
         parts.insert(0, "step")
     if parts[0] not in top:
         known = [*top, *steps]
-        raise UsageError(where, f"no step and no key {parts[0]!r}", f"one of {', '.join(known)}", did_you_mean(parts[0], known))
+        raise UsageError(
+            where, f"no step and no key {parts[0]!r}", f"one of {', '.join(known)}", did_you_mean(parts[0], known)
+        )
     if parts[0] == "step" and (len(parts) < 3 or parts[1] not in steps):
         hint = did_you_mean(parts[1], list(steps)) if len(parts) > 1 else None
         raise UsageError(where, "names no key of a step", f"step.NAME.KEY with a step of {', '.join(steps)}", hint)

@@ -40,7 +40,9 @@ def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path
     places = [folder, folder.parent, Path.cwd()]
     if typed:
         places = [places[2], places[0], places[1]]
-    candidates = list(dict.fromkeys((place / given).resolve() for place in places))  # an absolute path gives one candidate
+    candidates = list(
+        dict.fromkeys((place / given).resolve() for place in places)
+    )  # an absolute path gives one candidate
     for path in candidates:
         if path.is_file():
             return path

@@ -22,7 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robustlab.errors import EXIT_OK, EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, InputError, NoTrustworthyNumber, RobustlabError
+from robustlab.errors import (
+    EXIT_OK,
+    EXIT_REQUIREMENT_NOT_MET,
+    EnvironmentFault,
+    InputError,
+    NoTrustworthyNumber,
+    RobustlabError,
+)
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.load import LoadedRecipe, references

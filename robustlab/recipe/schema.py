@@ -275,7 +275,9 @@ class RecordStep(StepBase):
     outputs: list[str] | None = None
     dt: Positive | None = None
     units: dict[str, str] = {}
-    about: Text = Field("", description="What the record is, who published it, how to get it; shown where the file is absent.")
+    about: Text = Field(
+        "", description="What the record is, who published it, how to get it; shown where the file is absent."
+    )
 
 
 class CompareStep(StepBase):
@@ -284,6 +286,15 @@ class CompareStep(StepBase):
     do: Literal["compare"]
     of: ToModel
     record: ToRecord
+    window: Positive | None = Field(
+        None, description="Length of the windows in s; chosen from the model where left out."
+    )
+    start: Positive | None = Field(
+        None, description="Longest opening stretch in s to which the initial state is fitted."
+    )
+    lags: Annotated[int, Field(ge=1, le=1000)] | None = None
+    speed: str | None = Field(None, description="Output over which the error is sorted by speed.")
+    position: str | None = Field(None, description="Output over which the error is sorted by position.")
 
 
 Step = Annotated[
@@ -320,7 +331,9 @@ class Requirement(Strict):
     at_most: float | None = None
     within: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     equals: float | bool | str | None = None
-    tolerance: Annotated[float, Field(ge=0)] | None = Field(None, description="Largest allowed difference from `equals`.")
+    tolerance: Annotated[float, Field(ge=0)] | None = Field(
+        None, description="Largest allowed difference from `equals`."
+    )
 
     @model_validator(mode="after")
     def _one_condition(self) -> Self:
@@ -360,7 +373,9 @@ class Recipe(Strict):
     title: Text = Field("", description="Heading of the report; the name where left out.")
     description: Annotated[str, Field(max_length=10_000)] = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    step: Annotated[dict[StepName, Step], Field(min_length=1, max_length=200)] = Field(description="Run in the order written.")
+    step: Annotated[dict[StepName, Step], Field(min_length=1, max_length=200)] = Field(
+        description="Run in the order written."
+    )
     require: Annotated[list[Requirement], Field(max_length=1000)] = []
 
 

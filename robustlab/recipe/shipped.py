@@ -36,4 +36,6 @@ def recipe_path(given: str) -> Path:
         return _folder() / f"{given}.toml"
     names = shipped_recipes()
     hint = did_you_mean(given, names) or "robustlab recipe new NAME starts a recipe of your own"
-    raise InputError(given, "neither a file nor a recipe that comes with robustlab", f"a path, or one of {', '.join(names)}", hint)
+    raise InputError(
+        given, "neither a file nor a recipe that comes with robustlab", f"a path, or one of {', '.join(names)}", hint
+    )

@@ -69,7 +69,9 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(rows: int = 1, columns: int = 1, width: float = 7.2, height: float = 3.2, **options: Any) -> tuple[Figure, list[Axes]]:
+def new_figure(
+    rows: int = 1, columns: int = 1, width: float = 7.2, height: float = 3.2, **options: Any
+) -> tuple[Figure, list[Axes]]:
     """A figure in the house style and its axes, row by row; ``height`` is inches per row."""
     with house_style():
         figure = Figure(figsize=(width, height * rows), layout="constrained")
@@ -112,7 +114,11 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Pa
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     with house_style():
         FigureCanvasSVG(figure)
-        atomic_write(svg, lambda path: figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "robustlab"}))
+        atomic_write(
+            svg, lambda path: figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "robustlab"})
+        )
         FigureCanvasAgg(figure)
-        atomic_write(png, lambda path: figure.savefig(path, format="png", dpi=PNG_DPI, metadata={"Software": "robustlab"}))
+        atomic_write(
+            png, lambda path: figure.savefig(path, format="png", dpi=PNG_DPI, metadata={"Software": "robustlab"})
+        )
     return svg, png

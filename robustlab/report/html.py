@@ -53,9 +53,16 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
         return Verdict("bad", "✗", "No trustworthy number", f"These steps ended without one: {names}. {count}.")
     if unmet:
         word = "requirement is" if len(unmet) == 1 else "requirements are"
-        return Verdict("bad", "✗", f"{len(unmet)} {word} not met", f"{count}; every step ended with a number that can be vouched for.")
+        return Verdict(
+            "bad",
+            "✗",
+            f"{len(unmet)} {word} not met",
+            f"{count}; every step ended with a number that can be vouched for.",
+        )
     if not requirements:
-        return Verdict("warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for.")
+        return Verdict(
+            "warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for."
+        )
     headline = "The requirement is met" if len(requirements) == 1 else f"All {len(requirements)} requirements are met"
     return Verdict("good", "✓", headline, "Every step ended with a number that can be vouched for.")
 
@@ -78,16 +85,25 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined, UndefinedError
 
     environment = Environment(
-        loader=PackageLoader("robustlab.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("robustlab.report", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters["pretty"] = _pretty
     environment.globals.update(
-        found=_found, paragraphs=_paragraphs, status_meaning=_status_meaning, image=lambda stem: _image(Path(folder), stem)
+        found=_found,
+        paragraphs=_paragraphs,
+        status_meaning=_status_meaning,
+        image=lambda stem: _image(Path(folder), stem),
     )
     try:
         return environment.get_template("page.html.j2").render(r=_readable(result), verdict=verdict(_readable(result)))
     except (UndefinedError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder}/result.json", f"a part is missing or has another form ({error})", "the result of a run") from None
+        raise InputError(
+            f"{folder}/result.json", f"a part is missing or has another form ({error})", "the result of a run"
+        ) from None
 
 
 def _readable(value: Any) -> Any:

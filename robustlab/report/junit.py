@@ -25,7 +25,9 @@ def junit_xml(result: Mapping[str, Any]) -> str:
     suites = ET.Element("testsuites", attributes)
     suite = ET.SubElement(suites, "testsuite", attributes)
     for q in requirements:
-        case = ET.SubElement(suite, "testcase", {"classname": f"{name}.requirements", "name": plain_text(str(q["text"] or q["that"]))})
+        case = ET.SubElement(
+            suite, "testcase", {"classname": f"{name}.requirements", "name": plain_text(str(q["text"] or q["that"]))}
+        )
         if not q["met"]:
             reason = q["why_not"] or f"{q['that']} is {q['value']}, required: {q['condition']}"
             ET.SubElement(case, "failure", {"message": plain_text(str(reason))})

@@ -119,4 +119,9 @@ def test_control_characters_of_a_message_do_not_reach_the_terminal(capsys):
 
 
 def test_table_aligns_columns():
-    assert table([("a", "1"), ("long", "22")], ("name", "n")).splitlines() == ["name  n", "----  --", "a     1", "long  22"]
+    assert table([("a", "1"), ("long", "22")], ("name", "n")).splitlines() == [
+        "name  n",
+        "----  --",
+        "a     1",
+        "long  22",
+    ]

@@ -1,0 +1,35 @@
+"""What each kind of step does: one function per kind, from the checked step to its `Outcome`.
+
+These functions call the public functions of the rooms below, choose the numbers that requirements may address, and draw. No
+mathematics lives here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from robustlab.recipe.outcome import Outcome, Workspace
+from robustlab.recipe.steps import analysis, design, measurement, models
+
+__all__ = ["EXECUTORS"]
+
+EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
+    "plant": models.plant,
+    "linearise": models.linearise,
+    "load": models.load,
+    "save": models.save,
+    "structural": models.structural,
+    "steady-state": models.steady_state,
+    "uncertain": models.uncertain,
+    "elementwise": models.elementwise,
+    "sample": analysis.sample,
+    "worst-case": analysis.worst_case,
+    "hinf-norm": analysis.hinf_norm,
+    "robust-stability": analysis.robust_stability,
+    "mixsyn": design.mixsyn,
+    "hinf": design.hinf,
+    "close-loop": design.close_loop,
+    "record": measurement.record,
+    "compare": measurement.compare,
+}

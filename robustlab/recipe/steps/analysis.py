@@ -1,0 +1,178 @@
+"""Steps that judge uncertain models: samples, worst case, norms, robust stability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
+from robustlab.recipe.schema import HinfNormStep, RobustStabilityStep, SampleStep, WorstCaseStep
+
+__all__ = ["hinf_norm", "robust_stability", "sample", "worst_case"]
+
+
+def sample(step: SampleStep, work: Workspace) -> Outcome:
+    """Responses of seeded members and of vertices, with their envelope; a sample proves nothing about members not drawn."""
+    import robustlab as rl
+    from robustlab.report.response_figures import response_figure
+
+    model = work.values[step.of]
+    t, u = _step_input(model, step.input, step.t_end, step.points)
+    seed = work.seed if step.seed is None else step.seed
+    responses = rl.sample(model, step.n, seed, vertices=step.vertices).respond(t, u)
+    known = [s.name for s in model.outputs]
+    for reference in step.reference:
+        if reference.output not in known:
+            where = f"reference: output {reference.output!r}"
+            raise InputError(
+                where, "no such output", f"one of {', '.join(known)}", did_you_mean(reference.output, known)
+            )
+    numbers: dict[str, Any] = {}
+    facts: list[Fact] = []
+    for k, (name, unit) in enumerate(model.outputs):
+        y, nominal, lower, upper = (
+            responses.y[:, :, k],
+            responses.nominal[:, k],
+            responses.lower[:, k],
+            responses.upper[:, k],
+        )
+        final = {"nominal": float(nominal[-1]), "lower": float(lower[-1]), "upper": float(upper[-1])}
+        deviation = float(abs(y - nominal).max(initial=0.0))
+        references = [(r.value, r.text) for r in step.reference if r.output == name]
+        covers = [final["lower"] <= value <= final["upper"] for value, _ in references]
+        numbers[name] = {"final": final, "peak_deviation": deviation, "covers": covers}
+        span = f"{quantity(final['lower'])} … {quantity(final['upper'], unit)} (nominal {quantity(final['nominal'], unit)})"
+        facts.append(Fact(f"{name} at the end", span))
+        facts += [
+            Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}")
+            for (value, text), inside in zip(references, covers, strict=True)
+        ]
+        figure = response_figure(t, y, nominal, lower, upper, (name, unit), references)
+        caption = f"{name} after a step of {_amplitudes(step.input, model)}: {step.n} random members and {step.vertices} vertices of Δ."
+        work.draw(figure, name, caption)
+    members = int(responses.y.shape[0])
+    summary = f"{members} members of {step.of} simulated ({step.n} random, seed {seed}; the rest vertices of Δ)."
+    note = "Sampled, not proved: members that were not drawn may lie outside this envelope."
+    return Outcome(None, summary, {"outputs": numbers, "members": members}, tuple(facts), notes=(note,))
+
+
+def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
+    """The largest value of a metric that a search over Delta found, evaluated again at that Delta."""
+    import robustlab as rl
+    from robustlab.report.response_figures import worst_case_figure
+
+    model = work.values[step.of]
+    options: dict[str, Any] = {"seed": work.seed if step.seed is None else step.seed}
+    if step.n is not None:
+        options["n"] = step.n
+    t = u = None
+    if step.metric == "peak-deviation":
+        assert step.t_end is not None
+        t, u = _step_input(model, step.input, step.t_end, step.points)
+        options |= {"t": t, "u": u, "output": step.output}
+    found = rl.worst_case(model, step.metric, **options)
+    work.keep(found)
+    physical = _physical(found.physical)
+    numbers = {
+        "value": found.value,
+        "nominal_value": found.nominal_value,
+        "evaluations": found.evaluations,
+        "delta": found.delta,
+    }
+    facts = [
+        Fact(f"Worst {step.metric} found", f"{quantity(found.value)} (nominal {quantity(found.nominal_value)})"),
+        Fact("How it was found", f"{found.label}, {found.evaluations} evaluations"),
+        *(Fact(f"at {name}", text) for name, text in physical.items()),
+    ]
+    if t is not None and u is not None:
+        index = [s.name for s in model.outputs].index(step.output) if step.output else 0
+        name, unit = model.outputs[index]
+        pair = [_respond(member, t, u)[:, index] for member in (model.nominal, model.evaluate(found.delta))]
+        work.draw(
+            worst_case_figure(t, *pair, (name, unit), "worst member found"),
+            name,
+            f"{name}: nominal and worst member found.",
+        )
+    note = "Found by search: a lower bound of the true worst case, attained by the Δ shown, and no proof that nothing is worse."
+    return Outcome(None, f"Worst {step.metric} over Δ of {step.of}.", numbers, tuple(facts), found.status, (note,))
+
+
+def hinf_norm(step: HinfNormStep, work: Workspace) -> Outcome:
+    """H-infinity norm of a model, as a proved bracket."""
+    import robustlab as rl
+
+    norm = rl.hinf_norm(work.values[step.of])
+    numbers = {"value": norm.value, "frequency": norm.frequency, "lower": norm.lower, "upper": norm.upper}
+    facts = (
+        Fact("H-infinity norm", f"{quantity(norm.value, digits=8)} (at most {quantity(norm.upper, digits=8)})"),
+        Fact("attained at", quantity(norm.frequency, "rad/s")),
+    )
+    return Outcome(None, f"H-infinity norm of {step.of}.", numbers, facts, norm.status)
+
+
+def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
+    """Robust stability margin with both bounds, over the whole frequency axis."""
+    import robustlab as rl
+    from robustlab.report.mu_figures import mu_figure
+
+    margin = rl.robust_stability(work.values[step.of])
+    work.keep(margin)
+    physical = _physical(margin.physical)
+    numbers = {
+        "lower": margin.lower,
+        "upper": margin.upper,
+        "frequency": margin.frequency,
+        "mu_peak_upper": _inverse(margin.lower),
+    }
+    facts = [
+        Fact("Margin, proved lower bound", quantity(margin.lower)),
+        Fact("Margin, upper bound (a Δ of this size destabilises)", quantity(margin.upper)),
+        Fact("Critical frequency", quantity(margin.frequency, "rad/s")),
+        *(Fact(f"Destabilising {name}", text) for name, text in physical.items()),
+    ]
+    intervals = [(float(a), float(b), float(bound)) for a, b, bound in margin.intervals]
+    figure = mu_figure(margin.omega, margin.mu_lower, margin.mu_upper, intervals, margin.frequency)
+    work.draw(
+        figure, "mu", "Bounds of μ over frequency; the peak of the upper bound is the inverse of the proved margin."
+    )
+    stable = (
+        "every Δ of the set keeps the loop stable" if margin.lower > 1 else "stability over the whole set is not proved"
+    )
+    return Outcome(None, f"Robust stability of {step.of}: {stable}.", numbers, tuple(facts), margin.status)
+
+
+def _step_input(model: Any, amplitudes: Mapping[str, float], t_end: float, points: int) -> tuple[Any, Any]:
+    """Times (n_t,) and a step of the given amplitudes on the named inputs (n_t, n_u)."""
+    import numpy as np
+
+    known = [s.name for s in model.inputs]
+    for name in amplitudes:
+        if name not in known:
+            raise InputError(f"input.{name}", "no such input", f"one of {', '.join(known)}", did_you_mean(name, known))
+    t = np.linspace(0.0, t_end, points)
+    return t, np.tile([amplitudes.get(name, 0.0) for name in known], (points, 1))
+
+
+def _respond(model: Any, t: Any, u: Any) -> Any:
+    """Outputs (n_t, n_y) of a linear model."""
+    import numpy as np
+
+    import robustlab as rl
+
+    record = rl.simulate(model, t, u)
+    return np.column_stack([record.outputs[name] for name in model.output_names])
+
+
+def _amplitudes(amplitudes: Mapping[str, float], model: Any) -> str:
+    units = dict(model.inputs)
+    return ", ".join(f"{quantity(value, units[name])} on {name}" for name, value in amplitudes.items())
+
+
+def _physical(values: Mapping[str, tuple[float, str]] | None) -> dict[str, str]:
+    return {name: quantity(value, unit) for name, (value, unit) in (values or {}).items()}
+
+
+def _inverse(value: float) -> float:
+    return 1.0 / value if value else math.inf

@@ -1,0 +1,160 @@
+"""Steps that design controllers and close loops with them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
+from robustlab.recipe.schema import CloseLoopStep, HinfStep, MixsynStep, TransferFunction
+
+__all__ = ["close_loop", "hinf", "mixsyn", "tracking_loop"]
+
+
+def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
+    """A mixed-sensitivity controller, verified in the loop rebuilt from it."""
+    import robustlab as rl
+
+    model = work.values[step.of]
+    weights = {name: _weight(getattr(step, name)) for name in ("W1", "W2", "W3")}
+    found = rl.mixsyn(model, weights["W1"], weights["W2"], weights["W3"])
+    _draw_sensitivities(found, model, weights, work)
+    return _designed(found, f"Mixed-sensitivity controller for {step.of}.", work)
+
+
+def hinf(step: HinfStep, work: Workspace) -> Outcome:
+    """An H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
+    import robustlab as rl
+
+    found = rl.hinf(work.values[step.of], step.measurements, step.controls)
+    return _designed(found, f"H-infinity controller for {step.of}.", work)
+
+
+def close_loop(step: CloseLoopStep, work: Workspace) -> Outcome:
+    """The uncertain tracking loop: reference in; controlled outputs and control signals out."""
+    from robustlab.recipe.steps.models import uncertain_numbers
+
+    loop = tracking_loop(work.values[step.of], work.values[step.controller])
+    abscissa = loop.nominal.spectral_abscissa()
+    numbers = {**uncertain_numbers(loop), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
+    facts = (
+        Fact("Inputs", ", ".join(s.name for s in loop.inputs)),
+        Fact("Outputs", ", ".join(s.name for s in loop.outputs)),
+        Fact("Rightmost pole of the nominal loop", quantity(abscissa, "1/s")),
+    )
+    word = "stable" if abscissa < 0 else "unstable"
+    return Outcome(loop, f"Loop of {step.controller} around {step.of}: nominally {word}.", numbers, facts)
+
+
+def tracking_loop(system: Any, controller: Any) -> Any:
+    """The loop ``u = K (r - y)`` around a model or an uncertain model, as an uncertain model.
+
+    Inputs: a reference for each output. Outputs: the outputs y and the control signals u.
+    """
+    import numpy as np
+
+    from robustlab.statespace import Signal, StateSpaceModel, as_model
+    from robustlab.uncertainty.lft import UncertainModel
+
+    base = system if isinstance(system, UncertainModel) else UncertainModel(as_model(system), [])
+    m, (q, p) = base.M, base.delta_shape
+    n, n_u, n_y = m.n_states, m.n_inputs - q, m.n_outputs - p
+    c_y, d_yw, d_yu = m.C[p:], m.D[p:, :q], m.D[p:, q:]
+    plant = StateSpaceModel(
+        m.A,
+        np.hstack([m.B[:, :q], np.zeros((n, n_y)), m.B[:, q:]]),
+        np.vstack([m.C, np.zeros((n_u, n)), -c_y]),
+        np.block(
+            [
+                [m.D[:, :q], np.zeros((m.n_outputs, n_y)), m.D[:, q:]],
+                [np.zeros((n_u, q)), np.zeros((n_u, n_y)), np.eye(n_u)],
+                [-d_yw, np.eye(n_y), -d_yu],
+            ]
+        ),
+        m.dt,
+        [*m.inputs[:q], *(Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs],
+        [*m.outputs, *base.inputs, *(Signal(f"{s.name}_error", s.unit) for s in base.outputs)],
+        m.states,
+        where="tracking loop",
+    )
+    return UncertainModel(plant, base.blocks).close(as_model(controller))
+
+
+def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
+    work.keep(found)
+    numbers = {
+        "gamma": found.gamma,
+        "smallest_gamma": found.smallest_gamma,
+        "peak_frequency": found.peak_frequency,
+        "order": found.K.n_states,
+        "fastest_controller_pole": found.fastest_controller_pole,
+        "closed_loop_abscissa": found.closed_loop_abscissa,
+    }
+    facts = (
+        Fact("γ, norm of the loop rebuilt from the controller", f"at most {quantity(found.gamma, digits=6)}"),
+        Fact("reached at", quantity(found.peak_frequency, "rad/s")),
+        Fact("What limits it", found.limit or "nothing stands out"),
+        Fact(
+            "Controller", f"{found.K.n_states} states, fastest pole {quantity(found.fastest_controller_pole, 'rad/s')}"
+        ),
+    )
+    return Outcome(found.controller, f"{summary} {found.reason}", numbers, facts, found.status)
+
+
+def _draw_sensitivities(found: Any, model: Any, weights: dict[str, Any], work: Workspace) -> None:
+    import numpy as np
+
+    import robustlab as rl
+    from robustlab.frequency import default_grid
+    from robustlab.report.synthesis_figures import WeightedResponse, sensitivity_figure
+    from robustlab.statespace import as_model
+
+    loop = tracking_loop(as_model(model), found.K).nominal
+    omega = default_grid(loop, 400)
+    response = rl.frequency_response(loop, omega)
+    n_y = as_model(model).n_outputs
+    complementary, control = response[:, :n_y], response[:, n_y:]
+    functions = {
+        "W1": ("S (control error)", np.eye(n_y) - complementary),
+        "W2": ("KS (control signal)", control),
+        "W3": ("T (output)", complementary),
+    }
+    curves = []
+    for name, (label, values) in functions.items():
+        weight = weights[name]
+        bound = None
+        if weight is not None:
+            bound = found.gamma / np.abs(rl.frequency_response(weight, omega)[:, 0, 0])
+        curves.append(WeightedResponse(label, np.linalg.norm(values, 2, axis=(1, 2)), bound))
+    caption = "Closed loop against its weights: each curve lies below γ / |W|, with the verified γ."
+    work.draw(sensitivity_figure(omega, curves, found.gamma), "sensitivities", caption)
+
+
+def _weight(given: TransferFunction | None) -> Any:
+    """The weight as a model with one input and one output."""
+    from robustlab.errors import InputError
+    from robustlab.statespace import StateSpaceModel
+
+    if given is None:
+        return None
+    from scipy.signal import BadCoefficients, tf2ss
+
+    if len(given.num) > len(given.den):
+        raise InputError(
+            "weight", f"num has degree {len(given.num) - 1}, den {len(given.den) - 1}", "no higher degree in num"
+        )
+    try:
+        return (
+            StateSpaceModel(*tf2ss(given.num, given.den)) if len(given.den) > 1 else _gain(given.num[0] / given.den[0])
+        )
+    except (BadCoefficients, ValueError, ZeroDivisionError) as error:
+        raise InputError(
+            "weight", f"num = {given.num}, den = {given.den} ({error})", "polynomials with leading coefficients"
+        ) from None
+
+
+def _gain(value: float) -> Any:
+    import numpy as np
+
+    from robustlab.statespace import StateSpaceModel
+
+    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[value]])

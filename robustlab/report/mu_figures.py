@@ -1,0 +1,62 @@
+"""Figure of mu bounds over frequency, with the intervals on which the upper bound is proved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from robustlab.report.figures import COLOURS, house_style, new_figure
+
+__all__ = ["mu_figure"]
+
+Array = NDArray[np.float64]
+
+
+def mu_figure(
+    omega: Array, lower: Array, upper: Array, intervals: Sequence[tuple[float, float, float]], peak: float
+) -> Figure:
+    """mu bounds over frequency.
+
+    Parameters
+    ----------
+    omega
+        Frequencies in rad/s, shape (n,).
+    lower, upper
+        Bounds of mu at these frequencies, shape (n,).
+    intervals
+        ``(from, to, bound)``: mu is proved to be at most ``bound`` at every frequency between; the outer ones may reach 0 and inf.
+    peak
+        Frequency in rad/s of the largest lower bound.
+    """
+    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
+    shown = np.isfinite(omega) & (omega > 0)
+    low, high = (float(omega[shown].min()), float(omega[shown].max())) if shown.any() else (1e-1, 1e1)
+    with house_style():
+        for i, (start, stop, bound) in enumerate(intervals):
+            edges = [max(start, low / 10), min(stop, high * 10)]
+            if edges[0] < edges[1]:
+                label = "proved on whole intervals" if i == 0 else None
+                axes.fill_between(edges, 0, bound, color=COLOURS["band"], alpha=0.25, lw=0, label=label)
+        axes.plot(omega[shown], upper[shown], color=COLOURS["nominal"], label="upper bound (proved by D, G)")
+        found = shown & (lower > 0)
+        axes.plot(
+            omega[found],
+            lower[found],
+            ".",
+            color=COLOURS["worst"],
+            ms=4,
+            label="lower bound (attained by an explicit Δ)",
+        )
+        axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
+        if np.isfinite(peak) and peak > 0:
+            axes.axvline(peak, color=COLOURS["worst"], lw=0.9, ls=":")
+        axes.set_xscale("log")
+        axes.set_xlim(low, high)
+        axes.set_ylim(0, 1.12 * max(1.0, float(np.nanmax(upper[shown], initial=0.0))))
+        axes.set_xlabel("frequency [rad/s]")
+        axes.set_ylabel("structured singular value μ")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
