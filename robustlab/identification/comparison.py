@@ -1,8 +1,8 @@
 """`compare`: how well a plant or model reproduces a measured record, and where it does not.
 
-Two simulations of the recorded input are judged. The *free run* starts from the measured state at the start of the record and
-runs to its end. The *windowed* simulation starts anew in every window from the state that suits the window best, so that a model
-with an integrator is judged by its faults and not by the drift they add up to.
+Two simulations of the recorded input are judged. The *free run* starts from the measured state at the start of the
+record and runs to its end. The *windowed* simulation starts anew in every window from the state that suits the window
+best, so that a model with an integrator is judged by its faults and not by the drift they add up to.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.initial_state import InitialState, starting_state
+from robustlab.identification.input_disturbance import InputDisturbance, input_disturbance
 from robustlab.identification.localisation import (
     Bin,
     Motion,
@@ -29,10 +30,11 @@ from robustlab.identification.localisation import (
 )
 from robustlab.identification.record_quality import channel_warnings
 from robustlab.identification.residual_tests import InputCorrelation, Whiteness, input_correlation, whiteness
-from robustlab.identification.response import Response, response_of
+from robustlab.identification.response import Response, Stretch, response_of
 from robustlab.identification.windowed_simulation import WindowedSimulation, windowed_simulation
 from robustlab.record import Record
 from robustlab.result import Status
+from robustlab.statespace import Signal
 
 __all__ = ["Comparison", "OutputGap", "ResidualTests", "WindowErrors", "compare"]
 
@@ -42,6 +44,7 @@ LAGS = 25
 SHORTEST_WINDOW = 20  # samples
 WINDOWS_AT_LEAST = 4  # that a window chosen by us leaves in the record
 WINDOWS_WITHOUT_TIME_CONSTANT = 50
+PIECES_PER_WINDOW = 4
 LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
 
 REFERENCE = (
@@ -167,8 +170,10 @@ class Comparison:
     window
         Length of the windows in s.
     measured, simulated, windowed, recursive
-        The compared signals: measured, free run, windowed simulation, and the recursive residual (n,) by output, NaN where a
-        sample only fixes the state of its window.
+        The compared signals: measured, free run, windowed simulation, and the recursive residual (n,) by output, NaN
+        where a sample only fixes the state of its window.
+    disturbance
+        Input name -> the addition to it that would explain the record piece by piece, `InputDisturbance`.
     warnings
         What a reader must know before trusting the numbers.
     """
@@ -189,6 +194,7 @@ class Comparison:
     simulated: Record
     windowed: Record
     recursive: Mapping[str, Array]
+    disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
 
     def summary(self) -> str:
@@ -210,6 +216,7 @@ class Comparison:
             "speed": {"signal": self.motion.speed_source, "unit": self.motion.speed_unit, "bins": self.speed},
             "position": {"signal": self.motion.position_name, "unit": self.motion.position_unit, "bins": self.position},
             "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
+            "disturbance": self.disturbance,
             "residual_reference": REFERENCE,
             "residual": self.residual,
             "initial_state": self.initial_state,
@@ -230,6 +237,7 @@ class Comparison:
 def compare(
     plant_or_model: Any,
     record: Record,
+    *,
     window: float | None = None,
     start: float | None = None,
     lags: int = LAGS,
@@ -241,13 +249,13 @@ def compare(
     Parameters
     ----------
     plant_or_model
-        A linear `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record. Inputs are held between
-        samples.
+        A linear `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record.
+        Inputs are held between samples.
     record
         The measurement; it may hold any subset of the outputs, and signals that the model does not know.
     window
-        Length of the windows in s. Left out: the model's slowest time constant, but at most a quarter of the record; a fiftieth of
-        the record for a model of integrators only.
+        Length of the windows in s. Left out: the model's slowest time constant, but at most a quarter of the record; a
+        fiftieth of the record for a model of integrators only.
     start
         Longest opening stretch in s to which the initial state of the free run is fitted; ``window`` where left out
         (see `robustlab.identification.initial_state.starting_state`).
@@ -281,25 +289,21 @@ def compare(
     (0.1, 9.09)
     """
     response = response_of(plant_or_model, record)
-    names, u = response.output_names, {name: record.inputs[name] for name in response.model.input_names}
-    y = np.column_stack([record.outputs[name] for name in names])
-    spread = np.ptp(y, axis=0)
-    weight = 1.0 / np.where(spread > 0, spread, 1.0)
+    record = response.with_units(record)
+    whole = response.stretch(record)
     length = _window_length(response, record, window)
-    longest = length if start is None else _samples("start", start, record)
-    initial = starting_state(response, record.t, u, y, weight, longest)
-    free = response.simulate(record.t, u, initial.x0)
-    if not np.isfinite(free).all() or np.abs(free).max() > LARGEST_OUTPUT:
+    initial = starting_state(response, whole, length if start is None else _samples("start", start, record))
+    free = response.simulate(whole.t, whole.u, initial.x0)
+    if np.abs(free).max() > LARGEST_OUTPUT:
         raise NoTrustworthyNumber(
             f"compare {record.name}",
-            "the free run of the unstable model overflows",
-            None,
+            "the free run overflows",
+            "a stable model",
             "compare a shorter stretch (Record.between)",
         )
-    windows = windowed_simulation(response, record.t, u, y, weight, length)
+    windows = windowed_simulation(response, whole, length)
     motion = motion_of(record, speed, position, length)
-    by_output = _localised(record, names, u, y, free, windows, motion, lags)
-    units = {name: record.unit(name) for name in (*u, *names)}
+    piece = max(length // PIECES_PER_WINDOW, min(length, SHORTEST_WINDOW))
     return Comparison(
         status=Status.CONVERGED,
         model=_name(plant_or_model),
@@ -307,39 +311,33 @@ def compare(
         motion=motion,
         initial_state=initial,
         window=length * record.dt,
-        measured=_kept(record, u, y, names, units, record.name),
-        simulated=_kept(record, u, free, names, units, f"{record.name} (free run)"),
-        windowed=_kept(record, u, windows.y, names, units, f"{record.name} (windowed simulation)"),
-        recursive={name: windows.residual[:, k] for k, name in enumerate(names)},
+        measured=_kept(record, response, whole.y, record.name),
+        simulated=_kept(record, response, free, f"{record.name} (free run)"),
+        windowed=_kept(record, response, windows.y, f"{record.name} (windowed simulation)"),
+        recursive={name: windows.residual[:, k] for k, name in enumerate(response.output_names)},
+        disturbance={name: input_disturbance(response, name, whole, piece, motion) for name in whole.u},
         warnings=_warnings(response, record, initial, motion),
-        **by_output,
+        **_localised(whole, response.outputs, free, windows, motion, lags=min(lags, record.n // 4)),
     )
 
 
 def _localised(
-    record: Record,
-    names: tuple[str, ...],
-    u: Mapping[str, Array],
-    y: Array,
-    free: Array,
-    windows: WindowedSimulation,
-    motion: Motion,
-    lags: int,
+    whole: Stretch, outputs: tuple[Signal, ...], free: Array, windows: WindowedSimulation, motion: Motion, *, lags: int
 ) -> dict[str, Any]:
     """Gap, windows, speed, position, frequency and residual tests of every output."""
     result: dict[str, dict[str, Any]] = {
         key: {} for key in ("outputs", "windows", "speed", "position", "frequency", "residual")
     }
-    lags = min(lags, record.n // 4)
-    for k, name in enumerate(names):
+    t, u, y = whole.t, whole.u, whole.y
+    for k, (name, unit) in enumerate(outputs):
         error, local = y[:, k] - free[:, k], y[:, k] - windows.y[:, k]
-        result["outputs"][name] = _gap(name, record.unit(name), record.t, y[:, k], error, local)
-        result["windows"][name] = _window_errors(record.t, error, local, windows.edges)
+        result["outputs"][name] = _gap(Signal(name, unit), t, y[:, k], error, local)
+        result["windows"][name] = _window_errors(t, error, local, windows.edges)
         if motion.speed is not None:
             result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
         if motion.position is not None:
             result["position"][name] = bins(motion.position, local, position_edges(motion.position))
-        result["frequency"][name] = spectrum(record.t, u, y[:, k], free[:, k], windows.y[:, k])
+        result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k], windows.y[:, k])
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
         rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
@@ -348,7 +346,7 @@ def _localised(
     return result
 
 
-def _gap(name: str, unit: str, t: Array, y: Array, error: Array, local: Array) -> OutputGap:
+def _gap(signal: Signal, t: Array, y: Array, error: Array, local: Array) -> OutputGap:
     spread, spread_rms = float(np.ptp(y)), float(np.sqrt(np.mean((y - y.mean()) ** 2)))
 
     def judged(e: Array) -> tuple[float, float, float, float, float]:
@@ -357,7 +355,7 @@ def _gap(name: str, unit: str, t: Array, y: Array, error: Array, local: Array) -
         fit = 100.0 * (1.0 - rms / spread_rms) if spread else np.nan
         return peak, rms, peak * percent, rms * percent, fit
 
-    return OutputGap(name, unit, spread, *judged(error), float(t[np.abs(error).argmax()]), *judged(local))
+    return OutputGap(signal.name, signal.unit, spread, *judged(error), float(t[np.abs(error).argmax()]), *judged(local))
 
 
 def _window_errors(t: Array, error: Array, local: Array, edges: NDArray[np.int_]) -> WindowErrors:
@@ -392,10 +390,11 @@ def _samples(what: str, seconds: float, record: Record) -> int:
     return round(seconds / record.dt)
 
 
-def _kept(
-    record: Record, u: Mapping[str, Array], y: Array, names: tuple[str, ...], units: Mapping[str, str], name: str
-) -> Record:
-    return Record(record.t, u, {key: y[:, k] for k, key in enumerate(names)}, units, name)
+def _kept(record: Record, response: Response, y: Array, title: str) -> Record:
+    """The compared signals alone, with ``y`` as outputs."""
+    inputs = {name: record.inputs[name] for name in response.model.input_names}
+    outputs = {name: y[:, k] for k, name in enumerate(response.output_names)}
+    return Record(record.t, inputs, outputs, {name: record.unit(name) for name in (*inputs, *outputs)}, title)
 
 
 def _name(plant_or_model: Any) -> str:

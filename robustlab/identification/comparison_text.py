@@ -14,12 +14,14 @@ __all__ = ["summary"]
 
 def summary(c: Comparison) -> str:
     """A dozen lines: sizes of the gap, where it lives, what the residual tests say, warnings."""
-    lines = [
+    head = (
         f"{c.model} against {c.record}: {c.measured.n} samples, {c.measured.duration:.4g} s; "
         f"windows of {c.window:.4g} s; percent of the measured range"
-    ]
+    )
+    lines = [head]
     for name in c.outputs:
         lines += ["", *_gap_lines(c, name), *_place_lines(c, name), *_residual_lines(c, name)]
+    lines += _disturbance_lines(c)
     if c.warnings:
         lines += ["", *(f"warning: {text}" for text in c.warnings)]
     return "\n".join(lines)
@@ -28,58 +30,75 @@ def summary(c: Comparison) -> str:
 def _gap_lines(c: Comparison, name: str) -> list[str]:
     g = c.outputs[name]
     unit = f" {g.unit}" if g.unit else ""
-    return [
-        f"{name}: range {g.range:.4g}{unit}",
+    free = (
         f"  free run   peak {g.peak:.4g}{unit} ({g.peak_percent:.3g} %) at {g.peak_time:.4g} s, "
-        f"rms {g.rms:.4g}{unit} ({g.rms_percent:.3g} %), fit {g.fit:.2f} %",
+        f"rms {g.rms:.4g}{unit} ({g.rms_percent:.3g} %), fit {g.fit:.2f} %"
+    )
+    windowed = (
         f"  windowed   peak {g.windowed_peak:.4g}{unit} ({g.windowed_peak_percent:.3g} %), "
-        f"rms {g.windowed_rms:.4g}{unit} ({g.windowed_rms_percent:.3g} %), fit {g.windowed_fit:.2f} %",
-    ]
+        f"rms {g.windowed_rms:.4g}{unit} ({g.windowed_rms_percent:.3g} %), fit {g.windowed_fit:.2f} %"
+    )
+    return [f"{name}: range {g.range:.4g}{unit}", free, windowed]
 
 
 def _place_lines(c: Comparison, name: str) -> list[str]:
     w, s = c.windows[name], c.frequency[name]
-    lines = [
+    time = (
         f"  time       worst window {w.start[w.worst]:.4g} to {w.stop[w.worst]:.4g} s holds "
         f"{100 * w.windowed_share[w.worst]:.1f} % of the windowed squared error "
         f"({100 / len(w.start):.1f} % if spread evenly)"
-    ]
-    if name in c.speed:
-        b = c.speed[name]
-        rest = len(b) // 2
-        parts = (b[:rest], b[rest : rest + 1], b[rest + 1 :])
-        texts = [
-            f"{word} {100 * sum(x.share for x in part):.0f} %"
-            for word, part in zip(("backward", "rest", "forward"), parts, strict=True)
-        ]
-        worst = max(b, key=lambda x: x.rms)
-        lines.append(
-            f"  speed      windowed squared error: {', '.join(texts)}; largest rms {worst.rms:.3g} {c.outputs[name].unit} "
-            f"at {worst.low:.3g} to {worst.high:.3g} {c.motion.speed_unit}"
-        )
+    )
     top, local = int(s.error_share.argmax()), int(s.windowed_share.argmax())
-    lines.append(
+    frequency = (
         f"  frequency  free run {100 * s.error_share[top]:.0f} % in {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz, "
         f"windowed {100 * s.windowed_share[local]:.0f} % in {s.bands[local]:.3g} to {s.bands[local + 1]:.3g} Hz"
     )
+    return [time, *_speed_lines(c, name), frequency]
+
+
+def _speed_lines(c: Comparison, name: str) -> list[str]:
+    if name not in c.speed:
+        return []
+    b = c.speed[name]
+    rest = len(b) // 2
+    parts = {"backward": b[:rest], "rest": b[rest : rest + 1], "forward": b[rest + 1 :]}
+    shares = ", ".join(f"{word} {100 * sum(x.share for x in part):.0f} %" for word, part in parts.items())
+    worst = max(b, key=lambda x: x.rms)
+    text = (
+        f"  speed      windowed squared error: {shares}; largest rms {worst.rms:.3g} {c.outputs[name].unit} "
+        f"at {worst.low:.3g} to {worst.high:.3g} {c.motion.speed_unit}"
+    )
+    return [text]
+
+
+def _disturbance_lines(c: Comparison) -> list[str]:
+    lines: list[str] = []
+    for name, d in c.disturbance.items():
+        unit = c.measured.unit(name)
+        share = f"{100 * d.explained_share:.0f} % of the error"
+        text = f"as an addition to input {name}: {share} in pieces of {d.seconds:.3g} s"
+        if np.isfinite(d.forward) and np.isfinite(d.backward):
+            text += f"; mean {d.forward:+.3g} {unit} moving forward, {d.backward:+.3g} {unit} backward"
+        lines += ["", text]
     return lines
 
 
 def _residual_lines(c: Comparison, name: str) -> list[str]:
     r = c.residual[name]
     w = r.whiteness
-    lines = [
-        f"  residual   one-step rms {r.rms:.3g} {c.outputs[name].unit}; {_verdict(w.p_value, 'white', 'not white')} "
-        f"(Ljung-Box {w.statistic:.4g}, {w.dof} lags, p {_p(w.p_value)}); "
-        f"{100 * w.predictable_share:.1f} % of its variance is predictable from its past"
-    ]
+    past = (
+        f"  residual   {_verdict(w.p_value, 'white', 'not white')} (Ljung-Box {w.statistic:.4g}, {w.dof} lags, "
+        f"p {_p(w.p_value)}); {100 * w.predictable_share:.1f} % of its variance is predictable from its past"
+    )
+    lines = [past]
     for u, test in r.inputs.items():
-        lines.append(
+        text = (
             f"  input {u:<5}{_verdict(test.p_value, 'independent of the residual', 'still in the residual')} "
             f"(statistic {test.statistic:.4g}, {test.dof} degrees, p {_p(test.p_value)}); "
-            f"it explains {100 * test.explained_share:.1f} % of the variance; "
+            f"explains {100 * test.explained_share:.1f} % of its variance; "
             f"largest correlation {np.abs(test.correlation).max():.3f} (99 % band {test.band:.3f})"
         )
+        lines.append(text)
     return lines
 
 

@@ -6,15 +6,14 @@ For a linear model :math:`y(t) = y_u(t) + S(t) x_0` with the forced response :ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.identification.response import Response
+from robustlab.identification.response import Response, Stretch
 
-__all__ = ["InitialState", "StateFit", "fit_state", "starting_state"]
+__all__ = ["InitialState", "StateFit", "fit_state", "starting_state", "weighted_least_squares"]
 
 Array = NDArray[np.float64]
 
@@ -59,7 +58,8 @@ class InitialState:
     samples, seconds
         Length of the stretch it was fitted to.
     rank
-        Number of state directions that the recorded outputs determine; less than n_x means part of the start is unknown.
+        Number of state directions that the recorded outputs determine; less than n_x means part of the start is
+        unknown.
     """
 
     x0: Array
@@ -81,27 +81,15 @@ class InitialState:
         }
 
 
-def fit_state(
-    response: Response, t: Array, u: Mapping[str, Array], y: Array, weight: Array, free: Array | None = None
-) -> StateFit:
-    """Initial state of the stretch ``t``, ``u``, ``y`` (n, n_y).
-
-    Parameters
-    ----------
-    weight
-        Factor of each output's error, shape (n_y,).
-    free
-        Free response over ``t``, where it is known already.
-    """
-    forced = response.simulate(t, u, np.zeros(response.n_states))
-    free = response.free_response(t) if free is None else free
-    x0, std, rank = _least_squares(free, y - forced, weight)
+def fit_state(response: Response, stretch: Stretch, free: Array | None = None) -> StateFit:
+    """Initial state of a stretch; ``free`` is the free response over its clock, where it is known already."""
+    forced = response.simulate(stretch.t, stretch.u, np.zeros(response.n_states))
+    free = response.free_response(stretch.t) if free is None else free
+    x0, std, rank = weighted_least_squares(free, stretch.y - forced, stretch.weight)
     return StateFit(x0, std, rank, forced + free @ x0)
 
 
-def starting_state(
-    response: Response, t: Array, u: Mapping[str, Array], y: Array, weight: Array, longest: int
-) -> InitialState:
+def starting_state(response: Response, whole: Stretch, longest: int) -> InitialState:
     """State at the start of a record, from the longest opening stretch over which the estimate stays consistent.
 
     A short stretch suffers from noise, a long one from the faults of the model. The stretch is doubled from 20 samples
@@ -112,23 +100,23 @@ def starting_state(
     ----------
     Goldenshluger and Nemirovski, "On spatially adaptive estimation of nonparametric regression" (1997).
     """
-    n = min(len(t), max(SHORTEST_START, 4 * response.n_states))
+    n = min(len(whole.t), max(SHORTEST_START, 4 * response.n_states))
     low, high = np.full(response.n_states, -np.inf), np.full(response.n_states, np.inf)
     best: tuple[int, StateFit] | None = None
     while True:
-        fit = fit_state(response, t[:n], {k: v[:n] for k, v in u.items()}, y[:n], weight)
+        fit = fit_state(response, whole.cut(0, n))
         low, high = np.maximum(low, fit.x0 - 3.0 * fit.std), np.minimum(high, fit.x0 + 3.0 * fit.std)
         if best is not None and (low > high).any():
             break
         best = n, fit
-        if 2 * n > min(longest, len(t)) or not response.n_states:
+        if 2 * n > min(longest, len(whole.t)) or not response.n_states:
             break
         n *= 2
     n, fit = best
-    return InitialState(fit.x0, fit.std, response.model.state_names, n, float(t[n - 1] - t[0]), fit.rank)
+    return InitialState(fit.x0, fit.std, response.model.state_names, n, float(whole.t[n - 1] - whole.t[0]), fit.rank)
 
 
-def _least_squares(free: Array, error: Array, weight: Array) -> tuple[Array, Array, int]:
+def weighted_least_squares(free: Array, error: Array, weight: Array) -> tuple[Array, Array, int]:
     """Weighted least-squares state, its standard deviation for white errors, and the rank."""
     n_x = free.shape[2]
     if not n_x:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,7 +78,9 @@ class Bin:
 
 @dataclass(frozen=True)
 class Spectrum:
-    r"""Power spectral densities by Welch's method (Hann window, half overlap, mean kept), and the input's coherence with the error.
+    r"""Power spectral densities by Welch's method, and the coherence of the inputs with the error.
+
+    Hann window, half overlap, mean kept (a constant error is an error at frequency 0).
 
     Attributes
     ----------
@@ -86,8 +89,8 @@ class Spectrum:
     measured, simulated, error, windowed_error
         One-sided densities in unit²/Hz, shape (n_f,); ``error`` is that of the free run.
     coherence
-        Input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that frequency that
-        is linear in this input.
+        Input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that
+        frequency that is linear in this input.
     coherence_level
         99 % of the coherences of independent signals lie below this.
     bands
@@ -95,7 +98,8 @@ class Spectrum:
     error_share, windowed_share
         Share of the squared error per band, shape (n_bands,), sum 1.
     relative_error
-        RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where nothing was measured.
+        RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where
+        nothing was measured.
     """
 
     frequency: Array
@@ -134,9 +138,9 @@ def time_shares(error: ArrayLike, edges: ArrayLike) -> Array:
 def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
     """Speed and position of a record.
 
-    The speed is the named output, else the first output in a unit of speed; failing that the derivative of the position by a
-    Savitzky-Golay filter of order 3 over about a tenth of the window (5 samples at least). The position is the named output,
-    else the first one in a unit of length or angle.
+    The speed is the named output, else the first output in a unit of speed; failing that the derivative of the
+    position by a Savitzky-Golay filter of order 3 over about a tenth of the window (5 samples at least). The position
+    is the named output, else the first one in a unit of length or angle.
     """
     position = position or _first_in(record, POSITION_UNITS)
     speed = speed or _first_in(record, SPEED_UNITS)
@@ -150,7 +154,7 @@ def motion_of(record: Record, speed: str | None, position: str | None, window: i
 
     length = min(max(5, window // 10), record.n)
     length -= 1 - length % 2
-    slope = savgol_filter(q, length, POLYNOMIAL, deriv=1, delta=record.dt)
+    slope = np.asarray(savgol_filter(q, length, POLYNOMIAL, deriv=1, delta=record.dt), dtype=np.float64)
     source = f"derivative of {position} (Savitzky-Golay, order {POLYNOMIAL}, {length} samples)"
     return Motion(slope, q, f"{q_unit}/s" if q_unit else "1/s", q_unit, source, position or "")
 
@@ -160,7 +164,10 @@ def _first_in(record: Record, units: tuple[str, ...]) -> str | None:
 
 
 def speed_edges(speed: Array, per_direction: int = 5) -> Array:
-    """Edges of speed bins, symmetric about a bin of rest; shape (2 per_direction + 2,). Rest is below 2 % of the largest speed."""
+    """Edges of speed bins, symmetric about a bin of rest, shape (2 per_direction + 2,).
+
+    Rest is below 2 % of the largest speed.
+    """
     top = float(np.abs(speed).max()) or 1.0
     forward = np.linspace(REST * top, top, per_direction + 1)
     return np.concatenate([-forward[::-1], forward])
@@ -196,11 +203,11 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
         measured, simulated, windowed = (np.interp(grid, t, x) for x in (measured, simulated, windowed))
         inputs = {name: np.interp(grid, t, x) for name, x in inputs.items()}
     segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
-    options = {"fs": 1.0 / dt, "window": "hann", "nperseg": segment, "noverlap": segment // 2}
+    options: dict[str, Any] = {"fs": 1.0 / dt, "window": "hann", "nperseg": segment, "noverlap": segment // 2}
     error = measured - simulated
-    f, p_measured = welch(measured, detrend=False, **options)
+    f, p_measured = welch(measured, detrend=cast("Any", False), **options)
     p_simulated, p_error, p_windowed = (
-        welch(x, detrend=False, **options)[1] for x in (simulated, error, measured - windowed)
+        welch(x, detrend=cast("Any", False), **options)[1] for x in (simulated, error, measured - windowed)
     )
     with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 where a signal has no power: coherence 0
         shared = {

@@ -21,25 +21,21 @@ def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str
 
     Inputs are not judged for clipping: a step or a square wave stands at its extremes rightly.
     """
-    warnings = [
-        f"{name} is constant ({record[name][0]:.6g} {record.unit(name)})".rstrip()
-        for name in (*inputs, *outputs)
-        if not np.ptp(record[name])
-    ]
+    standing = [name for name in (*inputs, *outputs) if not np.ptp(record[name])]
+    warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in standing]
     for name in outputs:
         count = clipped_samples(record[name])
         if count > CLIPPED_SHARE * record.n:
-            warnings.append(
-                f"{name} looks clipped: {count} of {record.n} samples stand at the end of its range, reached at full slope"
-            )
+            share = f"{count} of {record.n} samples"
+            warnings.append(f"{name} looks clipped: {share} stand at the end of its range, reached at full slope")
     return warnings
 
 
 def clipped_samples(y: Array) -> int:
-    """Number of samples in which a signal stands still at its largest or smallest value after arriving there with a jump.
+    """Number of samples that stand still at the largest or smallest value, which was reached or left with a jump.
 
-    A sensor at its limit stops from full slope; a machine that comes to rest slows down first. A stand counts from 5 samples on
-    and where the last step before it, or the first after it, is at least half the signal's median step.
+    A sensor at its limit stops from full slope; a machine that comes to rest slows down first. A stand counts from 5
+    samples on and where the last step before it, or the first after it, is at least half the signal's median step.
     """
     if len(y) < SHORTEST_CLIP + 2 or len(np.unique(y)) < FEWEST_LEVELS:
         return 0

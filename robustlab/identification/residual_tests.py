@@ -1,8 +1,9 @@
 r"""Tests of a residual: is it white, and is it independent of the input?
 
-Both tests have the same reference (null hypothesis): the output-error model :math:`y = G(u) + e` with the given G and white noise e
-that is independent of u. A long record makes every deviation significant, however small; so each test also gives the *size* of the
-effect: the share of the residual's variance that its own past, or the input, explains linearly.
+Both tests have the same reference (null hypothesis): the output-error model :math:`y = G(u) + e` with the given G and
+white noise e that is independent of u. A long record makes every deviation significant, however small; so each test
+also gives the *size* of the effect: the share of the residual's variance that its own past, or the input, explains
+linearly.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ class Whiteness:
 
     .. math:: Q = N (N + 2) \sum_{k=1}^{m} \frac{r_k^2}{N_k}, \qquad Q \sim \chi^2_m \text{ for a white residual}
 
-    with :math:`N_k` the number of pairs at lag k (N - k without gaps). The residual is not centred: a constant offset is an error.
-    No degree of freedom is taken off, as no parameter was fitted.
+    with :math:`N_k` the number of pairs at lag k (N - k without gaps). The residual is not centred: a constant offset
+    is an error. No degree of freedom is taken off, as no parameter was fitted.
 
     Attributes
     ----------
@@ -65,15 +66,17 @@ class InputCorrelation:
     .. math:: r_k = \frac{\sum_t e_{t+k} \tilde u_t}{\sqrt{\sum e^2 \sum \tilde u^2}}, \qquad
               Q = N R^2 \sim \chi^2_{rank} \text{ for a white residual independent of } u
 
-    with :math:`\tilde u` the input without its mean and R² of the regression of e on :math:`\tilde u_t, ..., \tilde u_{t-m}`.
+    with :math:`\tilde u` the input without its mean and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
+    u_{t-m}`.
 
     Attributes
     ----------
     lags, correlation
-        Lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,). Correlation at negative lags
-        means that the input was computed from the output: the record was taken in closed loop.
+        Lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,). Correlation at
+        negative lags means that the input was computed from the output: the record was taken in closed loop.
     band
-        99 % band of r_k, corrected for the residual's and the input's own correlation; as wide as 2.58 / sqrt(N) for white ones.
+        99 % band of r_k, corrected for the residual's and the input's own correlation; as wide as 2.58 / sqrt(N) for
+        white ones.
     statistic, dof, p_value
         Q, the number of excited directions among the m + 1 lags, and the probability of a larger Q.
     explained_share
@@ -118,7 +121,7 @@ def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.i
 
 def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
     """Ljung-Box test over the first ``lags`` autocorrelations of a residual (n,); NaN samples are left out."""
-    from scipy.linalg import lstsq, toeplitz
+    from scipy.linalg import toeplitz
     from scipy.stats import chi2
 
     r, pairs = autocorrelation(residual, lags)
@@ -126,24 +129,29 @@ def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
     used = pairs[1:] > 0
     statistic = float(n * (n + 2) * (r[1:][used] ** 2 / pairs[1:][used]).sum())
     dof = int(used.sum())
-    predictor = lstsq(toeplitz(r[:-1]), r[1:])[0] if lags else np.zeros(0)
+    predictor = np.linalg.lstsq(toeplitz(r[:-1]), r[1:])[0] if lags else np.zeros(0)
     share = float(np.clip(predictor @ r[1:], 0.0, 1.0))
     p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
     return Whiteness(np.arange(lags + 1), r, float(BAND_99 / np.sqrt(max(n, 1))), statistic, dof, p_value, share, n)
 
 
 def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorrelation:
-    """Cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``; NaN samples of the residual are left out."""
+    """Cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``.
+
+    NaN samples of the residual are left out.
+    """
     from scipy.stats import chi2
 
-    e = np.asarray(residual, dtype=float)
-    v = np.asarray(u, dtype=float) - np.mean(np.asarray(u, dtype=float))
+    e: Array = np.asarray(residual, dtype=np.float64)
+    v: Array = np.asarray(u, dtype=np.float64)
+    v = v - float(v.mean())
     filled = np.nan_to_num(e)
     n, total = int(np.isfinite(e).sum()), len(e)
     size = float(np.sqrt((filled @ filled) * (v @ v)))
     ahead = [filled[k:] @ v[: total - k] for k in range(lags + 1)]
     behind = [filled[: total - k] @ v[k:] for k in range(lags, 0, -1)]
-    correlation = np.array([*behind, *ahead]) / (size or 1.0)
+    correlation: Array = np.array([*behind, *ahead], dtype=np.float64)
+    correlation /= size or 1.0
     r_e, r_u = autocorrelation(e, lags)[0], autocorrelation(v, lags)[0]
     # Variance of r_k for a coloured residual that is independent of a coloured input (Ljung 1999, eq. 16.64).
     spread = max(1.0, float(1.0 + 2.0 * (r_e[1:] @ r_u[1:])))

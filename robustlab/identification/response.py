@@ -1,4 +1,4 @@
-"""The model as a comparison needs it: its response to a recorded input, and how that response depends on the initial state."""
+"""The model and the record as a comparison needs them: matched by names and units, and the model's responses."""
 
 from __future__ import annotations
 
@@ -13,12 +13,39 @@ from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model
 
-__all__ = ["Response", "response_of"]
+__all__ = ["Response", "Stretch", "response_of"]
 
 Array = NDArray[np.float64]
 
 # A pole slower than this share of the fastest one counts as an integrator.
 INTEGRATOR = 1e-9
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a record at the compared signals.
+
+    Attributes
+    ----------
+    t
+        Clock in s, shape (n,).
+    u
+        Input name -> samples (n,).
+    y
+        Measured outputs, shape (n, n_y).
+    weight
+        Factor of each output's error in least squares, shape (n_y,): one over the measured range of the whole record.
+    """
+
+    t: Array
+    u: Mapping[str, Array]
+    y: Array
+    weight: Array
+
+    def cut(self, first: int, last: int) -> Stretch:
+        """Samples ``first .. last - 1``."""
+        part = slice(first, last)
+        return Stretch(self.t[part], {name: v[part] for name, v in self.u.items()}, self.y[part], self.weight)
 
 
 @dataclass(frozen=True)
@@ -30,7 +57,7 @@ class Response:
     model
         The model; its other outputs are not compared.
     outputs
-        The compared outputs (name, unit).
+        The compared outputs, with their unit as recorded or else as in the model.
     warnings
         What was noticed while model and record were matched.
     """
@@ -48,6 +75,18 @@ class Response:
     def output_names(self) -> tuple[str, ...]:
         """Names of the compared outputs."""
         return tuple(s.name for s in self.outputs)
+
+    def with_units(self, record: Record) -> Record:
+        """The record, with the model's unit for every shared signal whose own is not stated."""
+        units = {name: unit for name, unit in (*self.model.inputs, *self.outputs) if not record.unit(name)}
+        return Record(record.t, record.inputs, record.outputs, {**record.units, **units}, record.name, record.meaning)
+
+    def stretch(self, record: Record) -> Stretch:
+        """The compared signals of the whole record."""
+        y = np.column_stack([record.outputs[name] for name in self.output_names])
+        spread = np.ptp(y, axis=0)
+        u = {name: record.inputs[name] for name in self.model.input_names}
+        return Stretch(record.t, u, y, 1.0 / np.where(spread > 0, spread, 1.0))
 
     def simulate(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
         """Outputs (n, n_y) for the inputs ``u`` held between samples, from the state ``x0`` (n_x,).
@@ -67,10 +106,17 @@ class Response:
         columns = [self._run(t, at_rest, unit) for unit in np.eye(self.n_states)]
         return np.stack(columns, axis=2) if columns else np.zeros((len(t), len(self.outputs), 0))
 
+    def step_response(self, name: str, t: Array) -> Array:
+        """Response to a unit step of the input ``name`` at t_0 from rest, shape (n, n_y, 1)."""
+        step = {key: np.full(len(t), float(key == name)) for key in self.model.input_names}
+        return self._run(t, step, np.zeros(self.n_states))[:, :, None]
+
     def _run(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
         from robustlab.dynamics import simulate
 
-        record = simulate(self.model, t, dict(u), x0)
+        # A discrete model counts samples; a recorded clock carries rounding and jitter.
+        clock = self.model.dt * np.arange(len(t)) if self.model.is_discrete else t
+        record = simulate(self.model, clock, dict(u), x0)
         return np.column_stack([record.outputs[name] for name in self.output_names])
 
     def slowest_time_constant(self) -> float:
@@ -89,7 +135,8 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
     Raises
     ------
     InputError
-        An input of the model is not recorded, no output is, or a discrete model has another sample time than the record.
+        An input of the model is not recorded, no output is, or a discrete model has another sample time than the
+        record.
     UnitMismatch
         A signal carries a unit in the model and another one in the record.
     """
@@ -118,7 +165,8 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
             "use the continuous model",
         )
     warnings = _check_units(where, (*model.inputs, *compared), record)
-    return Response(model, compared, tuple(warnings))
+    outputs = tuple(Signal(s.name, record.unit(s.name) or s.unit) for s in compared)
+    return Response(model, outputs, tuple(warnings))
 
 
 def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) -> list[str]:

@@ -1,16 +1,19 @@
 r"""Simulation in windows, each from its own best initial state, and the residual that such windows leave.
 
-Over a long record a model with an integrator drifts, and its error says little about where the model is wrong. So the record is
-cut into windows, and in each the initial state is fitted by least squares over the whole window: what is left is the part of the
-error that no initial state explains.
+Over a long record a model with an integrator drifts, and its error says little about where the model is wrong. So the
+record is cut into windows, and in each the initial state is fitted by least squares over the whole window: what is
+left is the part of the error that no initial state explains.
 
-The windowed error itself is not white even for a perfect model, because the fit uses up n_x directions in each window. The
-*recursive residual* has no such flaw: sample k is predicted with the initial state fitted to the samples of its window before k,
+The windowed error itself is not white even for a perfect model, because the fit uses up n_x directions in each
+window. The *recursive residual* has no such flaw: sample k is predicted with the initial state fitted to the samples
+of its window before k,
 
-.. math:: w_k = \frac{y_k - y_{u,k} - s_k^T \hat x_{k-1}}{\sqrt{1 + s_k^T P_{k-1} s_k}}, \qquad P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1}.
+.. math:: w_k = \frac{y_k - y_{u,k} - s_k^T \hat x_{k-1}}{\sqrt{1 + s_k^T P_{k-1} s_k}}, \qquad
+          P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1}.
 
-If the model is right and the output noise white, the :math:`w_k` are white with the variance of the noise, exactly and for every
-window length. They come from a QR decomposition that is updated by one row at a time (no matrix is inverted).
+If the model is right and the output noise white, the :math:`w_k` are white with the variance of the noise, exactly
+and for every window length. They come from a QR decomposition that is updated by one row at a time (no matrix is
+inverted).
 
 References
 ----------
@@ -19,14 +22,14 @@ Brown, Durbin, Evans, "Techniques for testing the constancy of regression relati
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.identification.initial_state import fit_state
-from robustlab.identification.response import Response
+from robustlab.identification.response import Response, Stretch
 from robustlab.record import UNIFORM_TOLERANCE
 
 __all__ = ["WindowedSimulation", "recursive_residual", "window_edges", "windowed_simulation"]
@@ -50,7 +53,8 @@ class WindowedSimulation:
     x0
         Fitted initial states, shape (n_windows, n_x).
     residual
-        Recursive residual in units of the outputs, shape (n, n_y); NaN at the samples that only fix the state of their window.
+        Recursive residual in units of the outputs, shape (n, n_y); NaN at the samples that only fix the state of
+        their window.
     """
 
     edges: NDArray[np.int_]
@@ -73,18 +77,9 @@ def window_edges(n: int, length: int) -> NDArray[np.int_]:
     return np.array([*edges, n])
 
 
-def windowed_simulation(
-    response: Response, t: Array, u: Mapping[str, Array], y: Array, weight: Array, length: int
-) -> WindowedSimulation:
-    """Simulate every window of ``length`` samples from its own least-squares initial state.
-
-    Parameters
-    ----------
-    t, u, y
-        Clock (n,), inputs by name, measured outputs (n, n_y).
-    weight
-        Weight of each output's error in the fit, shape (n_y,).
-    """
+def windowed_simulation(response: Response, whole: Stretch, length: int) -> WindowedSimulation:
+    """Simulate every window of ``length`` samples from its own least-squares initial state."""
+    t, y = whole.t, whole.y
     edges = window_edges(len(t), length)
     longest = int(np.diff(edges).max())
     step = np.diff(t)
@@ -94,17 +89,17 @@ def windowed_simulation(
     n_windows = len(edges) - 1
     simulated, states = np.empty_like(y), np.empty((n_windows, response.n_states))
     error, residual = np.full((longest, y.shape[1], n_windows), np.nan), np.empty_like(y)
-    for k, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (first, last) in enumerate(pairwise(edges)):
         part, size = slice(first, last), last - first
         free = shared[:size] if shared is not None else response.free_response(t[part])
-        fit = fit_state(response, t[part], {name: v[part] for name, v in u.items()}, y[part], weight, free)
+        fit = fit_state(response, whole.cut(first, last), free)
         simulated[part], states[k] = fit.y, fit.x0
         error[:size, :, k] = y[part] - fit.y
         if shared is None:
-            residual[part] = recursive_residual(free, error[:size, :, k : k + 1], weight)[:, :, 0]
+            residual[part] = recursive_residual(free, error[:size, :, k : k + 1], whole.weight)[:, :, 0]
     if shared is not None:
-        padded = recursive_residual(shared, error, weight)
-        for k, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        padded = recursive_residual(shared, error, whole.weight)
+        for k, (first, last) in enumerate(pairwise(edges)):
             residual[first:last] = padded[: last - first, :, k]
     return WindowedSimulation(edges, simulated, states, residual)
 
@@ -117,8 +112,8 @@ def recursive_residual(free: Array, error: Array, weight: Array) -> Array:
     free
         Free response, shape (n, n_y, n_x).
     error
-        Measured minus simulated outputs from any one initial state, shape (n, n_y, n_windows); the residual does not depend on
-        which. A window that ends earlier than the others ends in NaN.
+        Measured minus simulated outputs from any one initial state, shape (n, n_y, n_windows); the residual does not
+        depend on which. A window that ends earlier than the others ends in NaN.
     weight
         One over the relative size of the noise at each output, shape (n_y,).
     """
