@@ -1,0 +1,121 @@
+"""HDF5 files as trees: reading what others wrote, writing so that MATLAB, Octave and Julia can read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.atomic import atomic_write
+from robustlab.files.isolation import read_isolated
+from robustlab.files.limits import MIB, Limits
+from robustlab.files.matlab import from_matlab73, read_matlab5
+from robustlab.files.signature import content_of
+from robustlab.files.tree import Dataset, Tree, Unread, canonical
+
+__all__ = ["read_tree", "write_tree"]
+
+COMPRESS_FROM = 64 << 10  # bytes; smaller datasets gain nothing
+MAX_ATTRIBUTE_TEXT = 60_000  # bytes; HDF5 keeps attributes in a header of 64 KiB
+
+
+def read_tree(path: str | Path, group: str | None = None, limits: Limits | None = None, isolate: bool = True) -> Tree:
+    """Read an HDF5 or MATLAB (5, 7.3) file from outside.
+
+    Parameters
+    ----------
+    path
+        The file; its kind is told by its content.
+    group
+        Read the values below this group (and in the root) only.
+    limits
+        Sizes that are accepted.
+    isolate
+        False reads in this process, with the same checks; for tests, and for files this process has just written.
+
+    Raises
+    ------
+    InputError
+        Anything that is wrong with the file.
+    """
+    limits = limits or Limits()
+    kind = content_of(path, limits)
+    if kind == "text":
+        raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
+    if isolate:
+        tree = read_isolated(kind, path, limits, group)
+    elif kind == "hdf5":
+        from robustlab.files.hdf5_reader import read_hdf5
+
+        tree = read_hdf5(str(path), limits, group)
+    else:
+        tree = read_matlab5(str(path), limits)
+    return from_matlab73(tree) if kind == "hdf5" else tree
+
+
+def write_tree(path: str | Path, tree: Tree) -> Path:
+    """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as fixed-length UTF-8.
+
+    The file is laid out in memory first, so that a full disk meets one plain write and never a half-flushed HDF5 library.
+
+    Raises
+    ------
+    InputError
+        Values that HDF5 or format 1 cannot hold.
+    EnvironmentFault
+        The file cannot be written; the previous one is kept.
+    """
+    image = _image(tree)
+    return atomic_write(path, lambda temporary: temporary.write_bytes(image))
+
+
+def _image(tree: Tree) -> bytes:
+    import h5py
+
+    with h5py.File("image.h5", "w", libver=("earliest", "v108"), driver="core", backing_store=False) as file:
+        _write_group(file, tree)
+        file.flush()
+        return file.id.get_file_image()
+
+
+def _write_group(target: Any, tree: Tree) -> None:
+    _write_attributes(target, tree.attrs, tree.path)
+    for name, dataset in tree.datasets.items():
+        _write_dataset(target, name, dataset, tree.child_path(name))
+    for name, group in tree.groups.items():
+        _write_group(target.create_group(name), group)
+
+
+def _write_dataset(target: Any, name: str, dataset: Dataset, path: str) -> None:
+    if isinstance(dataset.values, Unread):
+        raise InputError(path, f"values of type {dataset.values.dtype}", "numbers or text")
+    values = _storable(canonical(dataset.values, path))
+    options: dict[str, Any] = {}
+    if values.size and values.ndim:
+        options["fletcher32"] = True
+        if values.nbytes <= MIB:
+            options["chunks"] = values.shape
+        if values.nbytes >= COMPRESS_FROM:
+            options.update(compression="gzip", compression_opts=4, shuffle=True)
+    _write_attributes(target.create_dataset(name, data=values, **options), dataset.attrs, path)
+
+
+def _write_attributes(target: Any, attrs: dict[str, Any], path: str) -> None:
+    for name, value in attrs.items():
+        values = _storable(canonical(value, f"{path}@{name}"))
+        if values.nbytes > MAX_ATTRIBUTE_TEXT:
+            raise InputError(path, f"attribute {name} of {values.nbytes} bytes", f"at most {MAX_ATTRIBUTE_TEXT}")
+        target.attrs.create(name, values)
+
+
+def _storable(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Text as fixed-length UTF-8, which MATLAB, Octave and Julia read; numbers as they are."""
+    import h5py
+
+    if values.dtype.kind != "U":
+        return values
+    raw = [text.encode() for text in values.ravel().tolist()]
+    length = max((len(item) for item in raw), default=1) or 1
+    return np.array(raw, dtype=h5py.string_dtype("utf-8", length)).reshape(values.shape)

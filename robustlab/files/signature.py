@@ -1,0 +1,115 @@
+"""What a file is, by its first bytes; faults of the file itself (missing, a directory, empty, of a refused kind)."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Literal
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.files.limits import Limits, size_text
+
+__all__ = ["Content", "content_of", "require_file"]
+
+Content = Literal["hdf5", "matlab5", "text"]
+
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+BINARY_SUFFIXES = {".h5", ".hdf5", ".hdf", ".he5", ".mat"}
+_CODE = "such files can carry code that runs when they are read"
+REFUSED_SUFFIXES = {
+    ".pkl": _CODE,
+    ".pickle": _CODE,
+    ".joblib": _CODE,
+    ".npy": "arrays of objects in such files are pickles, which can carry code",
+    ".npz": "arrays of objects in such files are pickles, which can carry code",
+    ".yaml": "YAML tags can carry code, and it reads 1e-3 as text",
+    ".yml": "YAML tags can carry code, and it reads 1e-3 as text",
+}
+_FORMATS = "HDF5, MATLAB (.mat) or text (.csv, .txt)"
+
+
+def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
+    """First 520 bytes of ``path``, once it is a regular, readable, non-empty file within the size limit.
+
+    Raises
+    ------
+    InputError
+        In all other cases; a missing file is compared with its neighbours.
+    """
+    path = Path(path)
+    where = str(path)
+    limits = limits or Limits()
+    try:
+        state = path.stat()
+        if stat.S_ISDIR(state.st_mode):
+            raise InputError(where, "is a directory", "a file")
+        if not stat.S_ISREG(state.st_mode):
+            raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")
+        if state.st_size == 0:
+            raise InputError(where, "empty file (0 bytes)", _FORMATS)
+        if state.st_size > limits.file:
+            raise InputError(where, f"{size_text(state.st_size)}", f"at most {size_text(limits.file)}")
+        with path.open("rb") as stream:
+            return stream.read(520)
+    except FileNotFoundError:
+        raise _missing(path) from None
+    except PermissionError:
+        raise InputError(where, "no permission to read it", None, f"chmod u+r {where}") from None
+    except (OSError, ValueError) as error:  # a name too long, a NUL in the name, a loop of links, a dead network disk
+        raise InputError(where, f"cannot be opened ({getattr(error, 'strerror', None) or error})") from None
+
+
+def _missing(path: Path) -> InputError:
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        return InputError(str(path), f"no such file (there is no folder {folder})")
+    try:
+        siblings = sorted(os.listdir(folder))  # noqa: PTH208  names only
+    except OSError:
+        siblings = []
+    return InputError(str(path), f"no such file (looked in {folder})", None, did_you_mean(path.name, siblings))
+
+
+def content_of(path: str | Path, limits: Limits | None = None) -> Content:
+    """Kind of the file, by content and not by name.
+
+    Raises
+    ------
+    InputError
+        It is none of the kinds that robustlab reads, or one that it refuses for a stated reason.
+    """
+    path = Path(path)
+    where = str(path)
+    head = require_file(path, limits)
+    if path.suffix.lower() in REFUSED_SUFFIXES:
+        raise InputError(where, f"{path.suffix} files are refused: {REFUSED_SUFFIXES[path.suffix.lower()]}", _FORMATS)
+    if _is_hdf5(path, head):
+        return "hdf5"
+    if head[126:128] in (b"IM", b"MI") and (head[124:126] in (b"\x00\x01", b"\x01\x00")):
+        return "matlab5"
+    if path.suffix.lower() in BINARY_SUFFIXES:
+        what = "MATLAB file of version 5 or 7.3" if path.suffix.lower() == ".mat" else "HDF5 file"
+        raise InputError(where, f"not an {what}".replace("an M", "a M") + f" (first bytes {head[:4].hex(' ')})")
+    if head.startswith(b"PK\x03\x04"):
+        raise InputError(where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS)
+    if head.startswith(b"\x93NUMPY") or (head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")):
+        raise InputError(where, f"a pickle or npy file is refused: {_CODE}", _FORMATS)
+    if b"\x00" in head:
+        word = "UTF-16 text" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "unknown binary format"
+        raise InputError(where, f"{word} (first bytes {head[:4].hex(' ')})", _FORMATS + " as UTF-8")
+    return "text"
+
+
+def _is_hdf5(path: Path, head: bytes) -> bool:
+    """HDF5's signature stands at 0, 512, 1024, 2048, ...: a user block (MATLAB writes one of 512 bytes) may come first."""
+    if head.startswith(HDF5_MAGIC):
+        return True
+    size, offset = path.stat().st_size, 512
+    with path.open("rb") as stream:
+        while offset + 8 <= size:
+            stream.seek(offset)
+            if stream.read(8) == HDF5_MAGIC:
+                return True
+            offset *= 2
+    return False

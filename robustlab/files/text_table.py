@@ -1,0 +1,198 @@
+"""Tables in text files: delimiter, header, units and decimal sign found or named; every bad cell with its line and column."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.files.limits import Limits, size_text
+from robustlab.files.signature import require_file
+
+__all__ = ["TextTable", "read_table"]
+
+COMMENTS = ("#", "%")
+UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*$")
+DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
+WHITESPACE = " "
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Columns of a text file: names (``c1, c2, ...`` without a header), units (empty where not stated), values (n, columns)."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: NDArray[np.float64]
+    has_header: bool
+
+
+def read_table(
+    path: str | Path, delimiter: str | None = None, decimal: str = ".", limits: Limits | None = None
+) -> TextTable:
+    """Read a table of numbers from a text file.
+
+    Lines that begin with ``#`` or ``%`` are comments; the first line that is not made of numbers is the header. Without one, a
+    comment directly above the numbers with as many names as there are columns is taken. Names may carry units: ``q [m]``, ``q (m)``.
+
+    Parameters
+    ----------
+    delimiter
+        ``,`` ``;`` a tab, or a blank for any white space; found out where left out.
+    decimal
+        Decimal sign, ``.`` or ``,``. A decimal comma is never guessed: ``1,5`` may as well be two numbers.
+
+    Raises
+    ------
+    InputError
+        Lines with too few or too many cells, cells that are not numbers (with line and column), no numbers at all.
+    """
+    where = str(path)
+    if decimal not in (".", ","):
+        raise InputError(where, f"decimal sign {decimal!r}", "'.' or ','")
+    lines = _content_lines(path, limits or Limits())
+    comment, rows = _split_comments(lines)
+    if not rows:
+        raise InputError(where, "no numbers", "lines of numbers, one column per signal")
+    first_data = next((i for i, (_, text) in enumerate(rows[:50]) if _looks_numeric(text)), None)
+    if first_data is None:
+        raise InputError(where, f"line {rows[0][0]}: {rows[0][1][:40]!r}", "numbers: is this a table?")
+    if first_data > 1:
+        raise InputError(
+            where, f"line {rows[0][0]}: {first_data} lines of text before the numbers", "one header line", "begin other lines with #"
+        )
+    data = rows[first_data:]
+    sign = _delimiter(where, data, delimiter, decimal)
+    header = rows[0] if first_data else None
+    width = len(_cells(data[0][1], sign))
+    names = _cells(header[1], sign) if header else None
+    if header and names is not None and len(names) != width:
+        raise InputError(
+            where,
+            f"line {data[0][0]} has {width} cells, the header in line {header[0]} has {len(names)}",
+            "equal numbers",
+            "if the numbers have decimal commas: --decimal , --delimiter ';'" if sign == "," else None,
+        )
+    if names is None and comment is not None and comment[0] == data[0][0] - 1:
+        given = _cells(comment[1], sign) if sign != WHITESPACE or not UNIT.search(comment[1]) else None
+        names = given if given and len(given) == width else None
+    values = _numbers(where, data, sign, decimal, width, names)
+    labels = [_name_and_unit(name) for name in names] if names else [(f"c{i + 1}", "") for i in range(width)]
+    _check_names(where, [name for name, _ in labels])
+    return TextTable(tuple(n for n, _ in labels), tuple(u for _, u in labels), values, names is not None)
+
+
+def _content_lines(path: str | Path, limits: Limits) -> list[str]:
+    require_file(path, limits)
+    size = Path(path).stat().st_size
+    if size > limits.dataset:
+        raise InputError(str(path), f"text file of {size_text(size)}", f"at most {size_text(limits.dataset)}", "convert it to HDF5 in parts")
+    raw = Path(path).read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")  # degree signs of old loggers; a wrong letter in a name does no harm
+    return text.splitlines()
+
+
+def _split_comments(lines: list[str]) -> tuple[tuple[int, str] | None, list[tuple[int, str]]]:
+    """The last comment before the first row, and the rows; both with line numbers from 1."""
+    comment, rows = None, []
+    for number, line in enumerate(lines, start=1):
+        stripped = line.strip()
+        if not stripped:
+            continue
+        if stripped.startswith(COMMENTS):
+            if not rows:
+                comment = (number, stripped.lstrip("#% \t"))
+        else:
+            rows.append((number, stripped))
+    return comment, rows
+
+
+def _looks_numeric(text: str) -> bool:
+    """True where the first cell of the line is a number (with any delimiter and any decimal sign)."""
+    first = re.split(r"[;\t ]|,(?!\d)", text.lstrip(), maxsplit=1)[0].strip().strip('"')
+    return bool(re.match(r"^[+-]?(\d|[.,]\d|nan$|inf)", first, re.IGNORECASE))
+
+
+def _delimiter(where: str, data: list[tuple[int, str]], given: str | None, decimal: str) -> str:
+    if given is not None:
+        if given not in (",", ";", "\t", "\\t", WHITESPACE):
+            raise InputError(where, f"delimiter {given!r}", "one of ',' ';' tab or ' '")
+        if given == decimal:
+            raise InputError(where, f"delimiter and decimal sign are both {given!r}", "different ones")
+        return "\t" if given == "\\t" else given
+    sample = [text for _, text in data[:20]]
+    for candidate in (";", "\t", ","):
+        if candidate == decimal:
+            continue
+        if all(candidate in text for text in sample):
+            whole = candidate == "," and all(DECIMAL_COMMA.match(cell) for text in sample for cell in text.split())
+            # "0,1  0,5": the commas stand inside cells that white space parts
+            if not (whole and all(len(text.split()) > 1 for text in sample)):
+                return candidate
+    return WHITESPACE
+
+
+def _cells(text: str, delimiter: str) -> list[str]:
+    parts = text.split() if delimiter == WHITESPACE else text.split(delimiter)
+    cells = [part.strip().strip('"').strip() for part in parts]
+    # a delimiter at the end of every line is common and means nothing
+    return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+
+
+def _numbers(
+    where: str, data: list[tuple[int, str]], delimiter: str, decimal: str, width: int, names: list[str] | None
+) -> NDArray[np.float64]:
+    texts = [text for _, text in data]
+    try:
+        if decimal == "." and not any('"' in text or text.endswith(delimiter) for text in texts):
+            split: dict[str, Any] = {} if delimiter == WHITESPACE else {"delimiter": delimiter}
+            return np.loadtxt(texts, dtype=np.float64, comments=None, ndmin=2, **split)
+    except ValueError:
+        pass  # the loop below finds the line and the column
+    result = np.empty((len(data), width))
+    for i, (number, text) in enumerate(data):
+        cells = _cells(text, delimiter)
+        if len(cells) != width:
+            raise InputError(where, f"line {number} has {len(cells)} cells", f"{width} as in line {data[0][0]}")
+        for j, cell in enumerate(cells):
+            result[i, j] = _number(where, cell, decimal, number, j, names)
+    return result
+
+
+def _number(where: str, cell: str, decimal: str, line: int, column: int, names: list[str] | None) -> float:
+    place = f"line {line}, column {column + 1}" + (f" ({names[column]})" if names else "")
+    if decimal == "," and "." not in cell:
+        cell = cell.replace(",", ".")
+    elif decimal == "." and DECIMAL_COMMA.match(cell):
+        raise InputError(where, f"{place}: decimal comma in {cell!r}", "a decimal point", "--decimal ,")
+    try:
+        if "_" in cell:
+            raise ValueError
+        return float(cell)
+    except ValueError:
+        found = f"{cell[:40]!r}" if cell else "empty cell"
+        raise InputError(where, f"{place}: {found}", "a number") from None
+
+
+def _name_and_unit(text: str) -> tuple[str, str]:
+    found = UNIT.match(text)
+    if not found or not found["name"]:
+        return text, ""
+    unit = found["square"] if found["square"] is not None else found["round"]
+    return found["name"].strip(), unit.strip()
+
+
+def _check_names(where: str, names: list[str]) -> None:
+    for i, name in enumerate(names):
+        if not name:
+            raise InputError(where, f"column {i + 1} has no name in the header", "a name for every column")
+        if name in names[:i]:
+            raise InputError(where, f"column name {name!r} is used twice", "unique names")

@@ -1,0 +1,108 @@
+"""How the reader process sends a tree to its parent: a JSON header, then the bytes of the arrays. No pickle."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.tree import Dataset, Tree, Unread
+
+__all__ = ["receive", "send_error", "send_tree"]
+
+MAGIC = b"RLTREE1\n"
+DTYPES = {"f": "<f8", "i": "<i8", "b": "|b1", "c": "<c16"}
+
+
+def send_tree(stream: BinaryIO, tree: Tree) -> None:
+    """Write ``tree`` to ``stream``."""
+    arrays: list[np.ndarray[Any, Any]] = []
+    _header(stream, {"tree": _node(tree, arrays)})
+    for array in arrays:
+        stream.write(array.tobytes() if array.nbytes < 1 << 16 else memoryview(np.ascontiguousarray(array).reshape(-1)).cast("B"))
+    stream.flush()
+
+
+def send_error(stream: BinaryIO, error: InputError) -> None:
+    """Write an error to ``stream`` in the place of a tree."""
+    _header(stream, {"error": [error.where, error.found, error.expected, error.hint, list(error.more)]})
+    stream.flush()
+
+
+def receive(data: bytes, file: str) -> Tree:
+    """Inverse of `send_tree` and `send_error`.
+
+    Raises
+    ------
+    InputError
+        The error that was sent.
+    ValueError
+        The bytes are not what the two functions above write.
+    """
+    start = len(MAGIC) + 8
+    if not data.startswith(MAGIC) or len(data) < start:
+        raise ValueError("no header")
+    length = int.from_bytes(data[len(MAGIC) : start], "little")
+    header = json.loads(data[start : start + length])
+    if "error" in header:
+        where, found, expected, hint, more = header["error"]
+        raise InputError(where, found, expected, hint, tuple(more))
+    return _Received(memoryview(data)[start + length :], file).tree(header["tree"], "/")
+
+
+def _header(stream: BinaryIO, content: dict[str, Any]) -> None:
+    raw = json.dumps(content).encode()
+    stream.write(MAGIC + len(raw).to_bytes(8, "little") + raw)
+
+
+def _node(tree: Tree, arrays: list[np.ndarray[Any, Any]]) -> dict[str, Any]:
+    return {
+        "attrs": {name: _value(value, arrays) for name, value in tree.attrs.items()},
+        "datasets": {
+            name: [_value(d.values, arrays), {key: _value(item, arrays) for key, item in d.attrs.items()}]
+            for name, d in tree.datasets.items()
+        },
+        "groups": {name: _node(group, arrays) for name, group in tree.groups.items()},
+    }
+
+
+def _value(value: Any, arrays: list[np.ndarray[Any, Any]]) -> list[Any]:
+    if isinstance(value, Unread):
+        return ["unread", value.dtype, list(value.shape)]
+    if value.dtype.kind == "U":
+        return ["text", value.ravel().tolist(), list(value.shape)]
+    array = value.astype(DTYPES[value.dtype.kind], copy=False)
+    arrays.append(array)
+    return [DTYPES[value.dtype.kind], None, list(value.shape)]
+
+
+class _Received:
+    """Takes the arrays from the bytes in the order in which they were sent."""
+
+    def __init__(self, data: memoryview, file: str) -> None:
+        self.data, self.file, self.position = data, file, 0
+
+    def tree(self, node: dict[str, Any], path: str) -> Tree:
+        tree = Tree(path=path, file=self.file)
+        tree.attrs = {name: self.value(item) for name, item in node["attrs"].items()}
+        for name, (values, attrs) in node["datasets"].items():
+            tree.datasets[name] = Dataset(self.value(values), {key: self.value(item) for key, item in attrs.items()})
+        for name, group in node["groups"].items():
+            tree.groups[name] = self.tree(group, tree.child_path(name))
+        return tree
+
+    def value(self, item: list[Any]) -> Any:
+        kind, content, shape = item[0], item[1], tuple(int(n) for n in item[2])
+        if kind == "unread":
+            return Unread(content, shape)
+        if kind == "text":
+            return np.array(content, dtype=np.str_).reshape(shape)
+        if kind not in DTYPES.values():
+            raise ValueError(f"unknown type {kind}")
+        count = math.prod(shape)
+        array = np.frombuffer(self.data, dtype=kind, count=count, offset=self.position) if count else np.zeros(0, kind)
+        self.position += array.nbytes
+        return array.reshape(shape)
