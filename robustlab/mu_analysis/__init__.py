@@ -1,5 +1,6 @@
 """Structured singular value: bounds for matrices, and robust stability over the whole frequency axis."""
 
 from robustlab.mu_analysis.bounds import MuBounds, mu
+from robustlab.mu_analysis.stability import Margin, robust_stability
 
-__all__ = ["MuBounds", "mu"]
+__all__ = ["Margin", "MuBounds", "mu", "robust_stability"]

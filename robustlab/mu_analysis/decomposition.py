@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["Component", "block_norms", "components", "expand"]
+__all__ = ["Component", "balancing_exponents", "block_norms", "components", "expand"]
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -84,6 +84,12 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
         matrix = M[np.ix_(rows, cols)] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
         result.append(Component(tuple(int(i) for i in members), int(depth[c]), exponents, matrix))
     return result
+
+
+def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
+    """Whole exponents per block that balance M without splitting it; couplings smaller than 1e-6 count as that much."""
+    norms = block_norms(M, blocks)
+    return _osborne(np.maximum(norms, 1e-6 * max(float(norms.max(initial=0.0)), 1e-300)))
 
 
 def _osborne(norms: Array, sweeps: int = 100) -> Array:

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.mu_analysis.certificate import certified_level
-from robustlab.mu_analysis.decomposition import Component, components, expand
+from robustlab.mu_analysis.decomposition import Component, balancing_exponents, components, expand
 from robustlab.mu_analysis.path_following import minimise
 from robustlab.mu_analysis.scalings import ScalingSpace
-from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
-__all__ = ["UpperBound", "upper_bounds"]
+__all__ = ["UpperBound", "points_below", "upper_bounds"]
 
 ComplexArray = NDArray[np.complex128]
 
@@ -160,6 +160,17 @@ def _place(
     G[np.ix_(w, z)] = weight * bound.G * e_w[:, None] * e_z[None, :]
 
 
-def is_complex_only(blocks: Sequence[Block]) -> bool:
-    """Whether no block is real."""
-    return all(isinstance(b, (ComplexScalar, FullBlock)) for b in blocks)
+def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:
+    """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does.
+
+    Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
+    """
+    space = ScalingSpace(blocks)
+    exponents = np.stack([balancing_exponents(m, blocks) for m in M])
+    w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
+    balanced = M * z[:, :, None] / w[:, None, :]
+    Dw, Dz, G = space.matrices(minimise(balanced, space, 1e-4, target if target > 0 else None))
+    Dw = Dw * w[:, :, None] * w[:, None, :]
+    Dz = Dz * z[:, :, None] * z[:, None, :]
+    G = G * w[:, :, None] * z[:, None, :]
+    return [UpperBound(certified_level(*parts), *parts[1:]) for parts in zip(M, Dw, Dz, G, strict=True)]
