@@ -1,0 +1,274 @@
+"""Loading and saving: which object a file holds, and which file an object becomes."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robustlab.errors import InputError, UsageError
+from robustlab.files.atomic import atomic_write
+from robustlab.files.hdf5 import read_tree, write_tree
+from robustlab.files.header import check_header, decode_provenance, is_stamped, stamp, text_attr
+from robustlab.files.limits import Limits
+from robustlab.files.matlab import write_matlab5
+from robustlab.files.record_layout import decode_record, encode_record
+from robustlab.files.records import CLOCK_NAMES, read_record
+from robustlab.files.signature import content_of
+from robustlab.files.tree import Tree
+from robustlab.provenance import Provenance
+from robustlab.record import Record
+from robustlab.result import Result
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.storage.matrices import decode_model, encode_model
+from robustlab.storage.pairs import decode_pair, looks_like_a_pair
+from robustlab.storage.problems import Problems
+from robustlab.storage.results import decode_result, encode_result
+from robustlab.storage.uncertain_models import decode_controller, decode_uncertain, encode_controller, encode_uncertain
+from robustlab.synthesis.controller import Controller
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["Loaded", "load", "load_pair", "read", "save"]
+
+Stored = StateSpaceModel | UncertainModel | Controller | Record | Result
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """An object from a file, with what is known about the file.
+
+    Attributes
+    ----------
+    object
+        StateSpaceModel, UncertainModel, Controller, Record or Result; for ``kind = "pair"`` a tuple (nominal, perturbed).
+    kind
+        Kind of format 1, or ``"pair"``.
+    verified
+        True where the content hash was there and matched.
+    warnings
+        What a reader should know; empty where all is well.
+    provenance
+        Where the file says it comes from.
+    """
+
+    object: Any
+    kind: str
+    path: str
+    verified: bool
+    warnings: tuple[str, ...] = ()
+    provenance: Provenance | None = None
+
+
+def load(
+    path: str | Path,
+    *,
+    group: str | None = None,
+    transpose: bool = False,
+    no_verify: bool = False,
+    limits: Limits | None = None,
+    isolate: bool = True,
+) -> Stored:
+    """Load the object in a file: HDF5 (format 1 or plain), MATLAB 5 or 7.3, or a text file (a Record).
+
+    Parameters
+    ----------
+    path
+        The file; its kind is told by its content, not by its name.
+    group
+        Take the model or record in this group.
+    transpose
+        The file was written column by column: swap the axes of A, B, C and D. MATLAB's own files need no such word.
+    no_verify
+        Load although the content hash does not match; a warning is issued. Nothing should be certified with such an object.
+    limits, isolate
+        See `robustlab.files.hdf5.read_tree`.
+
+    Returns
+    -------
+    StateSpaceModel, UncertainModel, Controller, Record or Result
+        A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
+
+    Raises
+    ------
+    InputError
+        Anything that is wrong with the file, all findings at once.
+    """
+    loaded = read(path, group=group, transpose=transpose, no_verify=no_verify, limits=limits, isolate=isolate)
+    if loaded.kind == "pair":
+        raise InputError(str(path), "two models, /nominal and /perturbed", "one object", 'load_pair(path), or load(path, group="nominal")')
+    for text in loaded.warnings:
+        if "--no-verify" in text:
+            warnings.warn(f"{path}: {text}", stacklevel=2)
+    return loaded.object
+
+
+def load_pair(
+    path: str | Path, *, transpose: bool = False, limits: Limits | None = None, isolate: bool = True
+) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each.
+
+    Raises
+    ------
+    InputError
+        Anything that is missing, misspelt or does not fit; `UnitMismatch` where units disagree.
+    """
+    tree = _tree(path, None, limits, isolate)
+    return decode_pair(tree, Problems(str(path)), transpose)
+
+
+def read(
+    path: str | Path,
+    *,
+    group: str | None = None,
+    transpose: bool = False,
+    no_verify: bool = False,
+    limits: Limits | None = None,
+    isolate: bool = True,
+) -> Loaded:
+    """Like `load`, but with what is known about the file, and for a pair file with both models."""
+    where = str(path)
+    if content_of(path, limits) == "text":
+        return Loaded(Record(**read_record(path, group=group, limits=limits)), "record", where, False)
+    tree = _tree(path, group, limits, isolate)
+    if is_stamped(tree) and group is None:
+        kind, found = check_header(tree, no_verify)
+        thing = _of_kind(kind, tree, transpose)
+        verified = not found and not (no_verify and text_attr(tree.attrs, "content_sha256") is None)
+        return Loaded(thing, kind, where, verified, (*found, *_unit_warnings(thing)), decode_provenance(tree))
+    node = tree.find(group) if group else tree
+    if node is None:
+        names = [path.strip("/") for path, item in tree.walk() if isinstance(item, Tree) and path != "/"]
+        raise InputError(where, f"missing group /{group}", f"one of {', '.join(names)}" if names else "a file with groups")
+    kind, thing = _plain(node, where, group, transpose, limits, isolate)
+    return Loaded(thing, kind, where, False, _unit_warnings(thing))
+
+
+def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Tree:
+    if content_of(path, limits) == "text":
+        raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
+    return read_tree(path, group, limits, isolate)
+
+
+def _of_kind(kind: str, tree: Tree, transpose: bool) -> Stored:
+    problems = Problems(tree.file)
+    if kind == "uncertain":
+        return decode_uncertain(tree, problems, transpose)
+    if kind == "controller":
+        return decode_controller(tree, problems, transpose)
+    if kind == "record":
+        return _record(decode_record(tree, tree.file), tree.file)
+    if kind == "result":
+        return decode_result(tree)
+    return _model(tree, problems, transpose)
+
+
+def _plain(
+    node: Tree, where: str, group: str | None, transpose: bool, limits: Limits | None, isolate: bool
+) -> tuple[str, Any]:
+    """A file without header: a model by its matrices, a pair by its groups, a record by its clock."""
+    matrices = [name for name in "ABCD" if name in node.datasets]
+    if not matrices and looks_like_a_pair(node):
+        return "pair", decode_pair(node, Problems(where), transpose)
+    has_signals = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
+    if has_signals and len(matrices) < 2:
+        return "record", _record(read_record(where, group=group, limits=limits, isolate=isolate), where)
+    problems = Problems(where)
+    if not matrices and node.groups:
+        problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one (group=, --group)"
+    return "state-space", _model(node, problems, transpose)
+
+
+def _model(node: Tree, problems: Problems, transpose: bool) -> StateSpaceModel:
+    model = decode_model(node, problems, transpose)
+    problems.raise_any()
+    assert model is not None
+    return model
+
+
+def _record(keywords: dict[str, Any], where: str) -> Record:
+    name = keywords.pop("name")
+    try:
+        return Record(**keywords, name=name)
+    except InputError as error:
+        raise InputError(where, f"{error.where.removeprefix(name).lstrip(': ')} {error.found}".strip(), error.expected, error.hint) from None
+
+
+def _unit_warnings(thing: Any) -> tuple[str, ...]:
+    """Row 17 of the fault table: missing units are accepted, and said."""
+    if isinstance(thing, tuple):
+        return _unit_warnings(thing[0])
+    if isinstance(thing, Record):
+        bare = [name for name, unit in thing.units.items() if not unit]
+    else:
+        model = thing.M if isinstance(thing, UncertainModel) else thing.K if isinstance(thing, Controller) else thing
+        if not isinstance(model, StateSpaceModel):
+            return ()
+        outer = thing if isinstance(thing, UncertainModel) else model
+        bare = [s.name for s in (*outer.inputs, *outer.outputs) if not s.unit]
+    return (f"no unit stated for {', '.join(bare[:8])}{', ...' if len(bare) > 8 else ''}",) if bare else ()
+
+
+# --- saving ----------------------------------------------------------------------------------------------------------
+
+
+def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Path:
+    """Write an object atomically: ``.h5`` (or ``.hdf5``) as format 1, ``.mat`` as MATLAB version 5 (models and controllers only).
+
+    Parameters
+    ----------
+    path
+        File to write; an existing file is replaced once the new one is complete.
+    obj
+        StateSpaceModel, UncertainModel, Controller, Record, a python-control system, or a result (``.status``, ``.to_json()``).
+    provenance
+        Where it comes from; time and versions of now where left out.
+
+    Raises
+    ------
+    EnvironmentFault
+        Disk full, no permission; the previous file is kept.
+    InputError, UsageError
+        An object or a file name that cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".mat":
+        return _save_matlab(path, obj)
+    if suffix not in (".h5", ".hdf5"):
+        raise UsageError(str(path), f"extension {suffix or 'missing'!r}", ".h5, .hdf5 or .mat")
+    tree = Tree(file=str(path))
+    kind = _encode(tree, obj)
+    stamp(tree, kind, provenance or Provenance.now("save"))
+    return write_tree(path, tree)
+
+
+def _encode(tree: Tree, obj: Any) -> str:
+    if isinstance(obj, UncertainModel):
+        encode_uncertain(tree, obj)
+        return "uncertain"
+    if isinstance(obj, Controller):
+        encode_controller(tree, obj)
+        return "controller"
+    if isinstance(obj, Record):
+        keywords = {key: getattr(obj, key) for key in ("t", "inputs", "outputs", "units", "name", "meaning")}
+        encode_record(tree, keywords)
+        return "record"
+    if not isinstance(obj, StateSpaceModel) and hasattr(obj, "status") and hasattr(obj, "to_json"):
+        encode_result(tree, obj)
+        return "result"
+    encode_model(tree, as_model(obj, "save"))
+    return "state-space"
+
+
+def _save_matlab(path: str | Path, obj: Any) -> Path:
+    if isinstance(obj, UncertainModel):
+        raise InputError(str(path), "an uncertain model", "a model or a controller for .mat", "save it as .h5, which MATLAB reads with h5read")
+    if isinstance(obj, (Record, Result)):
+        raise InputError(str(path), f"a {type(obj).__name__}", "a model or a controller for .mat", "save it as .h5, which MATLAB reads with h5read")
+    model = as_model(obj, "save")
+    variables: dict[str, Any] = {name: getattr(model, name) for name in "ABCD"}
+    variables["dt"] = model.dt
+    for side, signals in (("State", model.states), ("Input", model.inputs), ("Output", model.outputs)):
+        variables[f"{side}Name"] = [s.name for s in signals]
+        variables[f"{side}Unit"] = [s.unit for s in signals]
+    return atomic_write(path, lambda temporary: write_matlab5(temporary, variables))

@@ -1,0 +1,265 @@
+"""State-space models in a file: the matrices A B C D with everything that can be wrong with them, signals, operating point."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.files.tree import Tree, Unread
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
+from robustlab.storage.problems import Problems
+
+__all__ = ["decode_model", "encode_model", "find_children", "sample_time"]
+
+Array = NDArray[np.float64]
+Shape = tuple[int, ...]
+NAMES = ("A", "B", "C", "D")
+SIDES = ("state", "input", "output")
+COLUMN_MAJOR = "file looks column-major: use --transpose (transpose=True)"
+
+
+def encode_model(tree: Tree, model: StateSpaceModel) -> None:
+    """Put ``model`` into ``tree`` in the layout of kind ``state-space``."""
+    for name in NAMES:
+        tree.put(name, getattr(model, name))
+    tree.attrs["dt"] = model.dt
+    for side, signals in zip(SIDES, (model.states, model.inputs, model.outputs), strict=True):
+        group = tree.group("signals").group(side)
+        for field in ("name", "unit"):
+            group.put(field, np.array([getattr(s, field) for s in signals], dtype=np.str_))
+    if model.operating_point is not None:
+        encode_point(tree, model.operating_point)
+
+
+def encode_point(tree: Tree, point: OperatingPoint) -> None:
+    """Put an operating point into ``tree``."""
+    for name in ("x", "u", "y"):
+        tree.group("operating_point").put(name, getattr(point, name))
+
+
+def decode_model(
+    node: Tree, problems: Problems, transpose: bool = False, like: StateSpaceModel | None = None, dt: float | None = None
+) -> StateSpaceModel | None:
+    """The model in ``node``, or None with the reasons in ``problems``.
+
+    Parameters
+    ----------
+    transpose
+        The file was written column by column: swap the two axes of A, B, C and D.
+    like
+        A model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this one has none.
+    dt
+        Sample time where ``node`` states none.
+    """
+    found = len(problems.lines)
+    matrices = _matrices(node, problems, transpose)
+    if len(problems.lines) > found:
+        return None
+    matrices = _fitting(matrices, node, problems, like)
+    own_dt = sample_time(node, problems)
+    signals = _signals(node, problems)
+    point = decode_point(node, problems)
+    if len(problems.lines) > found:
+        return None
+    if like is not None:
+        signals = tuple(s or t for s, t in zip(signals, (like.states, like.inputs, like.outputs), strict=True))
+    states, inputs, outputs = signals
+    step = own_dt if own_dt is not None else dt or 0.0
+    where = problems.file if node.path == "/" else f"{problems.file}: {node.path}"
+    try:
+        return StateSpaceModel(*matrices.values(), step, inputs, outputs, states, point, where=where)
+    except InputError as error:
+        problems.absorb(error)
+        return None
+
+
+# --- matrices --------------------------------------------------------------------------------------------------------
+
+
+def find_children(node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = ()) -> None:
+    """Note every missing child, and what is there under a similar name."""
+    present = [*node.datasets, *node.groups]
+    missing = [name for name in wanted if name not in present]
+    if not missing:
+        return
+    for name in missing:
+        problems.add(f"missing {node.child_path(name)}")
+    for name in present:
+        if name in wanted or name in known:
+            continue
+        lower = {item.lower(): item for item in missing}
+        close = lower.get(name.lower()) or (did_you_mean(name, missing) or "").removeprefix("did you mean ").removesuffix("?")
+        if close:
+            problems.add(f"unexpected {node.child_path(name)} (did you mean {node.child_path(close)}?)")
+
+
+def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
+    find_children(node, NAMES, problems)
+    matrices = {}
+    for name in NAMES:
+        if name in node.groups:
+            problems.add(f"{node.child_path(name)} is a group, expected a dataset")
+        elif name in node.datasets:
+            matrix = _real(node, name, problems)
+            if matrix is not None:
+                matrices[name] = np.ascontiguousarray(matrix.T) if transpose else matrix
+    return matrices
+
+
+def _real(node: Tree, name: str, problems: Problems) -> Array | None:
+    """One matrix, once it is 2-D, real and finite."""
+    values, path = node.datasets[name].values, node.child_path(name)
+    if isinstance(values, Unread) or values.dtype.kind not in "fi":
+        hint = None
+        if isinstance(values, Unread) and values.dtype.startswith("MATLAB object"):
+            hint = "MATLAB's own objects cannot be read: save the matrices, [A,B,C,D] = ssdata(sys)"
+        problems.add(f"{path} has dtype {_dtype_name(values)}, expected real numbers", hint)
+        return None
+    array = values.astype(np.float64)
+    if array.ndim == 0:
+        array = array.reshape(1, 1)
+    if array.ndim != 2:
+        column = f" ({len(array)}, 1) for a column, (1, {len(array)}) for a row" if array.ndim == 1 else ""
+        problems.add(f"{path} is {array.shape}, expected 2 dimensions{column and ':' + column}")
+        return None
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        i, j = bad[0]
+        word = "NaN" if np.isnan(array[i, j]) else "infinite"
+        problems.add(f"{path}[{i},{j}] is {word} ({len(bad)} of {array.size} entries)")
+        return None
+    return array
+
+
+def _dtype_name(values: Any) -> str:
+    return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)
+
+
+def _fitting(matrices: dict[str, Array], node: Tree, problems: Problems, like: StateSpaceModel | None) -> dict[str, Array]:
+    """The matrices, with empty ones of a static gain in their proper shape; notes shapes that do not fit."""
+    shapes = {name: m.shape for name, m in matrices.items()}
+    if shapes["A"] == (0, 0):  # MATLAB writes [] for all three
+        p, m = shapes["D"]
+        proper = {"B": (0, m), "C": (p, 0)}
+        matrices.update({name: np.zeros(proper[name]) for name in "BC" if matrices[name].size == 0})
+        shapes = {name: m.shape for name, m in matrices.items()}
+    expected = {name: getattr(like, name).shape for name in NAMES} if like is not None else _expected(shapes)
+    wrong = [name for name in NAMES if shapes[name] != expected[name]]
+    if not wrong:
+        return matrices
+    swapped = {name: shape[::-1] for name, shape in shapes.items()}
+    hint = None
+    if swapped == expected or (like is None and _fits(swapped)):
+        expected, hint = swapped, COLUMN_MAJOR
+        wrong = [name for name in NAMES if shapes[name] != expected[name]]
+    elif all(swapped[name] == expected[name] for name in wrong):
+        both = " and ".join(wrong)
+        hint = f"only {both} looks transposed; store the transpose (--transpose swaps all four matrices)"
+    for name in wrong:
+        match = f" to match {_sibling(node, name)}" if like is not None else ""
+        problems.add(f"{node.child_path(name)} is {shapes[name]}, expected {expected[name]}{match}", hint)
+    return matrices
+
+
+def _sibling(node: Tree, name: str) -> str:
+    return f"{node.path.rsplit('/', 1)[0]}/nominal/{name}"
+
+
+def _fits(shapes: Mapping[str, Shape]) -> bool:
+    (n, n2), (p, m) = shapes["A"], shapes["D"]
+    return n == n2 and shapes["B"] == (n, m) and shapes["C"] == (p, n)
+
+
+def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
+    """The sizes that most of the matrices agree on."""
+    a, b, c, d = (shapes[name] for name in NAMES)
+    # A counts first: where it is square it says how many states there are.
+    n = a[0] if a[0] == a[1] else Counter([a[0], a[1], b[0], c[1]]).most_common(1)[0][0]
+    m = b[1] if b[0] == n else d[1]
+    p = c[0] if c[1] == n else d[0]
+    return {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+
+
+# --- sample time, signals, operating point ---------------------------------------------------------------------------
+
+
+def sample_time(node: Tree, problems: Problems) -> float | None:
+    """``dt`` in s from an attribute or a scalar dataset (``dt`` or ``Ts``); None where the group states none."""
+    for name in ("dt", "Ts"):
+        if name in node.attrs:
+            value, path = np.asarray(node.attrs[name]), f"{node.path} attribute {name}"
+        elif name in node.datasets:
+            item = node.datasets[name].values
+            value, path = (np.zeros(0) if isinstance(item, Unread) else item), node.child_path(name)
+        else:
+            continue
+        if value.dtype.kind not in "fi" or value.size != 1:
+            problems.add(f"{path} is not one real number, expected a sample time in s (0 = continuous)")
+            return None
+        number = float(value.flat[0])
+        if not np.isfinite(number) or number < 0:
+            problems.add(f"{path} is {number:g}, expected 0 (continuous) or a positive sample time in s")
+            return None
+        return number
+    return None
+
+
+def _signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None, ...]:
+    """States, inputs, outputs from ``signals/``, or from the variables that a MATLAB export has."""
+    result: list[list[Signal] | None] = []
+    for side in SIDES:
+        group = node.groups.get("signals", Tree()).groups.get(side)
+        if group is not None:
+            result.append(_named(group, "name", "unit", problems))
+        elif f"{side.capitalize()}Name" in node.datasets:
+            result.append(_named(node, f"{side.capitalize()}Name", f"{side.capitalize()}Unit", problems))
+        else:
+            result.append(None)
+    return tuple(result)
+
+
+def _named(group: Tree, name: str, unit: str, problems: Problems) -> list[Signal] | None:
+    names = _texts(group, name, problems)
+    if names is None:
+        return None
+    units = _texts(group, unit, problems) if unit in group.datasets else [""] * len(names)
+    if units is not None and len(units) != len(names):
+        problems.add(f"{group.child_path(unit)} has {len(units)} entries, expected {len(names)} as {group.child_path(name)}")
+        return None
+    return [Signal(*pair) for pair in zip(names, units or [], strict=True)] if units is not None else None
+
+
+def _texts(group: Tree, name: str, problems: Problems) -> list[str] | None:
+    if name not in group.datasets:
+        problems.add(f"missing {group.child_path(name)}")
+        return None
+    values = group.datasets[name].values
+    if isinstance(values, np.ndarray) and values.size == 0:
+        return []
+    if isinstance(values, Unread) or values.dtype.kind != "U":
+        problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected texts")
+        return None
+    return values.ravel().tolist()
+
+
+def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
+    """The operating point in ``node``, or None where there is none."""
+    group = node.groups.get("operating_point")
+    if group is None:
+        return None
+    find_children(group, ("x", "u", "y"), problems)
+    vectors: dict[str, Any] = {}
+    for name in ("x", "u", "y"):
+        if name not in group.datasets:
+            return None
+        values = group.datasets[name].values
+        if isinstance(values, Unread) or values.dtype.kind not in "fi":
+            problems.add(f"{group.child_path(name)} has dtype {_dtype_name(values)}, expected real numbers")
+            return None
+        vectors[name] = values.reshape(-1) if values.ndim != 1 and 1 in values.shape else values
+    return OperatingPoint(**vectors)

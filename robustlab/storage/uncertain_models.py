@@ -1,0 +1,148 @@
+"""Uncertain models and controllers in a file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.tree import Tree, Unread
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.storage.matrices import decode_model, decode_point, encode_model, encode_point, find_children
+from robustlab.storage.problems import Problems
+from robustlab.synthesis.controller import Controller
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["decode_controller", "decode_uncertain", "encode_controller", "encode_uncertain"]
+
+FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit")
+KIND_OF = {RealScalar: "real", ComplexScalar: "complex", FullBlock: "full"}
+
+
+def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
+    """Group ``M`` as a state-space model, group ``blocks`` with one entry per block in each dataset."""
+    encode_model(tree.group("M"), model.M)
+    if model.operating_point is not None:
+        encode_point(tree, model.operating_point)
+    parameters = [b.parameter if isinstance(b, RealScalar) else None for b in model.blocks]
+    columns: dict[str, Any] = {
+        "name": np.array([b.name for b in model.blocks], dtype=np.str_),
+        "kind": np.array([KIND_OF[type(b)] for b in model.blocks], dtype=np.str_),
+        "rows": np.array([b.rows for b in model.blocks], dtype=np.int64),
+        "cols": np.array([b.cols for b in model.blocks], dtype=np.int64),
+        "nominal": np.array([p.nominal if p else np.nan for p in parameters], dtype=np.float64),
+        "radius": np.array([p.radius if p else np.nan for p in parameters], dtype=np.float64),
+        "unit": np.array([p.unit if p else "" for p in parameters], dtype=np.str_),
+    }
+    for name, values in columns.items():
+        tree.group("blocks").put(name, values)
+
+
+def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) -> UncertainModel:
+    """Inverse of `encode_uncertain`.
+
+    Raises
+    ------
+    InputError
+        With all that is missing or does not fit.
+    """
+    find_children(tree, ("M", "blocks"), problems)
+    model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
+    blocks = _blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
+    point = decode_point(tree, problems)
+    problems.raise_any()
+    assert model is not None
+    try:
+        return UncertainModel(model, blocks, point)
+    except InputError as error:
+        raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
+
+
+def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
+    find_children(group, FIELDS[:4], problems)
+    columns: dict[str, list[Any]] = {}
+    for name in FIELDS:
+        if name not in group.datasets:
+            continue
+        values = group.datasets[name].values
+        kinds = "U" if name in ("name", "kind", "unit") else "fi"
+        if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
+            problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {'texts' if kinds == 'U' else 'real numbers'}")
+        else:
+            columns[name] = values.ravel().tolist()
+    lengths = {name: len(values) for name, values in columns.items()}
+    if problems.lines:
+        return ()
+    for name, length in lengths.items():
+        if length != lengths["name"]:
+            problems.add(f"{group.child_path(name)} has {length} entries, expected {lengths['name']} as {group.child_path('name')}")
+    if problems.lines:
+        return ()
+    result = [_block(i, columns, group.path, problems) for i in range(lengths["name"])]
+    return tuple(block for block in result if block is not None)
+
+
+def _block(i: int, columns: dict[str, list[Any]], path: str, problems: Problems) -> Block | None:
+    name, kind, rows, cols = (columns[field][i] for field in FIELDS[:4])
+    if kind not in KIND_OF.values():
+        problems.add(f"{path}/kind[{i}] is {kind!r}, expected real, complex or full")
+        return None
+    if rows != int(rows) or cols != int(cols) or min(rows, cols) < 1 or (kind != "full" and rows != cols):
+        problems.add(f"{path}: block {name!r} ({kind}) is {rows:g} x {cols:g}, expected whole sizes, square for a scalar block")
+        return None
+    try:
+        if kind == "full":
+            return FullBlock(name, int(rows), int(cols))
+        if kind == "complex":
+            return ComplexScalar(name, int(rows))
+        return RealScalar(name, int(rows), _parameter(i, columns, path, problems))
+    except InputError as error:
+        problems.absorb(error)
+        return None
+
+
+def _parameter(i: int, columns: dict[str, list[Any]], path: str, problems: Problems) -> ParameterRange | None:
+    if "nominal" not in columns or "radius" not in columns:
+        return None
+    nominal, radius = columns["nominal"][i], columns["radius"][i]
+    if np.isnan(nominal) and np.isnan(radius):
+        return None
+    if not (np.isfinite(nominal) and np.isfinite(radius)):
+        problems.add(f"{path}: block {columns['name'][i]!r} has nominal {nominal:g} and radius {radius:g}, expected both finite or both NaN")
+        return None
+    return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "")
+
+
+def encode_controller(tree: Tree, controller: Controller) -> None:
+    """K as a state-space model; ``gamma``, ``status``, ``method`` as attributes."""
+    encode_model(tree, controller.K)
+    tree.attrs.update(status=controller.status.value, method=controller.method)
+    if controller.gamma is not None:
+        tree.attrs["gamma"] = controller.gamma
+
+
+def decode_controller(tree: Tree, problems: Problems, transpose: bool = False) -> Controller:
+    """Inverse of `encode_controller`.
+
+    Raises
+    ------
+    InputError
+        With all that is missing or does not fit.
+    """
+    model: StateSpaceModel | None = decode_model(tree, problems, transpose)
+    gamma = None
+    if "gamma" in tree.attrs:
+        value = np.asarray(tree.attrs["gamma"])
+        if value.dtype.kind in "fi" and value.size == 1:
+            gamma = float(value.flat[0])
+        else:
+            problems.add("attribute gamma is not one real number")
+    text = str(np.asarray(tree.attrs.get("status", Status.INCONCLUSIVE.value)))
+    if text not in [status.value for status in Status]:
+        problems.add(f"attribute status is {text!r}, expected one of {', '.join(s.value for s in Status)}")
+    problems.raise_any()
+    assert model is not None
+    return Controller(model, gamma, Status(text), str(np.asarray(tree.attrs.get("method", ""))))
