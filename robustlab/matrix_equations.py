@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,7 @@ from robustlab.statespace import real_array
 
 __all__ = ["RiccatiSolution", "care", "lyapunov"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class RiccatiSolution:
 
 
 def care(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, tolerance: float = 1e-6
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
     r"""Stabilising solution of the continuous-time algebraic Riccati equation.
 
@@ -57,13 +58,13 @@ def care(
     InputError
         Shapes that do not fit, or NaN or Inf.
     NoTrustworthyNumber
-        No stabilising solution was found (the Hamiltonian has eigenvalues on or too close to the imaginary axis), or none
-        whose residual is small enough.
+        No stabilising solution was found (the Hamiltonian has eigenvalues on or too close to the imaginary axis), or
+        none whose residual is small enough.
 
     Notes
     -----
-    First the QZ algorithm on the balanced extended pencil (Van Dooren 1981; scipy), then the ordered real Schur form of the
-    balanced Hamiltonian (Laub 1979).
+    First the ordered real Schur form of the balanced Hamiltonian (Laub 1979), which is quicker; then the QZ algorithm on
+    the balanced extended pencil (Van Dooren 1981; scipy), which does not invert R. The smaller residual wins.
 
     Examples
     --------
@@ -85,12 +86,12 @@ def care(
     if n == 0:
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((m, 0)), 0.0)
     best: RiccatiSolution | None = None
-    solvers: tuple[Callable[..., Array | None], ...] = (_extended_pencil, _ordered_schur)
+    solvers: tuple[Callable[..., Array | None], ...] = (_ordered_schur, _extended_pencil)
     for solve in solvers:
         X = solve(a, b, q, r, s)
         if X is None:
             continue
-        found = _checked_care(a, b, q, r, s, 0.5 * (X + X.T))
+        found = _checked_care((a, b, q, r, s), 0.5 * (X + X.T))
         if found is not None and (best is None or found.residual < best.residual):
             best = found
         if best is not None and best.residual <= tolerance:
@@ -127,8 +128,8 @@ def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | 
         if not np.isfinite(hamiltonian).all():
             return None
         balanced, (scale, _) = matrix_balance(hamiltonian, permute=False, separate=True)
-        _, z, count = schur(balanced, output="real", sort="lhp")
-        if count != n:
+        _, z, *count = schur(balanced, output="real", sort="lhp")
+        if count != [n]:
             return None
         z = scale[:, None] * z[:, :n]
         X = np.linalg.solve(z[:n].T, z[n:].T).T
@@ -137,8 +138,9 @@ def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | 
     return X if np.isfinite(X).all() else None
 
 
-def _checked_care(a: Array, b: Array, q: Array, r: Array, s: Array, X: Array) -> RiccatiSolution | None:
+def _checked_care(equation: tuple[Array, Array, Array, Array, Array], X: Array) -> RiccatiSolution | None:
     """Residual and gain of a candidate; None where it does not stabilise."""
+    a, b, q, r, s = equation
     try:
         gain = -np.linalg.solve(r, b.T @ X + s.T)
     except np.linalg.LinAlgError:
@@ -151,7 +153,7 @@ def _checked_care(a: Array, b: Array, q: Array, r: Array, s: Array, X: Array) ->
     return RiccatiSolution(X, gain, float(residual))
 
 
-def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, tolerance: float = 1e-6) -> Array:
+def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:
     r"""Solution X of the Lyapunov equation, shape (n, n).
 
     .. math:: A X + X A^T + Q = 0 \qquad\text{or, discrete,}\qquad A X A^T - X + Q = 0
@@ -161,7 +163,8 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, tolerance: floa
     InputError
         Shapes that do not fit, NaN or Inf.
     NoTrustworthyNumber
-        No unique solution (eigenvalues that mirror each other at the stability boundary), or a relative residual above ``tolerance``.
+        No unique solution (eigenvalues that mirror each other at the stability boundary), or a relative residual above
+        ``tolerance``.
 
     Examples
     --------
@@ -192,4 +195,4 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, tolerance: floa
     residual = float(np.linalg.norm(sum(terms)) / size) if size else 0.0
     if residual > tolerance:
         raise NoTrustworthyNumber("lyapunov", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    return X
+    return np.asarray(X)

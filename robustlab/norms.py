@@ -16,7 +16,7 @@ from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = ["H2Norm", "HinfNorm", "bilinear_to_continuous", "bilinear_to_discrete", "h2_norm", "hinf_norm", "peak_gain"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 
 MAX_LEVELS = 60
@@ -78,10 +78,10 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
 
     .. math:: \|G\|_\infty = \sup_\omega \sigma_{max}(G(j\omega)) \qquad (G(e^{j\omega dt}) \text{ for } dt > 0)
 
-    Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The imaginary
-    part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part, and
-    ``sigma_max`` is evaluated at all of them and between each two; the level is an upper bound where none of these exceeds
-    it. A zoom on the highest peaks looks for what rounding may have hidden.
+    Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The
+    imaginary part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part,
+    and ``sigma_max`` is evaluated at all of them and between each two; the level is an upper bound where none of these
+    exceeds it. A zoom on the highest peaks looks for what rounding may have hidden.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
 
 
 def peak_gain(model: Any, points: int = 120) -> float:
-    """A quick lower bound of the H-infinity norm of a stable model from a frequency grid; for scaling, not for proof."""
+    """A quick lower bound of the H-infinity norm of a stable model on a frequency grid; no proof."""
     m = as_model(model, "peak_gain")
     if not m.n_states or not m.n_inputs or not m.n_outputs:
         return float(np.linalg.norm(m.D, 2)) if m.D.size else 0.0
@@ -238,7 +238,8 @@ def _bracket(m: StateSpaceModel, rtol: float) -> tuple[float, float, float, bool
             if zoomed > lower:
                 lower, at = zoomed, zoomed_at
             return lower, at, upper, trusted
-        # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say so.
+        # The level was "proved", yet a frequency exceeds it: rounding moved an eigenvalue. Go on from there, but say
+        # so.
         lower, at = zoomed, zoomed_at
         trusted = False
     return lower, at, upper, False
@@ -296,7 +297,8 @@ def _zoom(m: StateSpaceModel, omega: Array, sigma: Array) -> tuple[float, float]
 def h2_norm(model: Any) -> H2Norm:
     r"""H2 norm from both Gramians, which must agree.
 
-    .. math:: \|G\|_2^2 = \mathrm{tr}(C P C^T) = \mathrm{tr}(B^T Q B), \quad A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0
+    .. math:: \|G\|_2^2 = \mathrm{tr}(C P C^T) = \mathrm{tr}(B^T Q B), \quad A P + P A^T + B B^T = 0, \quad A^T Q + Q A
+    + C^T C = 0
 
     and, discrete, :math:`\|G\|_2^2 = \mathrm{tr}(C P C^T + D D^T)` with ``A P A^T - P + B B^T = 0``.
     Infinite for an unstable model, and for a continuous one with D != 0.
@@ -328,7 +330,8 @@ def h2_norm(model: Any) -> H2Norm:
 
 
 def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
-    r"""Continuous model with ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``; stability and H-infinity norm are the same.
+    r"""Continuous model with ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``; stability and H-infinity norm are
+    the same.
 
     Raises
     ------

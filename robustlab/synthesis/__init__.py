@@ -2,10 +2,10 @@
 
 from robustlab.synthesis.controller import Controller as Controller
 from robustlab.synthesis.design import Synthesis as Synthesis
-from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
-from robustlab.synthesis.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
+from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
+from robustlab.synthesis.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.weights import complementary_weight as complementary_weight
 from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight

@@ -1,6 +1,8 @@
-"""What must hold before a stabilising controller can exist: every mode that is not stable is controllable and observable."""
+"""What a stabilising controller needs: every mode that is not stable is controllable and observable."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,8 @@ from robustlab.synthesis.partition import PlantMatrices
 
 __all__ = ["require_stabilisable"]
 
-# sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to order one).
+# sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
+# order one).
 PBH_TOLERANCE = 1e-11
 # Real parts within this share of the largest modulus count as "on the axis".
 AXIS = 1e-10
@@ -53,12 +56,12 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
         raise NoTrustworthyNumber(
             where,
             f"no stabilising controller exists: {faults[0]}",
-            hint="add an actuator or a sensor for it; where it does not matter, robustlab.structural.drop_unconnected takes it out",
+            hint="add an actuator or a sensor for it, or take it out (robustlab.structural.drop_unconnected)",
             more=tuple(dict.fromkeys(faults[1:])),
         )
 
 
-def _null_state(matrix: NDArray[np.complex128]) -> int | None:
+def _null_state(matrix: NDArray[Any]) -> int | None:
     """Index of the largest entry of the null vector of a tall matrix, or None where it has full column rank."""
     n = matrix.shape[1]
     _, sigma, vh = np.linalg.svd(matrix)

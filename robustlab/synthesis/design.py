@@ -31,8 +31,8 @@ class Synthesis:
     closed_loop
         The lower LFT of plant and K, from w to z.
     status
-        CERTIFIED where the rebuilt loop is stable and its norm was proved to be at most ``gamma``; INACCURATE where the norm
-        lost digits. It vouches for ``gamma`` of this K, not for its optimality.
+        CERTIFIED where the rebuilt loop is stable and its norm was proved to be at most ``gamma``; INACCURATE where
+        the norm lost digits. It vouches for ``gamma`` of this K, not for its optimality.
     peak_frequency
         Frequency in rad/s at which the closed loop attains its norm.
     reason
@@ -104,7 +104,7 @@ class Synthesis:
 
 def limiting_channels(loop: StateSpaceModel, omega: float) -> str:
     """The output and the input with the largest share in the singular vectors of the peak."""
-    if not np.isfinite(omega) and loop.is_discrete or not loop.n_inputs or not loop.n_outputs:
+    if (not np.isfinite(omega) and loop.is_discrete) or not loop.n_inputs or not loop.n_outputs:
         return ""
     left, _, right = np.linalg.svd(frequency_response(loop, [omega])[0])
     out, into = np.abs(left[:, 0]) ** 2, np.abs(right[0]) ** 2

@@ -25,28 +25,31 @@ ILL_POSED = 1e10
 
 
 def hinf(
-    P: Any, n_meas: int | None = None, n_con: int | None = None, gamma_rel: float = 1.05, time_limit: float = 60.0
+    P: Any, n_meas: int | None = None, n_con: int | None = None, *, gamma_rel: float = 1.05, time_limit: float = 60.0
 ) -> Synthesis:
     r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
-    Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant. Nothing is assumed about the
-    ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the verified
-    norm of the loop rebuilt from the returned K. A discrete P is mapped by the bilinear rule and verified in discrete time.
+    Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant. Nothing is assumed about
+    the ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the
+    verified norm of the loop rebuilt from the returned K. A discrete P is mapped by the bilinear rule and verified in
+    discrete time.
 
     Parameters
     ----------
     P
-        Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and z), or
-        python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls and ``n_meas`` measurements last.
+        Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and
+        z), or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls and ``n_meas`` measurements
+        last.
     n_meas, n_con
         Numbers of measurements and controls; left out for a `GeneralizedPlant`.
     gamma_rel
-        How much larger than the smallest gamma found the returned controller's may be (>= 1); within it the one with the
-        slowest poles is taken. 1 asks for the smallest gamma, whose controller is often absurdly fast.
+        How much larger than the smallest gamma found the returned controller's may be (>= 1); within it the one with
+        the slowest poles is taken. 1 asks for the smallest gamma, whose controller is often absurdly fast.
     time_limit
-        Time in s, asked between trials. A controller verified by then is returned, and ``reason`` says that time was up.
+        Time in s, asked between trials. A controller verified by then is returned, and ``reason`` says that time was
+        up.
 
     Returns
     -------
@@ -118,7 +121,7 @@ def _synthesize(
         late = " in the time limit" if deadline.passed() else ""
         raise NoTrustworthyNumber(
             f"synth {method}",
-            f"no controller could be verified{late}: each one found leaves the rebuilt loop unstable, or none was found",
+            f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
         )
     reached = [search.best.gamma for search in searches if search.best is not None]
@@ -128,7 +131,16 @@ def _synthesize(
         for search in searches:
             search.soften(best, gamma_rel * best.gamma)
         chosen = _softest([c for search in searches for c in search.candidates], best, gamma_rel)
-    return _finished(plant, chosen, best, disagree, deadline.passed(), method, weights)
+    return _finished(
+        plant=plant,
+        chosen=chosen,
+        best=best,
+        disagree=disagree,
+        gamma_rel=gamma_rel,
+        late=deadline.passed(),
+        method=method,
+        weights=weights,
+    )
 
 
 def _softest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> Candidate:
@@ -137,7 +149,7 @@ def _softest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> 
 
 
 def _verified(plant: GeneralizedPlant, D22: NDArray[np.float64], K: StateSpaceModel) -> Candidate | None:
-    """K for the plant as given (D22 taken back in, bilinear map undone), with the norm of its loop; None if not stable."""
+    """K for the plant as given (D22 taken back in, bilinear map undone) with its loop's norm; None if not stable."""
     try:
         full = _with_direct_term(K, D22)
         if plant.model.dt:
@@ -170,10 +182,12 @@ def _with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpac
 
 
 def _finished(
+    *,
     plant: GeneralizedPlant,
     chosen: Candidate,
     best: Candidate,
     disagree: float,
+    gamma_rel: float,
     late: bool,
     method: str,
     weights: Mapping[str, StateSpaceModel],
@@ -183,7 +197,7 @@ def _finished(
     parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.norm.reason]
     if chosen is not best:
         parts.append(
-            f"softest controller found within {chosen.gamma / best.gamma - 1:.1%} of the smallest gamma {best.gamma:.6g}"
+            f"the softest controller within the allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
         )
     if late:
         parts.append("time limit reached: a smaller gamma may exist")

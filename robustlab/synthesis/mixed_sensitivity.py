@@ -9,24 +9,24 @@ import numpy as np
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
 from robustlab.synthesis.design import Synthesis
-from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.hinf_synthesis import synthesize
+from robustlab.synthesis.partition import GeneralizedPlant
 
 __all__ = ["mixed_sensitivity_plant", "mixsyn"]
 
 
 def mixsyn(
-    G: Any, W1: Any = None, W2: Any = None, W3: Any = None, gamma_rel: float = 1.05, time_limit: float = 60.0
+    G: Any, W1: Any = None, W2: Any = None, W3: Any = None, *, gamma_rel: float = 1.05, time_limit: float = 60.0
 ) -> Synthesis:
     r"""H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
 
     .. math:: \min_K \left\| \begin{matrix} W_1 S \\ W_2 K S \\ W_3 T \end{matrix} \right\|_\infty, \qquad
         S = (I + G K)^{-1}, \quad T = G K S
 
-    Sign of K: the controller sees the error, ``u = K e`` with ``e = r - G u``. So K is *positive feedback* from ``y = e`` into
-    the generalised plant, as everywhere in this package, and at the same time the forward controller of the usual *negative*
-    feedback loop: its loop gain is ``G K``. To close the loop on a measured output, use ``feedback(series(K, G), I)`` or
-    ``u = K (r - y)``.
+    Sign of K: the controller sees the error, ``u = K e`` with ``e = r - G u``. So K is *positive feedback* from ``y =
+    e`` into the generalised plant, as everywhere in this package, and at the same time the forward controller of the
+    usual *negative* feedback loop: its loop gain is ``G K``. To close the loop on a measured output, use
+    ``feedback(series(K, G), I)`` or ``u = K (r - y)``.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def mixed_sensitivity_plant(
 ) -> tuple[GeneralizedPlant, dict[str, StateSpaceModel]]:
     r"""Generalised plant from [r; u] to [W1 e; W2 u; W3 G u; e] with ``e = r - G u``, and the weights on all channels.
 
-    Each weight keeps its own states: one realisation of the whole, made from transfer functions, may hide an unstable mode.
-    Arguments and exceptions as for `mixsyn`.
+    Each weight keeps its own states: one realisation of the whole, made from transfer functions, may hide an unstable
+    mode. Arguments and exceptions as for `mixsyn`.
     """
     g = as_model(G, "mixsyn: G")
     if not g.n_inputs or not g.n_outputs:

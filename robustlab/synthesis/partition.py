@@ -1,7 +1,7 @@
-"""Generalised plants: which inputs are disturbances and controls, which outputs are performance and measurements.
+r"""Generalised plants: which inputs are disturbances and controls, which outputs are performance and measurements.
 
 .. math::
-    \\dot x = A x + B_1 w + B_2 u, \\quad z = C_1 x + D_{11} w + D_{12} u, \\quad y = C_2 x + D_{21} w + D_{22} u
+    \dot x = A x + B_1 w + B_2 u, \quad z = C_1 x + D_{11} w + D_{12} u, \quad y = C_2 x + D_{21} w + D_{22} u
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class PlantMatrices:
         return self.A.shape[0], self.B1.shape[1], self.B2.shape[1], self.C1.shape[0], self.C2.shape[0]
 
     def with_channels(self, u: float | Array, y: float | Array, x_out: float, x_in: float) -> PlantMatrices:
-        """More performance outputs ``u * controls``, ``x_out * x`` and more disturbances: noise ``y`` on y, ``x_in`` on x."""
+        """With outputs ``u * controls``, ``x_out * x`` and noises ``y`` on y, ``x_in`` on x added."""
         n, _, n_u, n_z, n_y = self.sizes
         C1 = np.vstack([self.C1, np.zeros((n_u, n)), x_out * np.eye(n)])
         D12 = np.vstack([self.D12, u * np.eye(n_u), np.zeros((n, n_u))])
@@ -67,7 +67,8 @@ class PlantMatrices:
 class GeneralizedPlant:
     """A model whose last ``n_con`` inputs are the controls u and whose last ``n_meas`` outputs are the measurements y.
 
-    ``blocks`` are the perturbation blocks of the first inputs and outputs, where the plant was made from an uncertain model.
+    ``blocks`` are the perturbation blocks of the first inputs and outputs, where the plant was made from an uncertain
+    model.
     """
 
     model: StateSpaceModel

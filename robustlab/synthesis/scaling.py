@@ -1,12 +1,13 @@
 """Scaling of a generalised plant by powers of two: time unit, states, controls, measurements, w and z.
 
-None of it changes the problem; it decides whether the tolerances of Riccati solvers mean something. All of it is undone exactly
-in the controller.
+None of it changes the problem; it decides whether the tolerances of Riccati solvers mean something. All of it is
+undone exactly in the controller.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,13 @@ from robustlab.synthesis.partition import PlantMatrices
 
 __all__ = ["Scaling", "equilibrated", "paths_first"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Factors of a scaling; ``x = states * x_scaled``, ``u = u * u_scaled``, ``y_scaled = y * y``, time unit ``1/rate``.
+    """Factors of a scaling; ``x = states * x_scaled``, ``u = u * u_scaled``, ``y_scaled = y * y``, time unit
+    ``1/rate``.
 
     A closed-loop gain gamma of the plant is ``gamma * w * z`` after scaling.
     """
@@ -108,7 +110,7 @@ def _osborne(p: PlantMatrices, states: Array, sweeps: int) -> Array:
 
 
 def paths_first(p: PlantMatrices) -> Scaling:
-    """Three fixed passes: the direct paths D12 and D21 (C1 and B1 where they vanish) to size one, then states, then u and y."""
+    """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
     s = _start(p)
     for last in (False, False, True):
         q = s.apply(p)

@@ -1,8 +1,8 @@
 """Search for a controller of small verified gamma over regularisations of one scaled generalised plant.
 
-Most practical plants are singular for the two Riccati equations: D12 or D21 has no full rank, or there are zeros on the imaginary
-axis. Each trial adds small penalties on u and x and small noises on y and x, solves that regular problem, and judges its
-controller by the norm of the loop rebuilt on the plant as it was given.
+Most practical plants are singular for the two Riccati equations: D12 or D21 has no full rank, or there are zeros on
+the imaginary axis. Each trial adds small penalties on u and x and small noises on y and x, solves that regular
+problem, and judges its controller by the norm of the loop rebuilt on the plant as it was given.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from robustlab.synthesis.two_riccati import TwoRiccatiProblem
 
 __all__ = ["Candidate", "Deadline", "Regularisation", "Search"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # A central controller at gamma itself is ill-conditioned: gamma is backed off until the verified norm agrees.
@@ -103,7 +104,8 @@ class Search:
     scaling
         Its scaling.
     verify
-        Takes a controller for ``plant`` and returns it verified on the plant as given, or None where that loop is unstable.
+        Takes a controller for ``plant`` and returns it verified on the plant as given, or None where that loop is
+        unstable.
     """
 
     def __init__(
@@ -170,8 +172,8 @@ class Search:
     def soften(self, start: Candidate, gamma: float, rounds: int = 3) -> None:
         """Look for slower controllers with a verified gamma up to the given one.
 
-        The regularisation is made as large as the test at this gamma allows, by bisection; three times, because its scaling
-        follows the channel gains of the loop found last.
+        The regularisation is made as large as the test at this gamma allows, by bisection; three times, because its
+        scaling follows the channel gains of the loop found last.
         """
         level = gamma * self.scaling.gain * (1 - 1e-6)
         for _ in range(rounds):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from robustlab.synthesis.partition import PlantMatrices
 
 __all__ = ["RiccatiPair", "TwoRiccatiProblem"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 # An exact X = 0 comes out as noise of this size in a plant scaled to order one; it must not count as indefinite.
 PSD_TOLERANCE = 1e-6
@@ -97,8 +98,9 @@ class TwoRiccatiProblem:
     ) -> float | None:
         """Smallest gamma that passes the test; None where none up to ``LARGEST`` does.
 
-        Brackets from ``start`` by growing steps, bisects, and then probes below the result, because the test in floating
-        point is not monotone in gamma. ``stop`` is asked between tests; then the smallest gamma so far is returned.
+        Brackets from ``start`` by growing steps, bisects, and then probes below the result, because the test in
+        floating point is not monotone in gamma. ``stop`` is asked between tests; then the smallest gamma so far is
+        returned.
         """
         high = max(start, self.floor * 1.01 + 1e-12)
         while self.solve(high) is None:

@@ -11,7 +11,8 @@ __all__ = ["complementary_weight", "control_weight", "performance_weight"]
 
 
 def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0, order: int = 1) -> StateSpaceModel:
-    r"""Weight on the sensitivity S: ``|W1 S| <= 1`` keeps S below ``error`` at low frequency and below ``peak`` everywhere.
+    r"""Weight on the sensitivity S: ``|W1 S| <= 1`` keeps S below ``error`` at low frequency and below ``peak``
+    everywhere.
 
     .. math:: W_1(s) = \left(\frac{s / M^{1/k} + \omega_B}{s + \omega_B A^{1/k}}\right)^k
 
@@ -20,7 +21,8 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
     bandwidth
         omega_B in rad/s: where the asymptote of 1/|W1| crosses one.
     error
-        A: largest steady-state error (0 < A < 1). An exact integrator (A = 0) has no stabilising controller in this problem.
+        A: largest steady-state error (0 < A < 1). An exact integrator (A = 0) has no stabilising controller in this
+        problem.
     peak
         M: largest peak of the sensitivity (> 1).
     order
@@ -33,7 +35,7 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
     Examples
     --------
     >>> W1 = performance_weight(bandwidth=10.0, error=0.01, peak=2.0)
-    >>> float(W1.dc_gain()[0, 0]), float(W1.D[0, 0])
+    >>> round(float(W1.dc_gain()[0, 0]), 9), float(W1.D[0, 0])
     (100.0, 0.5)
     """
     where = "performance weight"
@@ -45,7 +47,8 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
 
 
 def control_weight(limit: float, bandwidth: float | None = None, roll_off: float = 100.0) -> StateSpaceModel:
-    r"""Weight on the control effort K S: ``|W2 K S| <= 1`` keeps K S below ``limit``, and ever lower above ``bandwidth``.
+    r"""Weight on the control effort K S: ``|W2 K S| <= 1`` keeps K S below ``limit``, and ever lower above
+    ``bandwidth``.
 
     .. math:: W_2(s) = \frac{1}{L} \qquad\text{or}\qquad W_2(s) = \frac{1}{L} \frac{s/\omega_c + 1}{s/(r \omega_c) + 1}
 
@@ -71,7 +74,8 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
 def complementary_weight(
     bandwidth: float, peak: float = 2.0, roll_off: float = 1e-3, order: int = 1
 ) -> StateSpaceModel:
-    r"""Weight on the complementary sensitivity T: ``|W3 T| <= 1`` keeps T below ``peak`` and makes it fall above ``bandwidth``.
+    r"""Weight on the complementary sensitivity T: ``|W3 T| <= 1`` keeps T below ``peak`` and makes it fall above
+    ``bandwidth``.
 
     .. math:: W_3(s) = \left(\frac{s + \omega_T / M^{1/k}}{A^{1/k} s + \omega_T}\right)^k
 
