@@ -257,7 +257,8 @@ def _rank_factors(matrix: Array) -> tuple[Array, Array]:
     smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
     while np.abs(rest).max(initial=0.0) > smallest:
         i, j = np.unravel_index(np.argmax(np.abs(rest)), rest.shape)
-        column, row = rest[:, [j]] / rest[i, j], rest[[i], :].copy()
+        size, sign = abs(rest[i, j]), np.sign(rest[i, j])
+        column, row = rest[:, [j]] / size, rest[[i], :] * sign  # the sign goes to the column: z grows with its signal
         columns.append(column)
         rows.append(row)
         rest = rest - column @ row

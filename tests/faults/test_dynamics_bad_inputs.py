@@ -1,0 +1,141 @@
+"""What plants and simulation refuse, and that the message names it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics import Descriptor, LinearPlant, Parameter
+from robustlab.statespace import Signal
+
+T = np.arange(5) * 0.1
+ONES = np.ones(5)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "words"),
+    [
+        ("dc-motr", {}, "did you mean dc-motor"),
+        ("dc-motor", {"Rr": 1.0}, "did you mean R"),
+        ("dc-motor", {"R": 0.0}, "'R': 0 ohm, expected a positive"),
+        ("dc-motor", {"J": -1e-6}, "rotor inertia"),
+        ("dc-motor", {"Kf": -1e-6}, "no negative value"),
+        ("dc-motor", {"L": float("nan")}, "L: nan, expected a finite"),
+        ("dc-motor", {"L": float("inf")}, "finite"),
+        ("dc-motor", {"L": "small"}, "'small', expected a real number"),
+        ("dc-motor", {"L": True}, "a real number"),
+        ("dc-motor", {"L": 1 + 0j}, "a real number"),
+        ("dc-motor", {"L": [1.0, 0.1, 3.0]}, "3 entries"),
+        ("dc-motor", {"L": np.array([1.0, 2.0])}, "a real number"),
+        ("dc-motor", {"R": (2.07, 10)}, "0.1 stands for 10 %"),
+        ("dc-motor", {"R": (2.07, -0.1)}, "relative tolerance -0.1"),
+        ("dc-motor", {"Km": (0.0, 0.1)}, "tolerance of the value 0"),
+        ("servo-axis", {"M": 0}, "moving mass"),
+        ("two-mass", {"J2": -1.0}, "load's side"),
+        ("mass-spring-damper", {"m": [1.0, 2.0], "k": [1.0]}, "equally many"),
+        ("mass-spring-damper", {"m": []}, "at least one"),
+        ("mass-spring-damper", {"m": [1.0, 0.0]}, "'m2'"),
+        ("mass-spring-damper", {"mass": 1.0}, "no such parameter"),
+        (["dc-motor"], {}, "no such plant"),
+    ],
+)
+def test_bad_parameters(name, parameters, words):
+    with pytest.raises(rl.InputError, match="(?s)" + words.replace("(", r"\(")) as caught:
+        rl.plant(name, **parameters)
+    assert caught.value.exit_code == 3
+
+
+def tank(equations, **values):
+    parameters = {k: Parameter(k, v) for k, v in (values or {"p": 2.0}).items()}
+    level = (Signal("h", "m"),)
+    return LinearPlant("tank", parameters, (Signal("w"),), level, level, equations=equations)
+
+
+@pytest.mark.parametrize(
+    ("equations", "words"),
+    [
+        (lambda p: Descriptor([[1]], [[-1 / p["p"]]], [[1]], [[1]]), "division by a parameter"),
+        (lambda p: Descriptor([[1]], [[-(p["p"] ** 2)]], [[1]], [[1]]), "F is not affine"),
+        (lambda p: Descriptor([[1]], [[-1]], [[abs(p["p"] - 1)]], [[1]]), "G is not affine"),
+        (lambda p: Descriptor([[p["p"] - 2.0]], [[-1]], [[1]], [[1]]), "E is singular"),
+        (lambda p: Descriptor([[1, 0]], [[-1]], [[1]], [[1]]), r"E is \(1, 2\)"),
+        (lambda p: Descriptor([[1]], [[np.nan]], [[1]], [[1]]), "NaN"),
+    ],
+)
+def test_bad_equations(equations, words):
+    with pytest.raises(rl.InputError, match=words):
+        tank(equations)
+
+
+def test_product_of_parameters_is_refused():
+    with pytest.raises(rl.InputError, match="not affine"):
+        tank(lambda p: Descriptor([[1]], [[-p["a"] * p["b"]]], [[1]], [[1]]), a=2.0, b=3.0)
+
+
+MOTOR_INPUT_FAULTS = [
+    ({"u": ONES, "v": ONES}, "no such input"),
+    ({"U": ONES}, "did you mean u|one of u"),
+    ({}, "no samples for input u"),
+    ({"u": np.ones(4)}, "u: 4 samples, expected 5"),
+    ({"u": 12.0}, "1 dimensions"),
+    ({"u": [1, 1, np.nan, 1, 1]}, r"u\[2\] is NaN"),
+    (np.ones(4), r"\(4, 1\)"),
+    (np.ones((5, 2)), r"\(5, 2\)"),
+    ([[1, 2], [3]], "ragged"),
+]
+
+
+@pytest.mark.parametrize(("u", "words"), MOTOR_INPUT_FAULTS)
+def test_bad_inputs(u, words):
+    with pytest.raises(rl.InputError, match=words):
+        rl.simulate(rl.plant("dc-motor"), T, u)
+
+
+def test_bad_clock_start_and_hold():
+    motor = rl.plant("dc-motor")
+    with pytest.raises(rl.InputError, match="runs backwards"):
+        rl.simulate(motor, [0, 1, 0.5], np.ones(3))
+    with pytest.raises(rl.InputError, match="repeats the stamp"):
+        rl.simulate(motor, [0, 1, 1], np.ones(3))
+    with pytest.raises(rl.InputError, match="x0 has 2 entries, expected 3 .states: phi, omega, i"):
+        rl.simulate(motor, T, ONES, [0, 0])
+    with pytest.raises(rl.InputError, match="zoh"):
+        rl.simulate(motor, T, ONES, hold="spline")
+    with pytest.raises(rl.InputError, match="StateSpaceModel"):
+        rl.simulate("dc-motor", T, ONES)
+
+
+def test_discrete_model_on_a_strange_clock():
+    model = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1)
+    with pytest.raises(rl.InputError, match=r"t\[1\] - t\[0\] = 0.2 s, expected .* 0.1 s"):
+        rl.simulate(model, np.arange(5) * 0.2, ONES)
+    with pytest.raises(rl.InputError, match="foh"):
+        rl.simulate(model, T, ONES, hold="foh")
+
+
+def test_overflow_names_the_time():
+    explosive = rl.StateSpaceModel([[100.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"at t = 7.2 s") as caught:
+        # e^(100 t) / 100 passes 1.8e308 between t = 7.1 and 7.2
+        rl.simulate(explosive, np.arange(101) * 0.1, np.ones(101))
+    assert caught.value.exit_code == 4
+
+
+def test_exponential_that_overflows_in_one_step():
+    with pytest.raises(rl.NoTrustworthyNumber, match="t = 1 s"):
+        rl.simulate(rl.StateSpaceModel([[1e4]], [[1.0]], [[1.0]], [[0.0]]), [0.0, 1.0, 2.0], np.ones(3))
+
+
+def test_linearise_refuses_what_is_no_plant():
+    with pytest.raises(rl.InputError, match="a linear plant"):
+        rl.linearise("dc-motor")
+    with pytest.raises(rl.InputError, match="2 numbers for phi, omega, i, expected 3"):
+        rl.linearise(rl.plant("dc-motor"), at=([0, 0], [0]))
+    with pytest.raises(rl.InputError, match="or None"):
+        rl.linearise(rl.plant("dc-motor"), at=3.0)
+
+
+def test_unknown_output_of_an_uncertain_plant():
+    with pytest.raises(rl.InputError, match="did you mean omega"):
+        rl.plant("dc-motor").uncertain(outputs=["omga"])

@@ -1,0 +1,41 @@
+"""Ranks against python-control's ctrb and obsv on small, well-scaled models with small whole numbers (exact there)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.structural import controllability_matrix, observability_matrix
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_rank_of_ctrb_and_obsv(seed):
+    import control
+
+    rng = np.random.default_rng(seed)
+    n, n_u, n_y = rng.integers(1, 6), rng.integers(1, 3), rng.integers(1, 3)
+    a = rng.integers(-1, 2, (n, n)).astype(float)
+    b, c = rng.integers(-1, 2, (n, n_u)).astype(float), rng.integers(-1, 2, (n_y, n)).astype(float)
+    model = rl.StateSpaceModel(a, b, c, np.zeros((n_y, n_u)))
+    np.testing.assert_array_equal(controllability_matrix(model), control.ctrb(a, b))
+    np.testing.assert_array_equal(observability_matrix(model), control.obsv(a, c))
+    # whole numbers of at most a few hundred: the rank is exact
+    assert rl.controllability(model).rank == np.linalg.matrix_rank(control.ctrb(a, b))
+    assert rl.observability(model).rank == np.linalg.matrix_rank(control.obsv(a, c))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_hidden_modes_are_cancelled_in_the_transfer_function(seed):
+    """Zeros of the input-decoupling pencil by a rank drop of [A - s I, B] at each reported mode, and at no other pole."""
+    rng = np.random.default_rng(100 + seed)
+    n, hidden = 6, 2
+    a, b = rng.normal(size=(n, n)), rng.normal(size=(n, 1))
+    a[n - hidden :, : n - hidden], b[n - hidden :] = 0, 0
+    q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    a, b = q @ a @ q.T, q @ b
+    test = rl.controllability(rl.StateSpaceModel(a, b, np.eye(n), np.zeros((n, 1))))
+    modes = [m.eigenvalue for m in test.modes]
+    for pole in np.linalg.eigvals(a):
+        smallest = np.linalg.svd(np.hstack([a - pole * np.eye(n), b]), compute_uv=False)[-1]
+        assert (min(abs(pole - m) for m in modes) < 1e-8) == (smallest < 1e-10)
