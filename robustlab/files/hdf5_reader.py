@@ -73,7 +73,9 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
     except MemoryError:
         raise InputError(where, "needs more memory than the reader may use", None, DAMAGED) from None
     except Exception as error:  # noqa: BLE001  whatever the library says about a damaged file is a finding about the file
-        raise InputError(where, f"damaged HDF5 file ({type(error).__name__}: {_short(error)})", None, DAMAGED) from error
+        raise InputError(
+            where, f"damaged HDF5 file ({type(error).__name__}: {_short(error)})", None, DAMAGED
+        ) from error
     if walk.problems:
         lines = [f"{where}: {line}" for line in walk.problems[:MAX_PROBLEMS]]
         if len(walk.problems) > MAX_PROBLEMS:
@@ -234,7 +236,9 @@ def _values(walk: _Walk, did: h5d.DatasetID, path: str, kind: str, shape: tuple[
     except OverflowError:
         walk.problem(path, "a whole number beyond 64 bits")
     except (OSError, RuntimeError) as error:
-        filters = [dataset.id.get_create_plist().get_filter(i)[0] for i in range(dataset.id.get_create_plist().get_nfilters())]
+        filters = [
+            dataset.id.get_create_plist().get_filter(i)[0] for i in range(dataset.id.get_create_plist().get_nfilters())
+        ]
         if FLETCHER32 in filters and "fletcher" in str(error).lower():
             walk.problem(path, "checksum mismatch")
         else:

@@ -55,7 +55,10 @@ def decode_provenance(tree: Tree) -> Provenance | None:
 
 def is_stamped(tree: Tree) -> bool:
     """True where the file says that it is a format 1 file; plain files carry no header."""
-    return any(name in tree.attrs for name in ("format_version", "content_sha256")) or text_attr(tree.attrs, "format") == FORMAT
+    return (
+        any(name in tree.attrs for name in ("format_version", "content_sha256"))
+        or text_attr(tree.attrs, "format") == FORMAT
+    )
 
 
 def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
@@ -76,7 +79,12 @@ def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
     if not parsed:
         raise InputError(where, f"attribute format_version is {_shown(attrs, 'format_version')}", f"{FORMAT_VERSION!r}")
     if int(parsed[1]) > 1:
-        raise InputError(where, f"written by schema {version}, this robustlab reads <= 1.x; upgrade", None, "pip install --upgrade robustlab")
+        raise InputError(
+            where,
+            f"written by schema {version}, this robustlab reads <= 1.x; upgrade",
+            None,
+            "pip install --upgrade robustlab",
+        )
     if int(parsed[1]) < 1:
         raise InputError(where, f"written by schema {version}, which no robustlab ever wrote", f"{FORMAT_VERSION!r}")
     kind = text_attr(attrs, "kind")
@@ -95,7 +103,11 @@ def _check_hash(tree: Tree, no_verify: bool) -> list[str]:
         return ["the file carries no content_sha256: nothing shows that it is as it was written"]
     if no_verify:
         matches = _matches(tree, stored)
-        return [] if matches else ["content_sha256 does not match; loaded all the same (--no-verify): certify nothing with it"]
+        return (
+            []
+            if matches
+            else ["content_sha256 does not match; loaded all the same (--no-verify): certify nothing with it"]
+        )
     if not _matches(tree, stored):
         raise InputError(
             tree.file,

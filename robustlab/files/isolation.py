@@ -66,11 +66,15 @@ def run_reader(command: list[str], where: str, limits: Limits) -> Tree:
     except InputError:
         raise
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(where, f"reader gave no valid answer ({error}); file is damaged or hostile", None, HOSTILE) from None
+        raise InputError(
+            where, f"reader gave no valid answer ({error}); file is damaged or hostile", None, HOSTILE
+        ) from None
 
 
 def _no_answer(where: str, limits: Limits) -> InputError:
-    return InputError(where, f"reader gave no answer in {limits.seconds:g} s; file is damaged or hostile", None, HOSTILE)
+    return InputError(
+        where, f"reader gave no answer in {limits.seconds:g} s; file is damaged or hostile", None, HOSTILE
+    )
 
 
 def _cpu_signals() -> set[int]:

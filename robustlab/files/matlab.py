@@ -103,7 +103,9 @@ def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
 
     for name in variables:
         if not MATLAB_NAME.fullmatch(name):
-            raise InputError(str(path), f"variable name {name!r}", "a letter, then letters, digits and underscores (63 at most)")
+            raise InputError(
+                str(path), f"variable name {name!r}", "a letter, then letters, digits and underscores (63 at most)"
+            )
     content = {
         name: np.array(value, dtype=object).reshape(-1, 1) if isinstance(value, list) else value
         for name, value in variables.items()

@@ -20,7 +20,11 @@ def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
     for side in ("inputs", "outputs"):
         group = tree.group(side)
         for position, (name, values) in enumerate(keywords[side].items()):
-            attrs = {"unit": keywords["units"].get(name, ""), "meaning": keywords["meaning"].get(name, ""), "position": position}
+            attrs = {
+                "unit": keywords["units"].get(name, ""),
+                "meaning": keywords["meaning"].get(name, ""),
+                "position": position,
+            }
             group.put(link_name(name), values, **attrs)
 
 
@@ -47,7 +51,9 @@ def decode_record(node: Tree, where: str) -> dict[str, Any]:
             name = signal_name(link)
             values = _column(group, link, problems)
             if n is not None and len(values) != n:
-                problems.append(f"{group.child_path(link)} has {len(values)} samples, expected {n} as {node.child_path('t')}")
+                problems.append(
+                    f"{group.child_path(link)} has {len(values)} samples, expected {n} as {node.child_path('t')}"
+                )
             keywords[side][name] = values
             for key, table in (("unit", "units"), ("meaning", "meaning")):
                 text = np.asarray(group.datasets[link].attrs.get(key, ""))

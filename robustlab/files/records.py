@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.hdf5 import read_tree
+from robustlab.files.header import check_header, is_stamped
 from robustlab.files.limits import Limits
+from robustlab.files.record_layout import decode_record
 from robustlab.files.signature import content_of
 from robustlab.files.text_table import read_table
 from robustlab.files.tree import Tree, Unread
@@ -60,6 +62,7 @@ def read_record(
     delimiter: str | None = None,
     decimal: str = ".",
     allow_gaps: bool = False,
+    no_verify: bool = False,
     limits: Limits | None = None,
     isolate: bool = True,
 ) -> dict[str, Any]:
@@ -84,6 +87,8 @@ def read_record(
         For text files; see `robustlab.files.text_table.read_table`.
     allow_gaps
         Accept a clock with missing samples.
+    no_verify
+        Accept a format 1 record whose content hash does not match.
 
     Without clock and ``dt``, the attribute ``Ts`` (or ``dt``, in s, or ``fs`` in Hz) of the signals, else of their group, else of
     the file is used.
@@ -98,9 +103,16 @@ def read_record(
         source = _from_text(path, group, delimiter, decimal, limits)
     else:
         tree = read_tree(path, group, limits, isolate)
+        if is_stamped(tree):
+            return _from_format_1(path, tree, group, inputs, outputs, units, no_verify)
         node = tree.find(group) if group else tree
         if node is None:
-            raise InputError(str(path), f"missing group /{group}", _list("one of", _group_names(tree)), _nearest(group or "", _group_names(tree)))
+            raise InputError(
+                str(path),
+                f"missing group /{group}",
+                _list("one of", _group_names(tree)),
+                _nearest(group or "", _group_names(tree)),
+            )
         if {"inputs", "outputs"} & set(node.groups):
             return _stored(node, str(path), inputs, outputs, units)
         source = _from_tree(path, tree, node, group)
@@ -110,27 +122,40 @@ def read_record(
 # --- what the file holds ---------------------------------------------------------------------------------------------
 
 
-def _from_text(path: str | Path, group: str | None, delimiter: str | None, decimal: str, limits: Limits | None) -> _Source:
+def _from_text(
+    path: str | Path, group: str | None, delimiter: str | None, decimal: str, limits: Limits | None
+) -> _Source:
     where = str(path)
     if group:
         raise InputError(where, f"group {group!r} of a text file", "no group: text files have none")
     table = read_table(path, delimiter, decimal, limits)
     columns = zip(table.names, table.units, table.values.T, strict=True)
-    return _Source(where, Path(path).stem, "", {name: _Channel(np.array(values), unit) for name, unit, values in columns})
+    return _Source(
+        where, Path(path).stem, "", {name: _Channel(np.array(values), unit) for name, unit, values in columns}
+    )
 
 
 def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _Source:
     channels = {}
     for name, dataset in node.datasets.items():
         attrs = dataset.attrs
-        channels[name] = _Channel(_column(dataset.values), _attr_text(attrs, "unit"), _attr_text(attrs, "meaning"), _sample_time(attrs))
+        channels[name] = _Channel(
+            _column(dataset.values), _attr_text(attrs, "unit"), _attr_text(attrs, "meaning"), _sample_time(attrs)
+        )
     own = _sample_time(node.attrs) or _sample_time(tree.attrs)
     for name in ("Ts", "dt"):  # MATLAB has no attributes: there the sample time is a variable
-        if not own and name in channels and isinstance(values := channels[name].values, np.ndarray) and values.size == 1:
+        if (
+            not own
+            and name in channels
+            and isinstance(values := channels[name].values, np.ndarray)
+            and values.size == 1
+        ):
             own = float(channels.pop(name).values.flat[0])  # pyright: ignore[reportAttributeAccessIssue]
     stem = Path(path).stem
     prefix = f"{node.path.rstrip('/')}/"
-    return _Source(str(path), f"{stem}/{group.strip('/')}" if group else stem, prefix, channels, own, _group_names(tree))
+    return _Source(
+        str(path), f"{stem}/{group.strip('/')}" if group else stem, prefix, channels, own, _group_names(tree)
+    )
 
 
 def _column(values: NDArray[Any] | Unread) -> NDArray[Any] | Unread:
@@ -161,12 +186,27 @@ def _group_names(tree: Tree) -> list[str]:
 # --- a record of format 1 --------------------------------------------------------------------------------------------
 
 
+def _from_format_1(
+    path: str | Path,
+    tree: Tree,
+    group: str | None,
+    inputs: Sequence[str] | None,
+    outputs: Sequence[str] | None,
+    units: Mapping[str, str] | None,
+    no_verify: bool,
+) -> dict[str, Any]:
+    if group:
+        raise InputError(str(path), f"group {group!r} of a format 1 file", "no group: such a file holds one object")
+    kind, _warnings = check_header(tree, no_verify)
+    if kind != "record":
+        raise InputError(str(path), f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
+    return _stored(tree, str(path), inputs, outputs, units)
+
+
 def _stored(
     node: Tree, where: str, inputs: Sequence[str] | None, outputs: Sequence[str] | None, units: Mapping[str, str] | None
 ) -> dict[str, Any]:
     """Groups ``inputs`` and ``outputs``: the layout of format 1, which `robustlab.storage` reads too."""
-    from robustlab.files.record_layout import decode_record
-
     keywords = decode_record(node, where)
     known = {**keywords["inputs"], **keywords["outputs"]}
     if inputs is not None or outputs is not None:
@@ -205,11 +245,12 @@ def _choose(
         outs = [name for name in known if name not in (*ins, clock)]
     asked = [*ins, *outs, *([clock] if clock and dt is None else [])]
     missing = [name for name in asked if name not in known]
+    if missing and not known:
+        raise _no_signals(source, f"missing {', '.join(source.label(name) for name in missing)}")
     if missing:
         raise _missing(source.where, missing, known, source.prefix)
     if not outs and not ins:
-        hint = f"--group {source.groups[0]}" if source.groups else None
-        raise InputError(source.where, "no signals here", _list("signals; groups:", source.groups) if source.groups else "signals", hint)
+        raise _no_signals(source, "no signals here")
     arrays = {name: _numbers(source, name) for name in dict.fromkeys([*ins, *outs])}
     n = _common_length(source, arrays)
     t = _times(source, list(arrays), n, dt, clock)
@@ -219,7 +260,9 @@ def _choose(
     stated = {name: source.channels[name].unit for name in arrays}
     for name in units:
         if name not in arrays:
-            raise InputError(source.where, f"a unit for {name!r}", _list("one of", list(arrays)), _nearest(name, list(arrays)))
+            raise InputError(
+                source.where, f"a unit for {name!r}", _list("one of", list(arrays)), _nearest(name, list(arrays))
+            )
     return {
         "t": t,
         "inputs": {name: arrays[name] for name in ins},
@@ -230,13 +273,26 @@ def _choose(
     }
 
 
+def _no_signals(source: _Source, found: str) -> InputError:
+    if not source.groups:
+        return InputError(source.where, found, "a file with signals")
+    return InputError(
+        source.where,
+        found,
+        _list("signals in the group given; groups are", source.groups),
+        f"--group {source.groups[0]}",
+    )
+
+
 def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
     values = source.channels[name].values
     where = f"{source.where}: {source.label(name)}"
     if isinstance(values, Unread):
         raise InputError(where, f"dtype {values.dtype}", "a column of real numbers")
     if values.dtype.kind not in "fib":
-        raise InputError(where, f"dtype {'text' if values.dtype.kind == 'U' else values.dtype}", "a column of real numbers")
+        raise InputError(
+            where, f"dtype {'text' if values.dtype.kind == 'U' else values.dtype}", "a column of real numbers"
+        )
     if values.ndim != 1:
         raise InputError(where, f"shape {values.shape}", "one column")
     array = values.astype(np.float64)
@@ -258,7 +314,10 @@ def _common_length(source: _Source, arrays: Mapping[str, NDArray[np.float64]]) -
             for name in others
         )
         raise InputError(
-            source.where, text, f"{lengths[first]} as {source.label(first)}", "choose signals of one clock with inputs= and outputs="
+            source.where,
+            text,
+            f"{lengths[first]} as {source.label(first)}",
+            "choose signals of one clock with inputs= and outputs=",
         )
     return next(iter(lengths.values()))
 
@@ -268,9 +327,17 @@ def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: s
         t = _numbers(source, clock)
         unit = source.channels[clock].unit
         if unit not in SECONDS:
-            raise InputError(f"{source.where}: {source.label(clock)}", f"unit {unit!r}", f"one of {', '.join(u for u in SECONDS if u)}")
+            raise InputError(
+                f"{source.where}: {source.label(clock)}",
+                f"unit {unit!r}",
+                f"one of {', '.join(u for u in SECONDS if u)}",
+            )
         if len(t) != n:
-            raise InputError(source.where, f"{source.label(names[0])} has {n} samples", f"{len(t)} as the clock {source.label(clock)}")
+            raise InputError(
+                source.where,
+                f"{source.label(names[0])} has {n} samples",
+                f"{len(t)} as the clock {source.label(clock)}",
+            )
         return t * SECONDS[unit]
     if dt is None:
         own = {name: source.channels[name].dt for name in names}
@@ -280,7 +347,9 @@ def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: s
         dt = next(iter(own.values())) or source.dt
     if not dt:
         columns = _list("a column t, or one of", names)
-        raise InputError(source.where, "no clock and no sample time", columns + " as clock=", "--dt SECONDS, or --clock NAME")
+        raise InputError(
+            source.where, "no clock and no sample time", columns + " as clock=", "--dt SECONDS, or --clock NAME"
+        )
     if not np.isfinite(dt) or dt < 0:
         raise InputError(source.where, f"dt is {dt}", "a positive sample time in s")
     return np.arange(n) * float(dt)

@@ -92,7 +92,9 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
         what = "MATLAB file of version 5 or 7.3" if path.suffix.lower() == ".mat" else "HDF5 file"
         raise InputError(where, f"not an {what}".replace("an M", "a M") + f" (first bytes {head[:4].hex(' ')})")
     if head.startswith(b"PK\x03\x04"):
-        raise InputError(where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS)
+        raise InputError(
+            where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS
+        )
     if head.startswith(b"\x93NUMPY") or (head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")):
         raise InputError(where, f"a pickle or npy file is refused: {_CODE}", _FORMATS)
     if b"\x00" in head:

@@ -64,7 +64,10 @@ def read_table(
         raise InputError(where, f"line {rows[0][0]}: {rows[0][1][:40]!r}", "numbers: is this a table?")
     if first_data > 1:
         raise InputError(
-            where, f"line {rows[0][0]}: {first_data} lines of text before the numbers", "one header line", "begin other lines with #"
+            where,
+            f"line {rows[0][0]}: {first_data} lines of text before the numbers",
+            "one header line",
+            "begin other lines with #",
         )
     data = rows[first_data:]
     sign = _delimiter(where, data, delimiter, decimal)
@@ -91,7 +94,12 @@ def _content_lines(path: str | Path, limits: Limits) -> list[str]:
     require_file(path, limits)
     size = Path(path).stat().st_size
     if size > limits.dataset:
-        raise InputError(str(path), f"text file of {size_text(size)}", f"at most {size_text(limits.dataset)}", "convert it to HDF5 in parts")
+        raise InputError(
+            str(path),
+            f"text file of {size_text(size)}",
+            f"at most {size_text(limits.dataset)}",
+            "convert it to HDF5 in parts",
+        )
     raw = Path(path).read_bytes()
     try:
         text = raw.decode("utf-8-sig")

@@ -72,7 +72,9 @@ class Tree:
     def put(self, name: str, values: Any, **attrs: Any) -> Dataset:
         """Add a dataset; the values are brought to their canonical type."""
         where = self.child_path(name)
-        dataset = Dataset(canonical(values, where), {key: canonical(item, f"{where}@{key}") for key, item in attrs.items()})
+        dataset = Dataset(
+            canonical(values, where), {key: canonical(item, f"{where}@{key}") for key, item in attrs.items()}
+        )
         self.datasets[name] = dataset
         return dataset
 
@@ -115,7 +117,9 @@ def canonical(values: Any, where: str) -> NDArray[Any]:
     if kind == "U":
         for text in array.ravel().tolist():
             if "\x00" in text or any("\ud800" <= ch <= "\udfff" for ch in text):
-                raise InputError(where, f"text {text!r} cannot be stored", "text without NUL characters, valid as UTF-8")
+                raise InputError(
+                    where, f"text {text!r} cannot be stored", "text without NUL characters, valid as UTF-8"
+                )
         return array
     raise InputError(where, f"dtype {array.dtype}", "numbers or text")
 
@@ -139,7 +143,9 @@ def content_sha256(tree: Tree) -> str:
         digest.update((b"D" if isinstance(item, Dataset) else b"G") + _text(path))
         if isinstance(item, Dataset):
             if isinstance(item.values, Unread):
-                raise InputError(tree.file, f"{path} has dtype {item.values.dtype}", "float64, int64, bool, complex128 or text")
+                raise InputError(
+                    tree.file, f"{path} has dtype {item.values.dtype}", "float64, int64, bool, complex128 or text"
+                )
             digest.update(_array(item.values))
         for name in sorted(item.attrs, key=str.encode):
             if (path, name) != ("/", "content_sha256"):

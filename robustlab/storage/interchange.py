@@ -96,7 +96,12 @@ def load(
     """
     loaded = read(path, group=group, transpose=transpose, no_verify=no_verify, limits=limits, isolate=isolate)
     if loaded.kind == "pair":
-        raise InputError(str(path), "two models, /nominal and /perturbed", "one object", 'load_pair(path), or load(path, group="nominal")')
+        raise InputError(
+            str(path),
+            "two models, /nominal and /perturbed",
+            "one object",
+            'load_pair(path), or load(path, group="nominal")',
+        )
     for text in loaded.warnings:
         if "--no-verify" in text:
             warnings.warn(f"{path}: {text}", stacklevel=2)
@@ -139,7 +144,9 @@ def read(
     node = tree.find(group) if group else tree
     if node is None:
         names = [path.strip("/") for path, item in tree.walk() if isinstance(item, Tree) and path != "/"]
-        raise InputError(where, f"missing group /{group}", f"one of {', '.join(names)}" if names else "a file with groups")
+        raise InputError(
+            where, f"missing group /{group}", f"one of {', '.join(names)}" if names else "a file with groups"
+        )
     kind, thing = _plain(node, where, group, transpose, limits, isolate)
     return Loaded(thing, kind, where, False, _unit_warnings(thing))
 
@@ -191,7 +198,9 @@ def _record(keywords: dict[str, Any], where: str) -> Record:
     try:
         return Record(**keywords, name=name)
     except InputError as error:
-        raise InputError(where, f"{error.where.removeprefix(name).lstrip(': ')} {error.found}".strip(), error.expected, error.hint) from None
+        raise InputError(
+            where, f"{error.where.removeprefix(name).lstrip(': ')} {error.found}".strip(), error.expected, error.hint
+        ) from None
 
 
 def _unit_warnings(thing: Any) -> tuple[str, ...]:
@@ -262,12 +271,25 @@ def _encode(tree: Tree, obj: Any) -> str:
 
 def _save_matlab(path: str | Path, obj: Any) -> Path:
     if isinstance(obj, UncertainModel):
-        raise InputError(str(path), "an uncertain model", "a model or a controller for .mat", "save it as .h5, which MATLAB reads with h5read")
+        raise InputError(
+            str(path),
+            "an uncertain model",
+            "a model or a controller for .mat",
+            "save it as .h5, which MATLAB reads with h5read",
+        )
     if isinstance(obj, (Record, Result)):
-        raise InputError(str(path), f"a {type(obj).__name__}", "a model or a controller for .mat", "save it as .h5, which MATLAB reads with h5read")
+        raise InputError(
+            str(path),
+            f"a {type(obj).__name__}",
+            "a model or a controller for .mat",
+            "save it as .h5, which MATLAB reads with h5read",
+        )
     model = as_model(obj, "save")
     variables: dict[str, Any] = {name: getattr(model, name) for name in "ABCD"}
     variables["dt"] = model.dt
+    point = model.operating_point
+    if point is not None:
+        variables["operating_point"] = {name: getattr(point, name).reshape(-1, 1) for name in ("x", "u", "y")}
     for side, signals in (("State", model.states), ("Input", model.inputs), ("Output", model.outputs)):
         variables[f"{side}Name"] = [s.name for s in signals]
         variables[f"{side}Unit"] = [s.unit for s in signals]

@@ -43,7 +43,11 @@ def encode_point(tree: Tree, point: OperatingPoint) -> None:
 
 
 def decode_model(
-    node: Tree, problems: Problems, transpose: bool = False, like: StateSpaceModel | None = None, dt: float | None = None
+    node: Tree,
+    problems: Problems,
+    transpose: bool = False,
+    like: StateSpaceModel | None = None,
+    dt: float | None = None,
 ) -> StateSpaceModel | None:
     """The model in ``node``, or None with the reasons in ``problems``.
 
@@ -93,7 +97,9 @@ def find_children(node: Tree, wanted: Sequence[str], problems: Problems, known: 
         if name in wanted or name in known:
             continue
         lower = {item.lower(): item for item in missing}
-        close = lower.get(name.lower()) or (did_you_mean(name, missing) or "").removeprefix("did you mean ").removesuffix("?")
+        close = lower.get(name.lower()) or (did_you_mean(name, missing) or "").removeprefix(
+            "did you mean "
+        ).removesuffix("?")
         if close:
             problems.add(f"unexpected {node.child_path(name)} (did you mean {node.child_path(close)}?)")
 
@@ -140,7 +146,9 @@ def _dtype_name(values: Any) -> str:
     return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)
 
 
-def _fitting(matrices: dict[str, Array], node: Tree, problems: Problems, like: StateSpaceModel | None) -> dict[str, Array]:
+def _fitting(
+    matrices: dict[str, Array], node: Tree, problems: Problems, like: StateSpaceModel | None
+) -> dict[str, Array]:
     """The matrices, with empty ones of a static gain in their proper shape; notes shapes that do not fit."""
     shapes = {name: m.shape for name, m in matrices.items()}
     if shapes["A"] == (0, 0):  # MATLAB writes [] for all three
@@ -229,7 +237,9 @@ def _named(group: Tree, name: str, unit: str, problems: Problems) -> list[Signal
         return None
     units = _texts(group, unit, problems) if unit in group.datasets else [""] * len(names)
     if units is not None and len(units) != len(names):
-        problems.add(f"{group.child_path(unit)} has {len(units)} entries, expected {len(names)} as {group.child_path(name)}")
+        problems.add(
+            f"{group.child_path(unit)} has {len(units)} entries, expected {len(names)} as {group.child_path(name)}"
+        )
         return None
     return [Signal(*pair) for pair in zip(names, units or [], strict=True)] if units is not None else None
 
@@ -261,5 +271,5 @@ def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
         if isinstance(values, Unread) or values.dtype.kind not in "fi":
             problems.add(f"{group.child_path(name)} has dtype {_dtype_name(values)}, expected real numbers")
             return None
-        vectors[name] = values.reshape(-1) if values.ndim != 1 and 1 in values.shape else values
+        vectors[name] = values.reshape(-1) if values.ndim == 2 and (1 in values.shape or not values.size) else values
     return OperatingPoint(**vectors)

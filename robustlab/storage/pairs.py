@@ -58,9 +58,15 @@ def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str 
     """
     sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
     if sizes[0] != sizes[1]:
-        raise InputError(where, "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1]), "{}, {}, {} as nominal".format(*sizes[0]))
+        raise InputError(
+            where,
+            "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1]),
+            "{}, {}, {} as nominal".format(*sizes[0]),
+        )
     if nominal.dt != perturbed.dt:
-        raise InputError(where, f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s", "equal sample times")
+        raise InputError(
+            where, f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s", "equal sample times"
+        )
     names, units = [], []
     for side in ("states", "inputs", "outputs"):
         for a, b in zip(getattr(nominal, side), getattr(perturbed, side), strict=True):

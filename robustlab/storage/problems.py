@@ -42,5 +42,7 @@ class Problems:
     def raise_any(self) -> None:
         """Raise one `InputError` with all findings, if there are any."""
         if self.lines:
-            more = tuple(line if line.startswith(f"{self.file}: ") else f"{self.file}: {line}" for line in self.lines[1:])
+            more = tuple(
+                line if line.startswith(f"{self.file}: ") else f"{self.file}: {line}" for line in self.lines[1:]
+            )
             raise InputError(self.file, self.lines[0], None, self.hint, more)

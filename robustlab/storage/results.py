@@ -21,7 +21,9 @@ def encode_result(tree: Tree, result: Any) -> None:
     if isinstance(result, Result):
         data.pop("type")
     data.pop("status", None)
-    tree.attrs.update(type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value)
+    tree.attrs.update(
+        type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
+    )
     _table(tree.group("data"), data)
 
 

@@ -70,7 +70,9 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
         values = group.datasets[name].values
         kinds = "U" if name in ("name", "kind", "unit") else "fi"
         if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
-            problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {'texts' if kinds == 'U' else 'real numbers'}")
+            problems.add(
+                f"{group.child_path(name)} has dtype {values.dtype}, expected {'texts' if kinds == 'U' else 'real numbers'}"
+            )
         else:
             columns[name] = values.ravel().tolist()
     lengths = {name: len(values) for name, values in columns.items()}
@@ -78,7 +80,9 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
         return ()
     for name, length in lengths.items():
         if length != lengths["name"]:
-            problems.add(f"{group.child_path(name)} has {length} entries, expected {lengths['name']} as {group.child_path('name')}")
+            problems.add(
+                f"{group.child_path(name)} has {length} entries, expected {lengths['name']} as {group.child_path('name')}"
+            )
     if problems.lines:
         return ()
     result = [_block(i, columns, group.path, problems) for i in range(lengths["name"])]
@@ -91,7 +95,9 @@ def _block(i: int, columns: dict[str, list[Any]], path: str, problems: Problems)
         problems.add(f"{path}/kind[{i}] is {kind!r}, expected real, complex or full")
         return None
     if rows != int(rows) or cols != int(cols) or min(rows, cols) < 1 or (kind != "full" and rows != cols):
-        problems.add(f"{path}: block {name!r} ({kind}) is {rows:g} x {cols:g}, expected whole sizes, square for a scalar block")
+        problems.add(
+            f"{path}: block {name!r} ({kind}) is {rows:g} x {cols:g}, expected whole sizes, square for a scalar block"
+        )
         return None
     try:
         if kind == "full":
@@ -111,7 +117,9 @@ def _parameter(i: int, columns: dict[str, list[Any]], path: str, problems: Probl
     if np.isnan(nominal) and np.isnan(radius):
         return None
     if not (np.isfinite(nominal) and np.isfinite(radius)):
-        problems.add(f"{path}: block {columns['name'][i]!r} has nominal {nominal:g} and radius {radius:g}, expected both finite or both NaN")
+        problems.add(
+            f"{path}: block {columns['name'][i]!r} has nominal {nominal:g} and radius {radius:g}, expected both finite or both NaN"
+        )
         return None
     return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "")
 

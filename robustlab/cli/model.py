@@ -1,0 +1,280 @@
+"""``robustlab model``: build, show, check, compare and convert models."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import JsonOption, emit, note, table
+from robustlab.errors import UsageError
+
+if TYPE_CHECKING:
+    from robustlab.statespace import Signal, StateSpaceModel
+    from robustlab.storage import Loaded
+
+app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True)
+
+FileArgument = Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")]
+GroupOption = Annotated[
+    str | None, typer.Option("--group", help="Group of the file that holds the model.", show_default=False)
+]
+TransposeOption = Annotated[
+    bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D.")
+]
+NoVerifyOption = Annotated[bool, typer.Option("--no-verify", help="Load although the content hash does not match.")]
+
+SHOWN_STATES = 12
+
+
+@app.command()
+def build(
+    plant: Annotated[str, typer.Argument(help="Name of the plant, for example dc-motor.", metavar="PLANT")],
+    out: Annotated[str, typer.Option("--out", "-o", help="HDF5 or MATLAB file to write.")],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.", show_default=False)
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Linearise a plant from physics and write its state-space model.
+
+    Example: robustlab model build dc-motor --set R=2.2 --out motor.h5
+    """
+    from robustlab import dynamics
+    from robustlab.provenance import Provenance
+    from robustlab.storage import save
+
+    parameters = _numbers(settings or [])
+    made = dynamics.plant(plant, **parameters)
+    model = dynamics.linearise(made)
+    given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
+    save(out, model, Provenance.now("model build", note=f"{plant} {given}".strip()))
+    emit(
+        "model build",
+        {"plant": plant, "parameters": parameters, "file": out, "model": model},
+        f"{out}: {model!r}",
+        as_json,
+    )
+
+
+def _numbers(settings: list[str]) -> dict[str, float]:
+    values = {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        try:
+            if not (name and equals):
+                raise ValueError
+            values[name] = float(value)
+        except ValueError:
+            raise UsageError(f"--set {text}", "no parameter and number", "NAME=VALUE") from None
+    return values
+
+
+@app.command()
+def show(
+    file: FileArgument,
+    group: GroupOption = None,
+    transpose: TransposeOption = False,
+    no_verify: NoVerifyOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Print what a file holds.
+
+    Example: robustlab model show motor.h5
+    """
+    loaded = _read(file, group, transpose, no_verify)
+    parts = [line for name, thing in _objects(loaded) for line in _describe(name, thing)]
+    origin = loaded.provenance
+    if origin is not None:
+        parts.append(
+            f"made by {origin.created_by or 'unknown'} on {origin.created or 'an unknown day'} {origin.note}".rstrip()
+        )
+    content = {"nominal": loaded.object[0], "perturbed": loaded.object[1]} if loaded.kind == "pair" else loaded.object
+    result = {
+        "file": file,
+        "kind": loaded.kind,
+        "verified": loaded.verified,
+        "warnings": loaded.warnings,
+        "provenance": origin,
+    }
+    emit("model show", {**result, "content": content}, "\n".join([f"{file}: {_kind_line(loaded)}", *parts]), as_json)
+
+
+@app.command()
+def check(
+    file: FileArgument,
+    group: GroupOption = None,
+    transpose: TransposeOption = False,
+    no_verify: NoVerifyOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a file and the model in it: poles, stability, controllability, observability.
+
+    Example: robustlab model check motor.h5
+    """
+    from robustlab.structural import controllability, observability
+
+    loaded = _read(file, group, transpose, no_verify)
+    lines, result, doubtful = [f"{file}: {_kind_line(loaded)}"], {}, False
+    for name, model in _models(loaded):
+        tests = [controllability(model), observability(model)]
+        doubtful = doubtful or not all(test.status.trustworthy for test in tests)
+        lines += [f"{name}{model!r}", f"  {_stability(model)}"]
+        lines += [f"  pole {_complex(pole)}" for pole in sorted(model.poles(), key=lambda p: (-p.real, p.imag))]
+        lines += [f"  {line}" for test in tests for line in str(test).splitlines()]
+        result[name.rstrip(": ") or "model"] = {
+            "poles": model.poles(),
+            "spectral_abscissa": model.spectral_abscissa(),
+            "stable": model.is_stable(),
+            "controllability": tests[0],
+            "observability": tests[1],
+        }
+    head = {"file": file, "kind": loaded.kind, "verified": loaded.verified, "warnings": loaded.warnings}
+    emit("model check", {**head, **result}, "\n".join(lines), as_json)
+    if doubtful:
+        raise typer.Exit(4)
+
+
+@app.command()
+def diff(
+    first: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="A")],
+    second: Annotated[
+        str | None,
+        typer.Argument(help="The other file; left out where A holds a nominal and a perturbed model.", metavar="[B]"),
+    ] = None,
+    rtol: Annotated[float, typer.Option("--rtol", help="Relative changes up to this are not shown.")] = 0.0,
+    transpose: TransposeOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the entries in which two models differ.
+
+    Example: robustlab model diff nominal.h5 perturbed.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load, load_pair
+    from robustlab.storage.model_difference import difference
+
+    if second is None:
+        a, b = load_pair(first, transpose=transpose)
+    else:
+        a, b = (as_model(load(path, transpose=transpose), path) for path in (first, second))
+    changes = difference(a, b, rtol)
+    rows = [
+        (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
+        for c in changes
+    ]
+    total = a.A.size + a.B.size + a.C.size + a.D.size
+    text = table(rows, ("entry", "first", "second", "change")) + "\n" if rows else ""
+    emit("model diff", {"changes": changes, "entries": total}, f"{text}{len(rows)} of {total} entries differ", as_json)
+
+
+@app.command()
+def convert(
+    source: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="IN")],
+    target: Annotated[
+        str, typer.Argument(help="File to write: .h5 (format 1) or .mat (MATLAB version 5).", metavar="OUT")
+    ],
+    group: GroupOption = None,
+    transpose: TransposeOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a model in another format: plain HDF5 or MATLAB to format 1, or to MATLAB version 5.
+
+    Example: robustlab model convert plant.mat plant.h5
+    """
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.storage import save
+
+    loaded = _read(source, group, transpose, False)
+    if loaded.kind == "pair":
+        raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
+    save(target, loaded.object, Provenance.now("model convert", inputs={source: file_sha256(source)}))
+    emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
+
+
+# --- reading and printing --------------------------------------------------------------------------------------------
+
+
+def _read(file: str, group: str | None, transpose: bool, no_verify: bool) -> Loaded:
+    from robustlab.storage import read
+
+    loaded = read(file, group=group, transpose=transpose, no_verify=no_verify)
+    for text in loaded.warnings:
+        note(f"warning: {file}: {text}")
+    return loaded
+
+
+def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
+    if loaded.kind == "pair":
+        return list(zip(("nominal: ", "perturbed: "), loaded.object, strict=True))
+    return [("", loaded.object)]
+
+
+def _models(loaded: Loaded) -> list[tuple[str, StateSpaceModel]]:
+    from robustlab.statespace import as_model
+
+    return [(name, as_model(thing, loaded.path)) for name, thing in _objects(loaded)]
+
+
+def _kind_line(loaded: Loaded) -> str:
+    return f"{loaded.kind}, " + ("content hash verified" if loaded.verified else "not verified by a content hash")
+
+
+def _stability(model: StateSpaceModel) -> str:
+    if not model.n_states:
+        return "static gain: no poles"
+    value = model.spectral_abscissa()
+    if model.is_discrete:
+        return f"{'stable' if value < 0 else 'NOT stable'}: largest pole modulus {1 + value:.6g}"
+    return f"{'stable' if value < 0 else 'NOT stable'}: spectral abscissa {value:.6g} 1/s"
+
+
+def _complex(pole: complex) -> str:
+    return f"{pole.real:.6g}" + (f"{pole.imag:+.6g}j" if pole.imag else "")
+
+
+def _describe(name: str, thing: Any) -> list[str]:
+    """A few lines about any object that a file can hold."""
+    from robustlab.statespace import StateSpaceModel
+    from robustlab.synthesis.controller import Controller
+    from robustlab.uncertainty.lft import UncertainModel
+
+    if isinstance(thing, StateSpaceModel):
+        return [f"{name}{thing!r}", *_signal_lines(thing), *_matrix_lines(thing)]
+    if isinstance(thing, Controller):
+        gamma = "none" if thing.gamma is None else f"{thing.gamma:.6g}"
+        return [f"method {thing.method or 'unknown'}, gamma {gamma} ({thing.status})", *_describe(name, thing.K)]
+    if isinstance(thing, UncertainModel):
+        rows = [(b.name, type(b).__name__, f"{b.rows} x {b.cols}", _range(b)) for b in thing.blocks]
+        return [
+            f"{thing!r}",
+            *table(rows, ("block", "kind", "size", "range")).splitlines(),
+            *_describe("nominal: ", thing.nominal),
+        ]
+    return [repr(thing)]
+
+
+def _range(block: Any) -> str:
+    parameter = getattr(block, "parameter", None)
+    return f"{parameter.nominal:.6g} +- {parameter.radius:.6g} {parameter.unit}".rstrip() if parameter else ""
+
+
+def _signal_lines(model: StateSpaceModel) -> list[str]:
+    def line(word: str, signals: tuple[Signal, ...]) -> str:
+        return f"  {word}: " + ", ".join(f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals)
+
+    return [line("inputs", model.inputs), line("outputs", model.outputs), line("states", model.states)]
+
+
+def _matrix_lines(model: StateSpaceModel) -> list[str]:
+    if max(model.n_states, model.n_inputs, model.n_outputs) > SHOWN_STATES:
+        return [f"  matrices larger than {SHOWN_STATES}: --json prints them"]
+    lines = []
+    for name in "ABCD":
+        matrix = getattr(model, name)
+        if not matrix.size:
+            lines.append(f"  {name}: {matrix.shape[0]} x {matrix.shape[1]}")
+            continue
+        cells = [tuple(f"{x:.6g}" for x in row) for row in matrix.tolist()]
+        lines += [f"  {name + ':' if i == 0 else '  '} {row}" for i, row in enumerate(table(cells).splitlines())]
+    return lines
