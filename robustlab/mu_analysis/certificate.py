@@ -102,8 +102,12 @@ def singularity(M: ComplexArray, delta: ComplexArray) -> float:
 
 def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
     """Largest singular value of the blocks of Delta (q, p)."""
-    parts = [delta[w, z] if isinstance(b, FullBlock) else delta[w, z][:1, :1] for b, (w, z) in _with_slices(blocks)]
-    return max((float(np.linalg.norm(part, 2)) for part in parts), default=0.0)
+    largest = 0.0
+    for block, (w, z) in _with_slices(blocks):
+        full = isinstance(block, FullBlock) and block.rows * block.cols > 1
+        size = np.linalg.norm(delta[w, z], 2) if full else abs(delta[w.start, z.start])
+        largest = max(largest, float(size))
+    return largest
 
 
 def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:

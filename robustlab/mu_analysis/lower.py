@@ -47,11 +47,12 @@ def lower_bound(
         if not component.matrix.any():
             continue
         part = [blocks[i] for i in component.members]
-        for candidate in _candidates(component.matrix, part, seed, restarts, steps):
-            norm = delta_norm(part, candidate)
-            # A candidate that cannot win is not checked.
-            if not 0 < norm < np.inf or 1 / norm <= best[0]:
+        candidates = [(delta_norm(part, c), c) for c in _candidates(component.matrix, part, seed, restarts, steps)]
+        for norm, candidate in sorted(candidates, key=lambda pair: pair[0]):
+            if not 0 < norm < np.inf:
                 continue
+            if 1 / norm <= best[0]:
+                break
             delta = _embed(candidate, blocks, component)
             if singularity(component.matrix, candidate) <= SINGULAR and singularity(M, delta) <= 1e3 * SINGULAR:
                 best = (1 / delta_norm(blocks, delta), delta)
@@ -104,7 +105,7 @@ def _minimum_norm_steps(
             break
         x = _unit(np.einsum("kij,kj->ki", inverse, x), x)
         y = _unit(np.einsum("kji,kj->ki", np.conj(inverse), y), y)
-        if step >= steps - 6:
+        if step >= steps - 2:
             found.extend(_completed(M, blocks, d) for d in delta)
     return found
 

@@ -28,7 +28,7 @@ ComplexArray = NDArray[np.complex128]
 RHO = 0.3  # weight of the barrier that keeps D away from singular
 NEAR = 0.3  # squared Newton decrement below which a point counts as centred
 STEP = 0.9  # part of the way to the boundary that a predictor step goes
-FLOOR = 1e-16  # t below this, of a matrix of norm 1, is zero
+NEGATIVE = -1.0  # t below this, of a matrix of norm 1, cannot make a proof of mu = 0 any firmer
 
 
 def minimise(
@@ -47,7 +47,7 @@ def minimise(
     """
     scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
     path = _Path(M / scale[:, None, None], space)
-    goal = np.full(len(M), -np.inf) if target is None else (target / scale) ** 2
+    goal = np.full(len(M), -np.inf) if target is None else np.minimum(target / scale, 1e3) ** 2
     active = np.arange(len(M))
     for _ in range(max_steps):
         if not len(active):
@@ -94,7 +94,7 @@ class _Path:
         x = x + self._line(i, x, dx, t, F, Dw)[:, None] * dx
         gap = 3 * self.m / np.maximum(np.einsum("kij,kji->k", P, Dw).real, 1e-300)
         x, t = self._predict(i, x, t, tangent, near)
-        found = self._level(i, x, t)
+        found = self._level(i, x)
         better = found < self.best_t[i]
         self.best_t[i] = np.where(better, found, self.best_t[i])
         self.best_x[i] = np.where(better[:, None], x, self.best_x[i])
@@ -104,7 +104,7 @@ class _Path:
         beyond = self.t[i] - gap > goal[i]
         calm = near & ((gap < tol * np.abs(t)) | (np.isfinite(goal[i]) & beyond))
         self.calm[i] = np.where(calm, self.calm[i] + 1, 0)
-        return (self.calm[i] >= 2) | (best <= FLOOR) | (best <= goal[i])
+        return (self.calm[i] >= 2) | (best <= 0) | (self.t[i] < NEGATIVE) | (best <= goal[i])
 
     def _forms(self, i: NDArray[np.intp], x: Array, t: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """``F_t(x)``, ``D_w(x)`` and the supply ``t D_w - F_t``, which does not depend on t."""
@@ -184,10 +184,22 @@ class _Path:
         straight = ~(good & near & (step > own))
         return np.where(straight[:, None], x, x - step[:, None] * tangent), np.where(straight, t - own, t - step)
 
-    def _level(self, i: NDArray[np.intp], x: Array, t: Array) -> Array:
-        """Smallest t for which x is feasible."""
-        F, Dw, _ = self._forms(i, x, t)
-        return t - _relative(Dw, F)[:, 0]
+    def _level(self, i: NDArray[np.intp], x: Array) -> Array:
+        """Smallest t for which x is feasible in spite of rounding errors: where mu is near zero, G grows and digits are lost."""
+        M = self.M[i]
+        Dw, Dz, G = self.space.matrices(x)
+        w, z = (1 / np.sqrt(np.einsum("kii->ki", d).real) for d in (Dw, Dz))
+        M = M * w[:, None, :] / z[:, :, None]
+        Dw = Dw * w[:, :, None] * w[:, None, :]
+        Dz = Dz * z[:, :, None] * z[:, None, :]
+        G = G * w[:, :, None] * z[:, None, :]
+        product = G @ M
+        supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+        size = np.abs(M)
+        cross = np.abs(G) @ size
+        bound = np.swapaxes(size, 1, 2) @ np.abs(Dz) @ size + cross + np.swapaxes(cross, 1, 2)
+        rounding = 1e-14 * self.m * bound.sum(axis=2).max(axis=1)
+        return _relative(Dw, (supply + hermitian(supply)) / 2)[:, -1] + rounding / np.linalg.eigvalsh(Dw)[:, 0]
 
 
 def _relative(X: ComplexArray, Y: ComplexArray) -> Array:

@@ -55,12 +55,14 @@ def smallest_destabilising(
     """
     rng = np.random.default_rng(seed)
     candidates: list[ComplexArray] = []
-    for w, m in zip([0.0, *omega], frequency_response(model, np.array([0.0, *omega])), strict=True):
+    # A purely real Delta reaches isolated frequencies only: trying others would find nothing.
+    tried = [0.0] if all(isinstance(b, RealScalar) for b in blocks) else [0.0, *omega]
+    for w, m in zip(tried, frequency_response(model, np.array(tried)), strict=True):
         # At zero frequency M is real: its real Delta moves a real pole into the origin.
         _, delta = lower_bound(m, blocks, seed, restarts=12 if w == 0 else 4, steps=40 if w == 0 else 24)
         if delta is not None:
             candidates.append(delta)
-    candidates.extend(_migrate(model, blocks, candidates[1:], rng, random_starts))
+    candidates.extend(_migrate(model, blocks, candidates, rng, random_starts))
     crossings = [c for c in (_first_crossing(model, blocks, d) for d in candidates) if c is not None]
     _, ill_posed = lower_bound(model.D.astype(complex), blocks, seed)
     if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= SINGULAR * 1e3:
@@ -142,7 +144,7 @@ def _migrate(
         new = np.where((np.abs(new).max(axis=(1, 2)) < 1e8)[:, None, None], new, deltas)
         moved = np.einsum("km,kmp,kp->k", row, new - deltas, x)
         reach = 0.5 * np.abs(pole) + 1e-3 * speed
-        poles = pole + moved * np.minimum(1.0, reach / np.maximum(np.abs(moved), 1e-300))
+        poles = pole + moved * np.minimum(1.0, reach / np.maximum(np.abs(moved), 1e-100 * speed + 1e-200))
         deltas = new
     return [best[k] for k in np.argsort(best_norm) if np.isfinite(best_norm[k])]
 

@@ -77,7 +77,7 @@ class Margin:
 def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
-    accuracy: float = 0.005,
+    accuracy: float = 0.001,
     time_limit: float = 60.0,
     seed: int = 0,
 ) -> Margin:
@@ -126,7 +126,7 @@ def robust_stability(
     cover = _cover(model, blocks, peak, first, started + time_limit, accuracy)
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([lower_bound(m, blocks, seed, restarts=4, steps=24)[0] for m in response])
-    mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-4)])
+    mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
     return _margin(uncertain, worst, cover, grid, mu_lower, mu_upper, ())
 
 
@@ -161,7 +161,7 @@ def _continuous(model: StateSpaceModel) -> StateSpaceModel:
 
 def _grid(model: StateSpaceModel, omega: ArrayLike | None) -> Array:
     if omega is None:
-        return default_grid(model, 60) if model.n_states else np.array([0.0])
+        return default_grid(model, 40) if model.n_states else np.array([0.0])
     grid = np.atleast_1d(np.asarray(omega, dtype=float))
     if grid.ndim != 1 or not np.isfinite(grid).all() or (grid < 0).any():
         raise InputError("robust_stability: omega", "negative or not finite frequencies", "frequencies in rad/s, >= 0")
