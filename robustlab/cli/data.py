@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -41,6 +41,7 @@ GapsOption = Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock w
 @app.command()
 def check(
     file: FileArgument,
+    *,
     group: GroupOption = None,
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
@@ -58,7 +59,18 @@ def check(
     """
     from robustlab.storage.record_check import check_record
 
-    record = _record(file, group, inputs, outputs, dt, clock, unit, delimiter, decimal, allow_gaps)
+    record = _record(
+        file,
+        group=group,
+        dt=dt,
+        inputs=inputs,
+        outputs=outputs,
+        clock=clock,
+        unit=unit,
+        delimiter=delimiter,
+        decimal=decimal,
+        allow_gaps=allow_gaps,
+    )
     found = check_record(record)
     clock_line = f"{record.n} samples, {record.duration:.6g} s, dt {record.dt:.6g} s, " + (
         "uniform" if record.is_uniform else "not uniform"
@@ -74,6 +86,7 @@ def check(
 def convert(
     source: Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="IN")],
     target: Annotated[str, typer.Argument(help="HDF5 file to write.", metavar="OUT")],
+    *,
     group: GroupOption = None,
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
@@ -92,37 +105,28 @@ def convert(
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
 
-    record = _record(source, group, inputs, outputs, dt, clock, unit, delimiter, decimal, allow_gaps)
-    save(target, record, Provenance.now("data convert", inputs={source: file_sha256(source)}))
-    emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
-
-
-def _record(
-    file: str,
-    group: str | None,
-    inputs: str | None,
-    outputs: str | None,
-    dt: float | None,
-    clock: str | None,
-    unit: list[str] | None,
-    delimiter: str | None,
-    decimal: str,
-    allow_gaps: bool,
-) -> Record:
-    from robustlab.record import Record
-
-    return Record.read(
-        file,
-        group,
-        _names(inputs),
-        _names(outputs),
-        dt,
+    record = _record(
+        source,
+        group=group,
+        dt=dt,
+        inputs=inputs,
+        outputs=outputs,
         clock=clock,
-        units=_units(unit or []),
+        unit=unit,
         delimiter=delimiter,
         decimal=decimal,
         allow_gaps=allow_gaps,
     )
+    save(target, record, Provenance.now("data convert", inputs={source: file_sha256(source)}))
+    emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
+
+
+def _record(file: str, *, group: str | None, dt: float | None, **texts: Any) -> Record:
+    """The record that the options of a command describe; ``texts`` are those options as they were typed."""
+    from robustlab.record import Record
+
+    inputs, outputs = _names(texts.pop("inputs")), _names(texts.pop("outputs"))
+    return Record.read(file, group, inputs, outputs, dt, units=_units(texts.pop("unit") or []), **texts)
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -60,10 +60,8 @@ def build(
 def _numbers(settings: list[str]) -> dict[str, float]:
     values = {}
     for text in settings:
-        name, equals, value = text.partition("=")
+        name, _, value = text.partition("=")
         try:
-            if not (name and equals):
-                raise ValueError
             values[name] = float(value)
         except ValueError:
             raise UsageError(f"--set {text}", "no parameter and number", "NAME=VALUE") from None

@@ -35,8 +35,9 @@ _REASONS = {
 def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
     """Call ``write(temporary_path)`` and put what it wrote in the place of ``path``.
 
-    The temporary file lies in the same folder; it is flushed to disk, renamed, and the folder is flushed. A link is followed: the
-    file it points to is replaced. Temporary files that a killed process left in the folder more than an hour ago are removed.
+    The temporary file lies in the same folder; it is flushed to disk, renamed, and the folder is flushed. A link is
+    followed: the file it points to is replaced. Temporary files that a killed process left in the folder more than an
+    hour ago are removed.
 
     Raises
     ------
@@ -46,9 +47,7 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
     where = str(path)
     try:
         target = Path(path).resolve()
-        old = target.stat() if target.exists() else None
-        if old is not None and not stat.S_ISREG(old.st_mode):
-            raise EnvironmentFault(where, "is a directory or a device", "a file name")
+        old = _previous(target, where)
         _sweep(target.parent)
         handle, name = tempfile.mkstemp(SUFFIX, PREFIX, target.parent)
     except EnvironmentFault:
@@ -71,6 +70,15 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
     finally:
         temporary.unlink(missing_ok=True)
     return target
+
+
+def _previous(target: Path, where: str) -> os.stat_result | None:
+    if not target.exists():
+        return None
+    old = target.stat()
+    if not stat.S_ISREG(old.st_mode):
+        raise EnvironmentFault(where, "is a directory or a device", "a file name")
+    return old
 
 
 def _fault(where: str, error: OSError, kept: bool) -> EnvironmentFault:

@@ -58,7 +58,7 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
 def write_tree(path: str | Path, tree: Tree) -> Path:
     """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as fixed-length UTF-8.
 
-    The file is laid out in memory first, so that a full disk meets one plain write and never a half-flushed HDF5 library.
+    The file is laid out in memory first, so that a full disk meets one plain write and never a half-flushed library.
 
     Raises
     ------

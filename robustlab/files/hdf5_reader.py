@@ -1,6 +1,7 @@
-"""Walk an HDF5 file without trusting it, and read it into a `Tree`. Runs in a child process; see `robustlab.files.isolation`.
+"""Walk an HDF5 file without trusting it, and read it into a `Tree`.
 
-Links are looked at before they are followed, types and declared sizes before anything is read.
+Runs in a child process; see `robustlab.files.isolation`. Links are looked at before they are followed, types and
+declared sizes before anything is read.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z
+from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from robustlab.errors import InputError
 from robustlab.files.limits import Limits, size_text
@@ -58,8 +59,9 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
     Raises
     ------
     InputError
-        With all problems of the file, one line each: links out of the tree, external or virtual storage, unknown filters, sizes
-        beyond the limits, checksums that do not match, texts that are not UTF-8, a truncated or damaged file.
+        With all problems of the file, one line each: links out of the tree, external or virtual storage, unknown
+        filters, sizes beyond the limits, checksums that do not match, texts that are not UTF-8, a truncated or damaged
+        file.
     """
     where = shown or path
     try:
@@ -72,7 +74,7 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
             tree = _group(walk, h5g.open(file.id, b"/"), "/", 0)
     except MemoryError:
         raise InputError(where, "needs more memory than the reader may use", None, DAMAGED) from None
-    except Exception as error:  # noqa: BLE001  whatever the library says about a damaged file is a finding about the file
+    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
         raise InputError(
             where, f"damaged HDF5 file ({type(error).__name__}: {_short(error)})", None, DAMAGED
         ) from error
@@ -298,7 +300,7 @@ def _plain(values: Any, kind: str) -> np.ndarray[Any, Any]:
 
 
 def _attributes(walk: _Walk, oid: Any, path: str) -> dict[str, Any]:
-    """The attributes of types that are read; others (lists of references of a dimension scale, for example) are left out."""
+    """The attributes of types that are read; others (references of a dimension scale, for example) are left out."""
     attrs: dict[str, Any] = {}
     values = (h5py.Group(oid) if isinstance(oid, h5g.GroupID) else h5py.Dataset(oid)).attrs
     for i in range(h5a.get_num_attrs(oid)):

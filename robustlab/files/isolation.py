@@ -41,8 +41,7 @@ def run_reader(command: list[str], where: str, limits: Limits) -> Tree:
         done = subprocess.run(  # noqa: S603  our own interpreter with our own module
             command,
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            capture_output=True,
             env=_environment(),
             timeout=limits.seconds,
             check=False,

@@ -1,7 +1,7 @@
 """MATLAB files: version 5 read and written, version 7.3 (HDF5) brought to the same form.
 
-MATLAB stores matrices column by column. Version 7.3 files therefore show them transposed to every other HDF5 reader; datasets that
-MATLAB marked (attribute ``MATLAB_class``) are transposed back here.
+MATLAB stores matrices column by column. Version 7.3 files therefore show them transposed to every other HDF5 reader;
+datasets that MATLAB marked (attribute ``MATLAB_class``) are transposed back here.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
         raise
     except MemoryError:
         raise InputError(where, "needs more memory than the reader may use") from None
-    except Exception as error:  # noqa: BLE001  whatever the library says about a damaged file is a finding about the file
+    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
         raise InputError(where, f"damaged MATLAB file ({type(error).__name__}: {str(error)[:100]})") from error
     for name, value in variables.items():
         if not (name.startswith("__") and name.endswith("__")):

@@ -1,7 +1,8 @@
-"""The child process that opens untrusted files: ``python -m robustlab.files.reader_process`` (started by `robustlab.files.isolation`).
+"""The child process that opens untrusted files: ``python -m robustlab.files.reader_process``.
 
-Arguments: kind (``hdf5``, ``matlab5``), path, name of the file for messages, group or an empty text, the limits as JSON.
-It answers on stdout with a tree or an error; a crash or a hang is seen by the parent.
+`robustlab.files.isolation` starts it. Arguments: kind (``hdf5``, ``matlab5``), path, name of the file for messages,
+group or an empty text, the limits as JSON. It answers on stdout with a tree or an error; a crash or a hang is seen by
+the parent.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Layout of a record in format 1: ``t``, ``inputs/<name>``, ``outputs/<name>`` with attributes ``unit`` and ``meaning``."""
+"""Layout of a record in format 1: ``t``, ``inputs/<name>``, ``outputs/<name>``; attributes ``unit``, ``meaning``."""
 
 from __future__ import annotations
 

@@ -75,8 +75,8 @@ def read_record(
     group
         HDF5 group or MATLAB struct that holds the signals.
     inputs, outputs
-        Names of the signals to take. With neither given, all signals are outputs, because only the user knows which are inputs
-        (a format 1 record knows). With inputs only, all others are outputs.
+        Names of the signals to take. With neither given, all signals are outputs, because only the user knows which are
+        inputs (a format 1 record knows). With inputs only, all others are outputs.
     dt
         Sample time in s; wins over what the file says.
     clock
@@ -90,21 +90,22 @@ def read_record(
     no_verify
         Accept a format 1 record whose content hash does not match.
 
-    Without clock and ``dt``, the attribute ``Ts`` (or ``dt``, in s, or ``fs`` in Hz) of the signals, else of their group, else of
-    the file is used.
+    Without clock and ``dt``, the attribute ``Ts`` (or ``dt``, in s, or ``fs`` in Hz) of the signals, else of their
+    group, else of the file is used.
 
     Raises
     ------
     InputError
-        Signals that are missing (all of them, with the nearest names), are not columns of numbers, differ in length; no clock;
-        missing samples.
+        Signals that are missing (all of them, with the nearest names), are not columns of numbers, differ in length; no
+        clock; missing samples.
     """
     if content_of(path, limits) == "text":
         source = _from_text(path, group, delimiter, decimal, limits)
     else:
         tree = read_tree(path, group, limits, isolate)
         if is_stamped(tree):
-            return _from_format_1(path, tree, group, inputs, outputs, units, no_verify)
+            node = _record_of_format_1(str(path), tree, group, no_verify)
+            return _stored(node, str(path), inputs, outputs, units)
         node = tree.find(group) if group else tree
         if node is None:
             raise InputError(
@@ -116,7 +117,7 @@ def read_record(
         if {"inputs", "outputs"} & set(node.groups):
             return _stored(node, str(path), inputs, outputs, units)
         source = _from_tree(path, tree, node, group)
-    return _choose(source, inputs, outputs, dt, clock, units or {}, allow_gaps)
+    return _choose(source, inputs=inputs, outputs=outputs, dt=dt, clock=clock, units=units or {}, allow_gaps=allow_gaps)
 
 
 # --- what the file holds ---------------------------------------------------------------------------------------------
@@ -150,7 +151,7 @@ def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _
             and isinstance(values := channels[name].values, np.ndarray)
             and values.size == 1
         ):
-            own = float(channels.pop(name).values.flat[0])  # pyright: ignore[reportAttributeAccessIssue]
+            own = float(channels.pop(name).values.flat[0])
     stem = Path(path).stem
     prefix = f"{node.path.rstrip('/')}/"
     return _Source(
@@ -186,21 +187,13 @@ def _group_names(tree: Tree) -> list[str]:
 # --- a record of format 1 --------------------------------------------------------------------------------------------
 
 
-def _from_format_1(
-    path: str | Path,
-    tree: Tree,
-    group: str | None,
-    inputs: Sequence[str] | None,
-    outputs: Sequence[str] | None,
-    units: Mapping[str, str] | None,
-    no_verify: bool,
-) -> dict[str, Any]:
+def _record_of_format_1(where: str, tree: Tree, group: str | None, no_verify: bool) -> Tree:
     if group:
-        raise InputError(str(path), f"group {group!r} of a format 1 file", "no group: such a file holds one object")
+        raise InputError(where, f"group {group!r} of a format 1 file", "no group: such a file holds one object")
     kind, _warnings = check_header(tree, no_verify)
     if kind != "record":
-        raise InputError(str(path), f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
-    return _stored(tree, str(path), inputs, outputs, units)
+        raise InputError(where, f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
+    return tree
 
 
 def _stored(
@@ -229,6 +222,7 @@ def _stored(
 
 def _choose(
     source: _Source,
+    *,
     inputs: Sequence[str] | None,
     outputs: Sequence[str] | None,
     dt: float | None,
@@ -338,7 +332,7 @@ def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: s
                 f"{source.label(names[0])} has {n} samples",
                 f"{len(t)} as the clock {source.label(clock)}",
             )
-        return t * SECONDS[unit]
+        return np.multiply(t, SECONDS[unit], dtype=np.float64)
     if dt is None:
         own = {name: source.channels[name].dt for name in names}
         if len(set(own.values())) > 1:
@@ -352,11 +346,11 @@ def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: s
         )
     if not np.isfinite(dt) or dt < 0:
         raise InputError(source.where, f"dt is {dt}", "a positive sample time in s")
-    return np.arange(n) * float(dt)
+    return np.arange(n, dtype=np.float64) * np.float64(dt)
 
 
 def _refuse_gaps(where: str, t: NDArray[np.float64]) -> None:
-    """Missing samples: steps far longer than the others in a clock that is otherwise regular. A free clock has no gaps."""
+    """Missing samples: steps far longer than the others of a clock that is otherwise regular."""
     steps = np.diff(t)
     if len(steps) < 2 or (steps <= 0).any():
         return  # Record names a clock that stands still or runs backwards
@@ -368,7 +362,8 @@ def _refuse_gaps(where: str, t: NDArray[np.float64]) -> None:
         lost = round(float(steps[k]) / median) - 1
         raise InputError(
             where,
-            f"t: {lost} samples missing between t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s ({len(holes)} gaps in all)",
+            f"t: {lost} samples missing between t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s "
+            f"({len(holes)} gaps in all)",
             f"a sample every {median:.6g} s",
             "cut the record there, or allow_gaps=True (--allow-gaps)",
         )

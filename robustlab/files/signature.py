@@ -104,7 +104,7 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
 
 
 def _is_hdf5(path: Path, head: bytes) -> bool:
-    """HDF5's signature stands at 0, 512, 1024, 2048, ...: a user block (MATLAB writes one of 512 bytes) may come first."""
+    """HDF5's signature stands at 0, 512, 1024, ...: a user block (MATLAB writes one of 512 bytes) may come first."""
     if head.startswith(HDF5_MAGIC):
         return True
     size, offset = path.stat().st_size, 512

@@ -1,4 +1,4 @@
-"""Tables in text files: delimiter, header, units and decimal sign found or named; every bad cell with its line and column."""
+"""Tables in text files: delimiter, header and units are found; every bad cell is named with its line and column."""
 
 from __future__ import annotations
 
@@ -24,7 +24,19 @@ WHITESPACE = " "
 
 @dataclass(frozen=True)
 class TextTable:
-    """Columns of a text file: names (``c1, c2, ...`` without a header), units (empty where not stated), values (n, columns)."""
+    """Columns of a text file.
+
+    Attributes
+    ----------
+    names
+        From the header; ``c1, c2, ...`` without one.
+    units
+        Empty where not stated.
+    values
+        Shape (n, columns).
+    has_header
+        True where the names come from the file.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -37,8 +49,9 @@ def read_table(
 ) -> TextTable:
     """Read a table of numbers from a text file.
 
-    Lines that begin with ``#`` or ``%`` are comments; the first line that is not made of numbers is the header. Without one, a
-    comment directly above the numbers with as many names as there are columns is taken. Names may carry units: ``q [m]``, ``q (m)``.
+    Lines that begin with ``#`` or ``%`` are comments; the first line that is not made of numbers is the header. Without
+    one, a comment directly above the numbers with as many names as there are columns is taken. Names may carry units:
+    ``q [m]``, ``q (m)``.
 
     Parameters
     ----------
@@ -84,7 +97,7 @@ def read_table(
     if names is None and comment is not None and comment[0] == data[0][0] - 1:
         given = _cells(comment[1], sign) if sign != WHITESPACE or not UNIT.search(comment[1]) else None
         names = given if given and len(given) == width else None
-    values = _numbers(where, data, sign, decimal, width, names)
+    values = _numbers(where, data, sign, decimal=decimal, width=width, names=names)
     labels = [_name_and_unit(name) for name in names] if names else [(f"c{i + 1}", "") for i in range(width)]
     _check_names(where, [name for name, _ in labels])
     return TextTable(tuple(n for n, _ in labels), tuple(u for _, u in labels), values, names is not None)
@@ -156,7 +169,7 @@ def _cells(text: str, delimiter: str) -> list[str]:
 
 
 def _numbers(
-    where: str, data: list[tuple[int, str]], delimiter: str, decimal: str, width: int, names: list[str] | None
+    where: str, data: list[tuple[int, str]], delimiter: str, *, decimal: str, width: int, names: list[str] | None
 ) -> NDArray[np.float64]:
     texts = [text for _, text in data]
     try:
@@ -171,23 +184,20 @@ def _numbers(
         if len(cells) != width:
             raise InputError(where, f"line {number} has {len(cells)} cells", f"{width} as in line {data[0][0]}")
         for j, cell in enumerate(cells):
-            result[i, j] = _number(where, cell, decimal, number, j, names)
+            place = f"{where}: line {number}, column {j + 1}" + (f" ({names[j]})" if names else "")
+            result[i, j] = _number(place, cell, decimal)
     return result
 
 
-def _number(where: str, cell: str, decimal: str, line: int, column: int, names: list[str] | None) -> float:
-    place = f"line {line}, column {column + 1}" + (f" ({names[column]})" if names else "")
+def _number(where: str, cell: str, decimal: str) -> float:
     if decimal == "," and "." not in cell:
         cell = cell.replace(",", ".")
     elif decimal == "." and DECIMAL_COMMA.match(cell):
-        raise InputError(where, f"{place}: decimal comma in {cell!r}", "a decimal point", "--decimal ,")
+        raise InputError(where, f"decimal comma in {cell!r}", "a decimal point", "--decimal ,")
     try:
-        if "_" in cell:
-            raise ValueError
-        return float(cell)
+        return float(cell.replace("_", "?"))  # Python reads 1_000 as a thousand; no logger writes that
     except ValueError:
-        found = f"{cell[:40]!r}" if cell else "empty cell"
-        raise InputError(where, f"{place}: {found}", "a number") from None
+        raise InputError(where, repr(cell[:40]) if cell else "empty cell", "a number") from None
 
 
 def _name_and_unit(text: str) -> tuple[str, str]:

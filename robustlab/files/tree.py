@@ -103,7 +103,7 @@ def canonical(values: Any, where: str) -> NDArray[Any]:
     Raises
     ------
     InputError
-        Any other type, whole numbers beyond 64 bits, text that cannot be stored (a NUL character, half a surrogate pair).
+        Any other type, whole numbers beyond 64 bits, text that cannot be stored (NUL, half a surrogate pair).
     """
     array = np.asarray(values)
     kind = array.dtype.kind
@@ -127,8 +127,8 @@ def canonical(values: Any, where: str) -> NDArray[Any]:
 def content_sha256(tree: Tree) -> str:
     """SHA-256 over the content, as a hex string; independent of how the file is laid out.
 
-    Everything counts but the root attribute ``content_sha256`` and the root group ``provenance``. The bytes that are hashed are
-    described in ``docs/hdf5-format.md``.
+    Everything counts but the root attribute ``content_sha256`` and the root group ``provenance``. The bytes that are
+    hashed are described in ``docs/hdf5-format.md``.
 
     Raises
     ------

@@ -22,9 +22,7 @@ def send_tree(stream: BinaryIO, tree: Tree) -> None:
     arrays: list[np.ndarray[Any, Any]] = []
     _header(stream, {"tree": _node(tree, arrays)})
     for array in arrays:
-        stream.write(
-            array.tobytes() if array.nbytes < 1 << 16 else memoryview(np.ascontiguousarray(array).reshape(-1)).cast("B")
-        )
+        stream.write(array.tobytes())
     stream.flush()
 
 

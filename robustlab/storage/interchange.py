@@ -41,7 +41,7 @@ class Loaded:
     Attributes
     ----------
     object
-        StateSpaceModel, UncertainModel, Controller, Record or Result; for ``kind = "pair"`` a tuple (nominal, perturbed).
+        StateSpaceModel, UncertainModel, Controller, Record or Result; for ``kind = "pair"`` (nominal, perturbed).
     kind
         Kind of format 1, or ``"pair"``.
     verified
@@ -80,7 +80,7 @@ def load(
     transpose
         The file was written column by column: swap the axes of A, B, C and D. MATLAB's own files need no such word.
     no_verify
-        Load although the content hash does not match; a warning is issued. Nothing should be certified with such an object.
+        Load although the content hash does not match; a warning is issued. Certify nothing with such an object.
     limits, isolate
         See `robustlab.files.hdf5.read_tree`.
 
@@ -147,7 +147,7 @@ def read(
         raise InputError(
             where, f"missing group /{group}", f"one of {', '.join(names)}" if names else "a file with groups"
         )
-    kind, thing = _plain(node, where, group, transpose, limits, isolate)
+    kind, thing = _plain(node, where, group, transpose=transpose, limits=limits, isolate=isolate)
     return Loaded(thing, kind, where, False, _unit_warnings(thing))
 
 
@@ -171,7 +171,7 @@ def _of_kind(kind: str, tree: Tree, transpose: bool) -> Stored:
 
 
 def _plain(
-    node: Tree, where: str, group: str | None, transpose: bool, limits: Limits | None, isolate: bool
+    node: Tree, where: str, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
 ) -> tuple[str, Any]:
     """A file without header: a model by its matrices, a pair by its groups, a record by its clock."""
     matrices = [name for name in "ABCD" if name in node.datasets]
@@ -222,14 +222,15 @@ def _unit_warnings(thing: Any) -> tuple[str, ...]:
 
 
 def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Path:
-    """Write an object atomically: ``.h5`` (or ``.hdf5``) as format 1, ``.mat`` as MATLAB version 5 (models and controllers only).
+    """Write an object atomically: ``.h5`` or ``.hdf5`` as format 1, ``.mat`` as MATLAB version 5 (models, controllers).
 
     Parameters
     ----------
     path
         File to write; an existing file is replaced once the new one is complete.
     obj
-        StateSpaceModel, UncertainModel, Controller, Record, a python-control system, or a result (``.status``, ``.to_json()``).
+        StateSpaceModel, UncertainModel, Controller, Record, a python-control system, or a result (with ``.status`` and
+        ``.to_json()``).
     provenance
         Where it comes from; time and versions of now where left out.
 

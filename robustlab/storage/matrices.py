@@ -1,4 +1,4 @@
-"""State-space models in a file: the matrices A B C D with everything that can be wrong with them, signals, operating point."""
+"""State-space models in a file: the matrices A B C D and all that can be wrong with them, signals, operating point."""
 
 from __future__ import annotations
 
@@ -56,7 +56,8 @@ def decode_model(
     transpose
         The file was written column by column: swap the two axes of A, B, C and D.
     like
-        A model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this one has none.
+        A model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this one
+        has none.
     dt
         Sample time where ``node`` states none.
     """
@@ -76,7 +77,8 @@ def decode_model(
     step = own_dt if own_dt is not None else dt or 0.0
     where = problems.file if node.path == "/" else f"{problems.file}: {node.path}"
     try:
-        return StateSpaceModel(*matrices.values(), step, inputs, outputs, states, point, where=where)
+        a, b, c, d = (matrices[name] for name in NAMES)
+        return StateSpaceModel(a, b, c, d, step, inputs, outputs, states, point, where=where)
     except InputError as error:
         problems.absorb(error)
         return None

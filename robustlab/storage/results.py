@@ -50,7 +50,7 @@ def _put(tree: Tree, link: str, value: Any) -> None:
 
 
 def _put_list(tree: Tree, link: str, items: list[Any]) -> None:
-    """Lists of numbers or of texts, rectangular if nested, become one dataset; all others a group with numbered children."""
+    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
     leaves = _leaf_types(items)
     if leaves and len(leaves) == 1 and _is_rectangular(items):
         tree.put(link, np.asarray(items))

@@ -70,9 +70,8 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
         values = group.datasets[name].values
         kinds = "U" if name in ("name", "kind", "unit") else "fi"
         if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
-            problems.add(
-                f"{group.child_path(name)} has dtype {values.dtype}, expected {'texts' if kinds == 'U' else 'real numbers'}"
-            )
+            wanted = "texts" if kinds == "U" else "real numbers"
+            problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
         else:
             columns[name] = values.ravel().tolist()
     lengths = {name: len(values) for name, values in columns.items()}
@@ -80,9 +79,8 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
         return ()
     for name, length in lengths.items():
         if length != lengths["name"]:
-            problems.add(
-                f"{group.child_path(name)} has {length} entries, expected {lengths['name']} as {group.child_path('name')}"
-            )
+            names = group.child_path("name")
+            problems.add(f"{group.child_path(name)} has {length} entries, expected {lengths['name']} as {names}")
     if problems.lines:
         return ()
     result = [_block(i, columns, group.path, problems) for i in range(lengths["name"])]
@@ -117,8 +115,9 @@ def _parameter(i: int, columns: dict[str, list[Any]], path: str, problems: Probl
     if np.isnan(nominal) and np.isnan(radius):
         return None
     if not (np.isfinite(nominal) and np.isfinite(radius)):
+        name = columns["name"][i]
         problems.add(
-            f"{path}: block {columns['name'][i]!r} has nominal {nominal:g} and radius {radius:g}, expected both finite or both NaN"
+            f"{path}: block {name!r}: nominal {nominal:g}, radius {radius:g}, expected both finite or both NaN"
         )
         return None
     return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "")
