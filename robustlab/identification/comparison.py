@@ -337,7 +337,7 @@ def _localised(
             result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
         if motion.position is not None:
             result["position"][name] = bins(motion.position, local, position_edges(motion.position))
-        result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k], windows.y[:, k])
+        result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
         rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0

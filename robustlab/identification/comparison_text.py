@@ -48,10 +48,10 @@ def _place_lines(c: Comparison, name: str) -> list[str]:
         f"{100 * w.windowed_share[w.worst]:.1f} % of the windowed squared error "
         f"({100 / len(w.start):.1f} % if spread evenly)"
     )
-    top, local = int(s.error_share.argmax()), int(s.windowed_share.argmax())
+    top = int(s.error_share.argmax())
     frequency = (
-        f"  frequency  free run {100 * s.error_share[top]:.0f} % in {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz, "
-        f"windowed {100 * s.windowed_share[local]:.0f} % in {s.bands[local]:.3g} to {s.bands[local + 1]:.3g} Hz"
+        f"  frequency  {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz holds {100 * s.error_share[top]:.0f} % of the "
+        f"free run's squared error, where it is {100 * s.relative_error[top]:.3g} % of the measured signal"
     )
     return [time, *_speed_lines(c, name), frequency]
 

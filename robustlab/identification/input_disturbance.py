@@ -62,7 +62,7 @@ class InputDisturbance:
 
 
 def input_disturbance(response: Response, name: str, whole: Stretch, length: int, motion: Motion) -> InputDisturbance:
-    """Fit an addition to the input ``name`` in every piece of ``length`` samples; a shorter rest at the end is left out.
+    """Fit an addition to the input ``name`` in every piece of ``length`` samples; a shorter rest is left out.
 
     Returns
     -------

@@ -19,7 +19,7 @@ SPEED_UNITS = ("m/s", "rad/s", "mm/s", "deg/s", "rpm", "1/min")
 POSITION_UNITS = ("m", "rad", "mm", "deg")
 POLYNOMIAL = 3  # order of the Savitzky-Golay polynomial
 SEGMENTS = 8  # Welch segments that fit into the record side by side
-LONGEST_SEGMENT = 4096
+LONGEST_SEGMENT = 8192
 CONFIDENCE = 0.99
 REST = 0.02  # speeds below this share of the largest count as rest
 
@@ -86,8 +86,9 @@ class Spectrum:
     ----------
     frequency
         Frequencies in Hz, shape (n_f,).
-    measured, simulated, error, windowed_error
-        One-sided densities in unit²/Hz, shape (n_f,); ``error`` is that of the free run.
+    measured, simulated, error
+        One-sided densities of the measured output, the free run, and its error in unit²/Hz, shape (n_f,). The windowed
+        error has none: it starts anew in every window, so its frequencies are those of the windows.
     coherence
         Input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that
         frequency that is linear in this input.
@@ -95,7 +96,7 @@ class Spectrum:
         99 % of the coherences of independent signals lie below this.
     bands
         Edges of the bands in Hz, shape (n_bands + 1,).
-    error_share, windowed_share
+    error_share
         Share of the squared error per band, shape (n_bands,), sum 1.
     relative_error
         RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where
@@ -106,12 +107,10 @@ class Spectrum:
     measured: Array
     simulated: Array
     error: Array
-    windowed_error: Array
     coherence: Mapping[str, Array]
     coherence_level: float
     bands: Array
     error_share: Array
-    windowed_share: Array
     relative_error: Array
 
     def band_table(self) -> dict[str, object]:
@@ -119,7 +118,6 @@ class Spectrum:
         return {
             "bands": self.bands,
             "error_share": self.error_share,
-            "windowed_share": self.windowed_share,
             "relative_error": self.relative_error,
         }
 
@@ -192,7 +190,7 @@ def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
     return tuple(result)
 
 
-def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: Array, windowed: Array) -> Spectrum:
+def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: Array) -> Spectrum:
     """Spectra of one output; see `Spectrum`. A clock that is not uniform is interpolated linearly to its mean step."""
     from scipy.signal import coherence, welch
 
@@ -200,41 +198,26 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
     dt = (t[-1] - t[0]) / (n - 1)
     grid = t[0] + dt * np.arange(n)
     if np.abs(t - grid).max() > 1e-3 * dt:
-        measured, simulated, windowed = (np.interp(grid, t, x) for x in (measured, simulated, windowed))
+        measured, simulated = (np.interp(grid, t, x) for x in (measured, simulated))
         inputs = {name: np.interp(grid, t, x) for name, x in inputs.items()}
     segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
     options: dict[str, Any] = {"fs": 1.0 / dt, "window": "hann", "nperseg": segment, "noverlap": segment // 2}
     error = measured - simulated
-    f, p_measured = welch(measured, detrend=cast("Any", False), **options)
-    p_simulated, p_error, p_windowed = (
-        welch(x, detrend=cast("Any", False), **options)[1] for x in (simulated, error, measured - windowed)
-    )
+    densities = [welch(x, detrend=cast("Any", False), **options) for x in (measured, simulated, error)]
+    f, (p_measured, p_simulated, p_error) = densities[0][0], (density for _, density in densities)
     with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 where a signal has no power: coherence 0
         shared = {
             name: np.nan_to_num(coherence(x, error, detrend="constant", **options)[1], posinf=0.0)
             for name, x in inputs.items()
         }
     count = 1 + (n - segment) // (segment - segment // 2)
-    averages = max(
-        1.0, count / (1.0 + (count - 1) / count / 18.0)
-    )  # half-overlapping Hann windows are correlated by 1/6
+    # Neighbouring periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
+    averages = count / (1.0 + (count - 1) / count / 18.0)
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
     edges = _bands(f)
-    of_measured, of_error, of_windowed = (_band_power(f, p, edges) for p in (p_measured, p_error, p_windowed))
+    of_measured, of_error = (_band_power(f, p, edges) for p in (p_measured, p_error))
     relative = np.sqrt(np.divide(of_error, of_measured, out=np.zeros_like(of_error), where=of_measured > 0))
-    return Spectrum(
-        f,
-        p_measured,
-        p_simulated,
-        p_error,
-        p_windowed,
-        shared,
-        level,
-        edges,
-        _shares(of_error),
-        _shares(of_windowed),
-        relative,
-    )
+    return Spectrum(f, p_measured, p_simulated, p_error, shared, level, edges, _shares(of_error), relative)
 
 
 def _bands(f: Array) -> Array:

@@ -1,0 +1,226 @@
+"""Figures of a comparison: over time, over speed, over frequency, and the residual tests."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
+
+from robustlab.identification.comparison import Comparison
+from robustlab.identification.localisation import Bin
+from robustlab.report.figures import COLOURS, axis_label, house_style, new_figure, plain_label
+
+__all__ = ["comparison_figures", "outline", "residual_figure", "spectrum_figure", "speed_figure", "time_figure"]
+
+Array = NDArray[np.float64]
+
+DRAWN_POINTS = 2000  # a longer curve is drawn as the smallest and largest value of each of 1000 stretches
+BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
+DECADES = 12  # shown below the largest density
+MEASURED, FREE, WINDOWED = COLOURS["measured"], COLOURS["worst"], COLOURS["nominal"]
+
+
+def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
+    """All figures of a comparison: ``time-q``, ``speed-q``, ``spectrum-q``, ``residual-q`` for every output q.
+
+    The figure over speed is left out where no speed is known.
+    """
+    figures: dict[str, Figure] = {}
+    for name in comparison.outputs:
+        figures[f"time-{name}"] = time_figure(comparison, name)
+        if name in comparison.speed:
+            figures[f"speed-{name}"] = speed_figure(comparison, name)
+        figures[f"spectrum-{name}"] = spectrum_figure(comparison, name)
+        figures[f"residual-{name}"] = residual_figure(comparison, name)
+    return figures
+
+
+def time_figure(comparison: Comparison, output: str) -> Figure:
+    """Measured and simulated output, the error of the free run, the error of the windows with the worst one shaded."""
+    t, unit = comparison.measured.t, comparison.outputs[output].unit
+    y, free, windowed = (r.outputs[output] for r in (comparison.measured, comparison.simulated, comparison.windowed))
+    gap, windows = comparison.outputs[output], comparison.windows[output]
+    figure, (above, middle, below) = new_figure(3, 1, width=7.6, height=2.0, sharex=True)
+    with house_style():
+        above.plot(*outline(t, free), color=FREE, lw=1.3, ls=(0, (5, 1.5)), label="simulated, free run")
+        above.plot(*outline(t, y), color=MEASURED, lw=1.3, label="measured")
+        above.set_ylabel(axis_label(output, unit))
+        above.set_title(plain_label(f"{comparison.model} against {comparison.record}"))
+        above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.02), ncols=2)
+        _headroom(above, below=0.22)
+        middle.plot(*outline(t, y - free), color=FREE, lw=1.2)
+        middle.set_ylabel(axis_label("error", unit))
+        middle.set_title(f"free run: rms {gap.rms_percent:.3g} %, peak {gap.peak_percent:.3g} % of the range")
+        below.axvspan(
+            windows.start[windows.worst],
+            windows.stop[windows.worst],
+            color=COLOURS["limit"],
+            alpha=0.3,
+            lw=0,
+            label="worst window",
+        )
+        below.plot(*outline(t, y - windowed), color=WINDOWED, lw=0.9)
+        below.set_ylabel(axis_label("error", unit))
+        below.set_title(
+            f"windows of {comparison.window:.3g} s, each from its best start: "
+            f"rms {gap.windowed_rms_percent:.3g} %, peak {gap.windowed_peak_percent:.3g} %"
+        )
+        _headroom(below, above=0.25)
+        below.legend(loc="upper left", bbox_to_anchor=(0.0, 1.04))
+        below.set_xlabel("time [s]")
+        below.set_xlim(t[0], t[-1])
+        for axes in (middle, below):
+            axes.axhline(0.0, color="#888888", lw=0.8)
+    return figure
+
+
+def speed_figure(comparison: Comparison, output: str) -> Figure:
+    """Windowed error over speed and direction, and what would have to be added to each input over the same speed."""
+    motion, unit = comparison.motion, comparison.outputs[output].unit
+    figure, axes = new_figure(
+        1, 1 + len(comparison.disturbance), width=4.4 * (1 + len(comparison.disturbance)), height=3.4
+    )
+    with house_style():
+        _bars(axes[0], comparison.speed[output], motion.speed_unit)
+        axes[0].set_ylabel(axis_label("windowed error", unit))
+        axes[0].set_title(f"error of {plain_label(output)} in windows of {comparison.window:.3g} s")
+        for panel, (name, d) in zip(axes[1:], comparison.disturbance.items(), strict=True):
+            speed = np.zeros(0) if d.speed is None else d.speed
+            panel.axhline(0.0, color="#888888", lw=0.8)
+            panel.axvline(0.0, color="#888888", lw=0.8)
+            for colour, chosen in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
+                panel.plot(speed[chosen], d.value[chosen], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
+            panel.set_ylabel(axis_label(f"addition to {name}", comparison.measured.unit(name)))
+            panel.set_title(f"what {plain_label(name)} lacks, in pieces of {d.seconds:.3g} s")
+        for panel in axes:
+            panel.set_xlabel(axis_label("speed", motion.speed_unit))
+    return figure
+
+
+def spectrum_figure(comparison: Comparison, output: str) -> Figure:
+    """Power spectral densities of measured output, free run and error; below, the inputs' coherence with the error."""
+    s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
+    f = s.frequency[1:]  # frequency 0 has no place on a logarithmic axis
+    figure, (above, below) = new_figure(2, 1, width=7.6, height=2.7, sharex=True)
+    with house_style():
+        curves = (
+            (s.measured, MEASURED, "-", "measured"),
+            (s.simulated, FREE, (0, (5, 1.5)), "simulated, free run"),
+            (s.error, WINDOWED, "-", "error of the free run"),
+        )
+        top = max(float(density[1:].max()) for density, *_ in curves)
+        for density, colour, line, label in curves:
+            if density[1:].any():
+                above.loglog(*_smoothed(f, density[1:]), color=colour, ls=line, lw=1.3, label=label)
+        if top > 0:
+            above.set_ylim(bottom=max(above.get_ylim()[0], top * 10.0**-DECADES))
+        above.set_ylabel(f"density [{plain_label(unit)}²/Hz]")
+        above.set_title("where in frequency")
+        if top > 0:
+            above.legend(loc="lower left", ncols=1)
+            above.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
+        for (name, coherence), colour in zip(s.coherence.items(), _cycle(len(s.coherence)), strict=True):
+            label = f"{plain_label(name)} with the error (mean over narrow bands)"
+            below.semilogx(*_smoothed(f, coherence[1:]), color=colour, lw=1.2, label=label)
+        below.axhline(
+            s.coherence_level,
+            color=COLOURS["limit"],
+            ls=(0, (4, 2)),
+            lw=1.2,
+            label="99 % of independent signals lie below",
+        )
+        below.set_ylim(0.0, 1.3)
+        below.set_yticks([0.0, 0.5, 1.0])
+        below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        below.set_ylabel("coherence")
+        below.set_xlabel("frequency [Hz]")
+        below.legend(loc="upper left", ncols=2)
+        below.set_xlim(f[0], f[-1])
+    return figure
+
+
+def residual_figure(comparison: Comparison, output: str) -> Figure:
+    """Autocorrelation of the recursive residual and its correlation with each input, with 99 % bands."""
+    tests = comparison.residual[output]
+    figure, axes = new_figure(1, 1 + len(tests.inputs), width=4.4 * (1 + len(tests.inputs)), height=3.2)
+    with house_style():
+        w = tests.whiteness
+        _stems(axes[0], w.lags, w.autocorrelation, w.band)
+        axes[0].set_title(f"residual of {plain_label(output)} with itself")
+        axes[0].set_ylabel("correlation")
+        axes[0].set_ylim(min(-0.1, 1.1 * float(w.autocorrelation.min())), 1.05)
+        for panel, (name, test) in zip(axes[1:], tests.inputs.items(), strict=True):
+            _stems(panel, test.lags, test.correlation, test.band)
+            panel.set_title(f"residual of {plain_label(output)} with input {plain_label(name)}")
+            size = 1.15 * max(test.band, float(np.abs(test.correlation).max()))
+            panel.set_ylim(-size, size)
+        for panel in axes:
+            panel.set_xlabel("lag [samples]")
+        handles, labels = axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center")
+    return figure
+
+
+def outline(t: Array, y: Array, points: int = DRAWN_POINTS) -> tuple[Array, Array]:
+    """A curve with at most ``points`` points that looks like ``y``: the extremes of each stretch, in their order."""
+    n = len(y)
+    if n <= points:
+        return t, y
+    edges = np.linspace(0, n, points // 2 + 1).astype(int)
+    index = [
+        i for a, b in pairwise(edges.tolist()) for i in sorted((a + int(y[a:b].argmin()), a + int(y[a:b].argmax())))
+    ]
+    return t[index], y[index]
+
+
+def _smoothed(f: Array, values: Array) -> tuple[Array, Array]:
+    """Means over bins of equal width on a logarithmic axis; where frequencies are sparse, each is its own bin."""
+    index = np.floor(BINS_PER_DECADE * np.log10(f / f[0])).astype(int)
+    count = np.bincount(index)
+    filled = count > 0
+    means = [np.bincount(index, weights=x)[filled] / count[filled] for x in (f, values)]
+    return means[0], means[1]
+
+
+def _power_of_ten(value: float, _position: int) -> str:
+    """A tick of a logarithmic axis in plain characters; the house style shows no mathematics."""
+    exponent = round(np.log10(value)) if value > 0 else 0
+    return f"10{str(exponent).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+
+
+def _bars(axes: Axes, bins: tuple[Bin, ...], unit: str) -> None:
+    """RMS per bin as bars and the mean as dots; backward and forward in two colours."""
+    for b in bins:
+        middle, width = 0.5 * (b.low + b.high), b.high - b.low
+        colour = COLOURS["sample"] if b.low < 0 < b.high else (FREE if middle < 0 else WINDOWED)
+        axes.bar(middle, b.rms, width=0.94 * width, color=colour, alpha=0.55, lw=0)
+        if b.samples:
+            axes.plot(middle, b.mean, "o", color=MEASURED, ms=3.5)
+    axes.plot([], [], "s", color=FREE, alpha=0.55, label="rms backward")
+    axes.plot([], [], "s", color=WINDOWED, alpha=0.55, label="rms forward")
+    axes.plot([], [], "o", color=MEASURED, ms=3.5, label="mean")
+    axes.axhline(0.0, color="#888888", lw=0.8)
+    _headroom(axes, above=0.22)
+    axes.legend(loc="upper center", ncols=3, columnspacing=1.0, handletextpad=0.3)
+
+
+def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> None:
+    axes.axhspan(-band, band, color=COLOURS["band"], alpha=0.3, lw=0, label="99 % band if the model were right")
+    axes.vlines(lags, 0.0, values, color=COLOURS["nominal"], lw=1.1)
+    axes.plot(lags, values, "o", color=COLOURS["nominal"], ms=2.6)
+    axes.axhline(0.0, color="#888888", lw=0.8)
+
+
+def _headroom(axes: Axes, below: float = 0.0, above: float = 0.0) -> None:
+    """Room for a legend, as shares of the height."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - below * (high - low), high + above * (high - low))
+
+
+def _cycle(count: int) -> list[str]:
+    colours = [COLOURS[key] for key in ("nominal", "good", "worst", "sample")]
+    return [colours[i % len(colours)] for i in range(count)]
