@@ -63,7 +63,7 @@ def care(
 
     Notes
     -----
-    First the ordered real Schur form of the balanced Hamiltonian (Laub 1979), which is quicker; then the QZ algorithm on
+    First the ordered real Schur form of the balanced Hamiltonian (Laub 1979), the quicker one; then the QZ algorithm on
     the balanced extended pencil (Van Dooren 1981; scipy), which does not invert R. The smaller residual wins.
 
     Examples

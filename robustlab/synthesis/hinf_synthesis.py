@@ -129,8 +129,9 @@ def _synthesize(
     chosen = best
     if gamma_rel > 1:
         for search in searches:
-            search.soften(best, gamma_rel * best.gamma)
-        chosen = _softest([c for search in searches for c in search.candidates], best, gamma_rel)
+            if search.best is not None:
+                search.soften(best, gamma_rel * best.gamma)
+        chosen = _sanest([c for search in searches for c in search.candidates], best, gamma_rel)
     return _finished(
         plant=plant,
         chosen=chosen,
@@ -143,9 +144,10 @@ def _synthesize(
     )
 
 
-def _softest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> Candidate:
+def _sanest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> Candidate:
+    """Of the candidates allowed, the one with the smallest ratio of fastest controller pole to slowest loop mode."""
     allowed = [c for c in candidates if c.gamma <= gamma_rel * best.gamma and c.norm.status == best.norm.status]
-    return min(allowed, key=lambda c: (c.pace, c.gamma))
+    return min(allowed, key=lambda c: (c.stiffness, c.gamma))
 
 
 def _verified(plant: GeneralizedPlant, D22: NDArray[np.float64], K: StateSpaceModel) -> Candidate | None:
@@ -164,10 +166,14 @@ def _verified(plant: GeneralizedPlant, D22: NDArray[np.float64], K: StateSpaceMo
             plant.controls,
             [f"k{i + 1}" for i in range(full.n_states)],
         )
-        norm = hinf_norm(plant.close(named))
+        loop = plant.close(named)
+        norm = hinf_norm(loop)
     except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
         return None
-    return Candidate(named, K, norm) if np.isfinite(norm.upper) else None
+    if not np.isfinite(norm.upper):
+        return None
+    decay = -loop.spectral_abscissa() / (loop.dt or 1.0)
+    return Candidate(named, K, norm, float(decay))
 
 
 def _with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:

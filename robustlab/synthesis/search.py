@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
 SELF_SCALED_STEPS = 14
 IMPROVEMENT = 5e-4
 REGULAR = 1e-6
+SOFTENING_ROUNDS, SOFTENING_STEPS = 3, 8
 
 
 class Deadline:
@@ -77,11 +78,14 @@ class Candidate:
         For the continuous plant without D22.
     norm
         Norm of the loop rebuilt on the plant as given.
+    decay
+        Decay rate of that loop's slowest mode in 1/s.
     """
 
     K: StateSpaceModel
     K_bare: StateSpaceModel
     norm: HinfNorm
+    decay: float
 
     @property
     def gamma(self) -> float:
@@ -92,6 +96,11 @@ class Candidate:
     def pace(self) -> float:
         """Largest modulus of the poles of the continuous controller: what makes it hard to build."""
         return float(np.abs(self.K_bare.poles()).max(initial=0.0))
+
+    @property
+    def stiffness(self) -> float:
+        """Fastest controller pole over slowest mode of the loop: the span of time scales that K brings in."""
+        return self.pace / self.decay
 
 
 class Search:
@@ -161,7 +170,7 @@ class Search:
             before = self.best
             if before is None or k == len(shares) or self.deadline.passed() or before.gamma <= 0:
                 return
-            regularisation = self._relative(before, shares[k], 0.3, 1.0)
+            regularisation = self._relative(before, shares[k], 0.3)
             if regularisation is None:
                 return
             self._trial(regularisation, before.gamma * self.scaling.gain)
@@ -169,22 +178,42 @@ class Search:
             if after is not None and after.gamma >= before.gamma * (1 - IMPROVEMENT):
                 k += 1
 
-    def soften(self, start: Candidate, gamma: float, rounds: int = 3) -> None:
-        """Look for slower controllers with a verified gamma up to the given one.
+    def soften(self, start: Candidate, gamma: float) -> None:
+        """Look for saner controllers, with slower poles and a loop without needlessly slow modes, up to this verified gamma.
 
-        The regularisation is made as large as the test at this gamma allows, by bisection; three times, because its
-        scaling follows the channel gains of the loop found last.
+        The added channels are made as large as the test at this gamma allows. Once with all of them relative to the gains
+        of the loop; and once after half of the slack has gone into an x disturbance and penalty of fixed size, because a
+        mode that w does not excite (an integrator of the plant, behind a reference) otherwise stays in the loop as slow as
+        it is.
         """
-        level = gamma * self.scaling.gain * (1 - 1e-6)
-        for _ in range(rounds):
+        self._slowest_poles(start, gamma, 0.0)
+        half = 0.5 * (start.gamma + gamma)
+        low, high, size = 1e-4, 1e2, 0.0
+        for _ in range(SOFTENING_STEPS):
+            if self.deadline.passed():
+                return
+            middle = float(np.sqrt(low * high))
+            base = self._relative(start, SHARES[2], 0.0)
+            if base is not None and self._found_within(replace(base, x_out=middle, x_in=middle), half) is not None:
+                low = size = middle
+            else:
+                high = middle
+        if size > 0:
+            self._slowest_poles(start, gamma, size)
+
+    def _slowest_poles(self, start: Candidate, gamma: float, x: float) -> None:
+        """Largest relative weights by bisection, up to three times, because their scale follows the loop found last."""
+        for _ in range(SOFTENING_ROUNDS):
             low, high, softest = 1e-2, 10.0, None
-            for _ in range(8):
+            for _ in range(SOFTENING_STEPS):
                 if self.deadline.passed():
                     return
                 middle = float(np.sqrt(low * high))
-                regularisation = self._relative(start, middle, 0.1, 3.0)
-                found = None if regularisation is None else self._controller(regularisation, level)
-                if found is not None and found.gamma <= gamma:
+                weights = self._relative(start, middle, 0.0 if x else 0.1, 3.0)
+                if weights is not None and x:
+                    weights = replace(weights, x_out=x, x_in=x)
+                found = None if weights is None else self._found_within(weights, gamma)
+                if found is not None:
                     low, softest = middle, found
                 else:
                     high = middle
@@ -192,7 +221,16 @@ class Search:
                 return
             start = softest
 
-    def _relative(self, loop: Candidate, share: float, state_share: float, cap: float) -> Regularisation | None:
+    def _found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
+        """The central controller of this regularisation at gamma, where it exists and its verified gamma is not larger."""
+        try:
+            problem = TwoRiccatiProblem(weights.apply(self.plant))
+        except NoTrustworthyNumber:
+            return None
+        found = self._central(problem, gamma * self.scaling.gain * (1 - 1e-6))
+        return found if found is not None and found.gamma <= gamma else None
+
+    def _relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
         """Added channels that each carry about ``share`` of the gain of this loop."""
         gains = self._channel_gains(loop)
         if gains is None:
@@ -247,13 +285,6 @@ class Search:
             if candidate.gamma <= gamma / self.scaling.gain * (1 + backoff) * 1.001:
                 break
         return gamma / self.scaling.gain, smallest(found)
-
-    def _controller(self, regularisation: Regularisation, gamma: float) -> Candidate | None:
-        try:
-            problem = TwoRiccatiProblem(regularisation.apply(self.plant))
-        except NoTrustworthyNumber:
-            return None
-        return self._central(problem, gamma)
 
     def _central(self, problem: TwoRiccatiProblem, gamma: float) -> Candidate | None:
         pair = problem.solve(gamma)
