@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,13 +86,15 @@ class Workspace:
     inputs: dict[str, str] = field(default_factory=dict)
     figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
     step: str = ""
-    advance: Callable[[int], None] = lambda _steps: None
 
     def draw(self, figure: Figure, name: str, caption: str) -> None:
         """Save a figure of the present step as SVG and PNG."""
         from robustlab.report.figures import save_figure
 
-        stem = f"{self.step}-{name}"
+        # A signal's name is data from outside; the name of a file is not.
+        stem = re.sub(r"[^A-Za-z0-9_-]", "_", f"{self.step}-{name}")[:80]
+        taken = [known for known, _ in self.figures.get(self.step, [])]
+        stem = f"{stem}-{len(taken) + 1}" if stem in taken else stem
         for path in save_figure(figure, self.folder / "figures", stem):
             self.files.append(f"figures/{path.name}")
         self.figures.setdefault(self.step, []).append((stem, caption))

@@ -48,6 +48,7 @@ Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=0, le=1_000_000)]
 Points = Annotated[int, Field(ge=2, le=100_000)]
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
+Order = Annotated[int, Field(ge=1, le=10)]
 
 
 def _number_or_pair(value: Any, handler: Any) -> Any:
@@ -70,11 +71,30 @@ class StepBase(Strict):
     title: Text = Field("", description="What the report calls this step; the step's name where left out.")
 
 
-class TransferFunction(Strict):
-    """A weight as polynomials in s, highest power first."""
+class PerformanceWeight(Strict):
+    """Asks the sensitivity S to stay below ``error`` at low frequency and below ``peak`` everywhere."""
 
-    num: Annotated[list[float], Field(min_length=1, max_length=20)]
-    den: Annotated[list[float], Field(min_length=1, max_length=20)]
+    bandwidth: Positive = Field(description="rad/s, where the bound on S crosses one.")
+    error: Tolerance = Field(1e-3, description="Largest control error in steady state, as a share of the reference.")
+    peak: Annotated[float, Field(gt=1)] = 2.0
+    order: Order = 1
+
+
+class ControlWeight(Strict):
+    """Asks the gain from reference to control signal to stay below ``limit``, and to fall above ``bandwidth``."""
+
+    limit: Positive = Field(description="Control units per output unit.")
+    bandwidth: Positive | None = Field(None, description="rad/s; a constant bound where left out.")
+    roll_off: Annotated[float, Field(gt=1)] = 100.0
+
+
+class ComplementaryWeight(Strict):
+    """Asks the complementary sensitivity T to stay below ``peak`` and to fall above ``bandwidth``."""
+
+    bandwidth: Positive = Field(description="rad/s, where the bound on T crosses one.")
+    peak: Annotated[float, Field(gt=1)] = 2.0
+    roll_off: Tolerance = 1e-3
+    order: Order = 1
 
 
 class ReferenceLine(Strict):
@@ -231,9 +251,9 @@ class MixsynStep(StepBase):
     gives: ClassVar[str] = "controller"
     do: Literal["mixsyn"]
     of: ToModel
-    W1: TransferFunction | None = Field(None, description="Weight of the control error (sensitivity S).")
-    W2: TransferFunction | None = Field(None, description="Weight of the control signal (K S).")
-    W3: TransferFunction | None = Field(None, description="Weight of the output (complementary sensitivity T).")
+    W1: PerformanceWeight | None = None
+    W2: ControlWeight | None = None
+    W3: ComplementaryWeight | None = None
 
     @model_validator(mode="after")
     def _some_weight(self) -> Self:

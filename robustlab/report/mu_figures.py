@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 
 
 def mu_figure(
-    omega: Array, lower: Array, upper: Array, intervals: Sequence[tuple[float, float, float]], peak: float
+    omega: Array, lower: Array, upper: Array, intervals: Sequence[tuple[float, float, float]], critical: float | None
 ) -> Figure:
-    """mu bounds over frequency.
+    """Bounds of mu over frequency.
 
     Parameters
     ----------
@@ -27,9 +27,10 @@ def mu_figure(
     lower, upper
         Bounds of mu at these frequencies, shape (n,).
     intervals
-        ``(from, to, bound)``: mu is proved to be at most ``bound`` at every frequency between; the outer ones may reach 0 and inf.
-    peak
-        Frequency in rad/s of the largest lower bound.
+        ``(from, to, bound)``: mu is proved to be at most ``bound`` at every frequency between; the outer ones may
+        reach 0 and inf.
+    critical
+        Frequency in rad/s at which the destabilising Delta puts a pole on the axis, or None.
     """
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
     shown = np.isfinite(omega) & (omega > 0)
@@ -51,8 +52,8 @@ def mu_figure(
             label="lower bound (attained by an explicit Δ)",
         )
         axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
-        if np.isfinite(peak) and peak > 0:
-            axes.axvline(peak, color=COLOURS["worst"], lw=0.9, ls=":")
+        if critical is not None and np.isfinite(critical) and critical > 0:
+            axes.axvline(critical, color=COLOURS["worst"], lw=0.9, ls=":")
         axes.set_xscale("log")
         axes.set_xlim(low, high)
         axes.set_ylim(0, 1.12 * max(1.0, float(np.nanmax(upper[shown], initial=0.0))))

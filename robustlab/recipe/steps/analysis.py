@@ -74,17 +74,18 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
         options |= {"t": t, "u": u, "output": step.output}
     found = rl.worst_case(model, step.metric, **options)
     work.keep(found)
-    physical = _physical(found.physical)
     numbers = {
         "value": found.value,
         "nominal_value": found.nominal_value,
         "evaluations": found.evaluations,
         "delta": found.delta,
     }
+    where = f" at {quantity(found.at)} ({found.location})" if math.isfinite(found.at) else ""
     facts = [
-        Fact(f"Worst {step.metric} found", f"{quantity(found.value)} (nominal {quantity(found.nominal_value)})"),
-        Fact("How it was found", f"{found.label}, {found.evaluations} evaluations"),
-        *(Fact(f"at {name}", text) for name, text in physical.items()),
+        Fact(f"Worst {step.metric} found", f"{quantity(found.value, found.unit)}{where}"),
+        Fact("The same at Δ = 0", quantity(found.nominal_value, found.unit)),
+        Fact("How it was found", f"{found.evaluations} evaluations, seed {found.seed}"),
+        *(Fact(f"Its {name}", quantity(value, unit)) for name, (value, unit) in found.physical.items()),
     ]
     if t is not None and u is not None:
         index = [s.name for s in model.outputs].index(step.output) if step.output else 0
@@ -95,8 +96,8 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
             name,
             f"{name}: nominal and worst member found.",
         )
-    note = "Found by search: a lower bound of the true worst case, attained by the Δ shown, and no proof that nothing is worse."
-    return Outcome(None, f"Worst {step.metric} over Δ of {step.of}.", numbers, tuple(facts), found.status, (note,))
+    summary = f"Worst {step.metric} over Δ of {step.of}; {found.label}."
+    return Outcome(None, summary, numbers, tuple(facts), found.status)
 
 
 def hinf_norm(step: HinfNormStep, work: Workspace) -> Outcome:
@@ -117,30 +118,21 @@ def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
     import robustlab as rl
     from robustlab.report.mu_figures import mu_figure
 
-    margin = rl.robust_stability(work.values[step.of])
+    margin = rl.robust_stability(work.values[step.of], seed=work.seed)
     work.keep(margin)
-    physical = _physical(margin.physical)
-    numbers = {
-        "lower": margin.lower,
-        "upper": margin.upper,
-        "frequency": margin.frequency,
-        "mu_peak_upper": _inverse(margin.lower),
-    }
+    numbers = {"lower": margin.lower, "upper": margin.upper, "frequency": margin.frequency, "delta": margin.delta}
+    attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"
     facts = [
-        Fact("Margin, proved lower bound", quantity(margin.lower)),
-        Fact("Margin, upper bound (a Δ of this size destabilises)", quantity(margin.upper)),
-        Fact("Critical frequency", quantity(margin.frequency, "rad/s")),
-        *(Fact(f"Destabilising {name}", text) for name, text in physical.items()),
+        Fact("Margin, proved from below", f"{quantity(margin.lower)}: no smaller Δ destabilises"),
+        Fact("Margin, attained from above", attained),
+        *(Fact(f"Destabilising {name}", quantity(value, unit)) for name, (value, unit) in margin.physical.items()),
     ]
-    intervals = [(float(a), float(b), float(bound)) for a, b, bound in margin.intervals]
-    figure = mu_figure(margin.omega, margin.mu_lower, margin.mu_upper, intervals, margin.frequency)
-    work.draw(
-        figure, "mu", "Bounds of μ over frequency; the peak of the upper bound is the inverse of the proved margin."
-    )
-    stable = (
-        "every Δ of the set keeps the loop stable" if margin.lower > 1 else "stability over the whole set is not proved"
-    )
-    return Outcome(None, f"Robust stability of {step.of}: {stable}.", numbers, tuple(facts), margin.status)
+    if margin.frequency is not None:
+        facts.append(Fact("Critical frequency", quantity(margin.frequency, "rad/s")))
+    figure = mu_figure(margin.omega, margin.mu_lower, margin.mu_upper, margin.intervals, margin.frequency)
+    work.draw(figure, "mu", "Bounds of μ over frequency. The proved margin is the inverse of the highest shaded level.")
+    stable = "proved stable for every Δ of the set" if margin.lower > 1 else "not proved stable over the whole set"
+    return Outcome(None, f"{step.of}: {stable}.", numbers, tuple(facts), margin.status, margin.notes)
 
 
 def _step_input(model: Any, amplitudes: Mapping[str, float], t_end: float, points: int) -> tuple[Any, Any]:
@@ -168,11 +160,3 @@ def _respond(model: Any, t: Any, u: Any) -> Any:
 def _amplitudes(amplitudes: Mapping[str, float], model: Any) -> str:
     units = dict(model.inputs)
     return ", ".join(f"{quantity(value, units[name])} on {name}" for name, value in amplitudes.items())
-
-
-def _physical(values: Mapping[str, tuple[float, str]] | None) -> dict[str, str]:
-    return {name: quantity(value, unit) for name, (value, unit) in (values or {}).items()}
-
-
-def _inverse(value: float) -> float:
-    return 1.0 / value if value else math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import CloseLoopStep, HinfStep, MixsynStep, TransferFunction
+from robustlab.recipe.schema import CloseLoopStep, HinfStep, MixsynStep
 
 __all__ = ["close_loop", "hinf", "mixsyn", "tracking_loop"]
 
@@ -13,11 +13,13 @@ __all__ = ["close_loop", "hinf", "mixsyn", "tracking_loop"]
 def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
     """A mixed-sensitivity controller, verified in the loop rebuilt from it."""
     import robustlab as rl
+    from robustlab.synthesis import complementary_weight, control_weight, performance_weight
 
     model = work.values[step.of]
-    weights = {name: _weight(getattr(step, name)) for name in ("W1", "W2", "W3")}
-    found = rl.mixsyn(model, weights["W1"], weights["W2"], weights["W3"])
-    _draw_sensitivities(found, model, weights, work)
+    makers = ((step.W1, performance_weight), (step.W2, control_weight), (step.W3, complementary_weight))
+    weights = [None if given is None else make(**given.model_dump()) for given, make in makers]
+    found = rl.mixsyn(model, *weights)
+    _draw_sensitivities(found, model, work)
     return _designed(found, f"Mixed-sensitivity controller for {step.of}.", work)
 
 
@@ -100,7 +102,7 @@ def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
     return Outcome(found.controller, f"{summary} {found.reason}", numbers, facts, found.status)
 
 
-def _draw_sensitivities(found: Any, model: Any, weights: dict[str, Any], work: Workspace) -> None:
+def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:
     import numpy as np
 
     import robustlab as rl
@@ -112,49 +114,17 @@ def _draw_sensitivities(found: Any, model: Any, weights: dict[str, Any], work: W
     omega = default_grid(loop, 400)
     response = rl.frequency_response(loop, omega)
     n_y = as_model(model).n_outputs
-    complementary, control = response[:, :n_y], response[:, n_y:]
+    output, control = response[:, :n_y], response[:, n_y:]
     functions = {
-        "W1": ("S (control error)", np.eye(n_y) - complementary),
-        "W2": ("KS (control signal)", control),
-        "W3": ("T (output)", complementary),
+        "W1": ("S: control error", np.eye(n_y) - output),
+        "W2": ("KS: control signal", control),
+        "W3": ("T: output", output),
     }
     curves = []
     for name, (label, values) in functions.items():
-        weight = weights[name]
         bound = None
-        if weight is not None:
-            bound = found.gamma / np.abs(rl.frequency_response(weight, omega)[:, 0, 0])
+        if name in found.weights:
+            bound = found.gamma / np.abs(rl.frequency_response(found.weights[name], omega)[:, 0, 0])
         curves.append(WeightedResponse(label, np.linalg.norm(values, 2, axis=(1, 2)), bound))
     caption = "Closed loop against its weights: each curve lies below γ / |W|, with the verified γ."
     work.draw(sensitivity_figure(omega, curves, found.gamma), "sensitivities", caption)
-
-
-def _weight(given: TransferFunction | None) -> Any:
-    """The weight as a model with one input and one output."""
-    from robustlab.errors import InputError
-    from robustlab.statespace import StateSpaceModel
-
-    if given is None:
-        return None
-    from scipy.signal import BadCoefficients, tf2ss
-
-    if len(given.num) > len(given.den):
-        raise InputError(
-            "weight", f"num has degree {len(given.num) - 1}, den {len(given.den) - 1}", "no higher degree in num"
-        )
-    try:
-        return (
-            StateSpaceModel(*tf2ss(given.num, given.den)) if len(given.den) > 1 else _gain(given.num[0] / given.den[0])
-        )
-    except (BadCoefficients, ValueError, ZeroDivisionError) as error:
-        raise InputError(
-            "weight", f"num = {given.num}, den = {given.den} ({error})", "polynomials with leading coefficients"
-        ) from None
-
-
-def _gain(value: float) -> Any:
-    import numpy as np
-
-    from robustlab.statespace import StateSpaceModel
-
-    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[value]])

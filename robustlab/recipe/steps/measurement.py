@@ -38,24 +38,32 @@ def compare(step: CompareStep, work: Workspace) -> Outcome:
     work.keep(found)
     facts: list[Fact] = []
     for name, gap in found.outputs.items():
-        facts += [
-            Fact(
-                f"{name}: free run",
-                f"peak error {_both(gap.peak, gap.unit, gap.peak_percent)}, rms {_both(gap.rms, gap.unit, gap.rms_percent)}, fit {gap.fit:.4g} %",
-            ),
-            Fact(
-                f"{name}: windows of {quantity(found.window, 's')}",
-                f"peak error {_both(gap.windowed_peak, gap.unit, gap.windowed_peak_percent)}, "
-                f"rms {_both(gap.windowed_rms, gap.unit, gap.windowed_rms_percent)}, fit {gap.windowed_fit:.4g} %",
-            ),
-        ]
-    for stem, figure, caption in comparison_figures(found):
-        work.draw(figure, stem, caption)
-    notes = (found.summary(), *found.warnings)
+        free = (gap.peak, gap.peak_percent, gap.rms, gap.rms_percent, gap.fit)
+        windowed = (
+            gap.windowed_peak,
+            gap.windowed_peak_percent,
+            gap.windowed_rms,
+            gap.windowed_rms_percent,
+            gap.windowed_fit,
+        )
+        facts.append(Fact(f"{name}: free run", _errors(gap.unit, *free)))
+        facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, *windowed)))
+    for name, figure in comparison_figures(found).items():
+        work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
+    text = found.summary()
     return Outcome(
-        found, f"{step.of} against {step.record}.", found.to_json(series=False), tuple(facts), found.status, notes
+        found, f"{step.of} against {step.record}.", found.to_json(series=False), tuple(facts), found.status, (text,)
     )
 
 
-def _both(value: float, unit: str, percent: float) -> str:
-    return f"{quantity(value, unit, 3)} ({percent:.3g} % of the range)"
+_CAPTIONS = {
+    "time": "Measured and simulated signal, and the error over time; shaded: the window with the largest error.",
+    "speed": "Where the error lives over speed and position: dry friction shows as a step at zero speed.",
+    "spectrum": "Where the error lives over frequency.",
+    "residual": "What is left in the residual: its own correlation and that with the input. Outside the band: not white.",
+}
+
+
+def _errors(unit: str, peak: float, peak_percent: float, rms: float, rms_percent: float, fit: float) -> str:
+    peak_text, rms_text = quantity(peak, unit, 3), quantity(rms, unit, 3)
+    return f"peak {peak_text} ({peak_percent:.3g} % of the range), rms {rms_text} ({rms_percent:.3g} %), fit {fit:.4g} %"
