@@ -224,7 +224,7 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
         if isinstance(block, RealScalar) and number.imag != 0:
             raise InputError(f"delta {block.name!r}", f"{number}", "a real number")
         delta[rows, cols] = number * np.eye(block.repeats)
-    return delta if np.any(delta.imag) else delta.real
+    return delta if np.imag(delta).any() else np.real(delta)
 
 
 def delta_values(blocks: Sequence[Block], delta: ArrayLike) -> dict[str, Any]:
