@@ -1,4 +1,4 @@
-"""``robustlab data``: check and convert measured records."""
+"""``robustlab data``: check, convert and compare measured records."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit, table
-from robustlab.errors import UsageError
+from robustlab.cli.console import JsonOption, OutOption, emit, note, table
+from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
+    from robustlab.identification import Comparison
     from robustlab.record import Record
 
 app = typer.Typer(help="Check, convert and compare measured records.", no_args_is_help=True)
@@ -121,6 +122,101 @@ def convert(
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
 
 
+@app.command()
+def compare(
+    model: Annotated[str, typer.Argument(help="Model file, or name of a plant (servo-axis).", metavar="MODEL")],
+    data: Annotated[str, typer.Argument(help="Record: HDF5, MATLAB, CSV or TXT file.", metavar="DATA")],
+    *,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
+    ] = None,
+    group: GroupOption = None,
+    inputs: Annotated[
+        str | None,
+        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
+    ] = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
+    ] = None,
+    dt: DtOption = None,
+    clock: ClockOption = None,
+    unit: UnitOption = None,
+    delimiter: DelimiterOption = None,
+    decimal: DecimalOption = ".",
+    allow_gaps: GapsOption = False,
+    window: Annotated[
+        float | None, typer.Option("--window", help="Length of the windows in s.", show_default=False)
+    ] = None,
+    figures: Annotated[
+        str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).", show_default=False)
+    ] = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a model with a recorded input and say where it disagrees with the recorded outputs.
+
+    Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
+    """
+    from robustlab.identification import compare as compare_with
+    from robustlab.statespace import as_model
+
+    system = _plant_or_model(model, settings or [])
+    record = _record(
+        data,
+        group=group,
+        dt=dt,
+        inputs=inputs or ",".join(as_model(system, model).input_names),
+        outputs=outputs,
+        clock=clock,
+        unit=unit,
+        delimiter=delimiter,
+        decimal=decimal,
+        allow_gaps=allow_gaps,
+    )
+    found = compare_with(system, record, window=window)
+    files = [*(_draw(found, figures) if figures else []), *([_keep(found, out, (model, data))] if out else [])]
+    for file in files:
+        note(f"wrote {file}")
+    emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), as_json)
+    if not found.status.trustworthy:
+        raise typer.Exit(NoTrustworthyNumber.exit_code)
+
+
+def _plant_or_model(name: str, settings: list[str]) -> Any:
+    """The plant of that name, or the model in that file."""
+    from robustlab.dynamics import plant, plant_names
+    from robustlab.storage import load
+
+    if name in plant_names():
+        return plant(name, **_numbers(settings))
+    if settings:
+        known = ", ".join(plant_names())
+        raise UsageError(
+            f"--set {settings[0]}", f"{name} is no plant", f"one of {known}", did_you_mean(name, plant_names())
+        )
+    return load(name)
+
+
+def _draw(found: Comparison, folder: str) -> list[str]:
+    from robustlab.report.comparison_figures import comparison_figures
+    from robustlab.report.figures import save_figure
+
+    return [
+        str(path) for name, figure in comparison_figures(found).items() for path in save_figure(figure, folder, name)
+    ]
+
+
+def _keep(found: Comparison, out: str, sources: tuple[str, ...]) -> str:
+    from pathlib import Path
+
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.storage import save
+
+    used = {source: file_sha256(source) for source in sources if Path(source).is_file()}
+    return str(save(out, found, Provenance.now("data compare", inputs=used)))
+
+
 def _record(file: str, *, group: str | None, dt: float | None, **texts: Any) -> Record:
     """The record that the options of a command describe; ``texts`` are those options as they were typed."""
     from robustlab.record import Record
@@ -131,6 +227,17 @@ def _record(file: str, *, group: str | None, dt: float | None, **texts: Any) -> 
 
 def _names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _numbers(settings: list[str]) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for text in settings:
+        name, _, value = text.partition("=")
+        try:
+            values[name] = float(value)
+        except ValueError:
+            raise UsageError(f"--set {text}", "no parameter and number", "NAME=VALUE") from None
+    return values
 
 
 def _units(settings: list[str]) -> dict[str, str]:

@@ -211,7 +211,7 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
             for name, x in inputs.items()
         }
     count = 1 + (n - segment) // (segment - segment // 2)
-    # Neighbouring periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
+    # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
     averages = count / (1.0 + (count - 1) / count / 18.0)
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
     edges = _bands(f)

@@ -27,15 +27,18 @@ MEASURED, FREE, WINDOWED = COLOURS["measured"], COLOURS["worst"], COLOURS["nomin
 def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
     """All figures of a comparison: ``time-q``, ``speed-q``, ``spectrum-q``, ``residual-q`` for every output q.
 
-    The figure over speed is left out where no speed is known.
+    The figure over speed is left out where no speed is known. An output whose name is no plain
+    word is called by its number.
     """
     figures: dict[str, Figure] = {}
-    for name in comparison.outputs:
-        figures[f"time-{name}"] = time_figure(comparison, name)
-        if name in comparison.speed:
-            figures[f"speed-{name}"] = speed_figure(comparison, name)
-        figures[f"spectrum-{name}"] = spectrum_figure(comparison, name)
-        figures[f"residual-{name}"] = residual_figure(comparison, name)
+    for k, output in enumerate(comparison.outputs, start=1):
+        # The keys become file names, and an output's name may come from a file.
+        name = output if output.isidentifier() and output.isascii() else f"output{k}"
+        figures[f"time-{name}"] = time_figure(comparison, output)
+        if output in comparison.speed:
+            figures[f"speed-{name}"] = speed_figure(comparison, output)
+        figures[f"spectrum-{name}"] = spectrum_figure(comparison, output)
+        figures[f"residual-{name}"] = residual_figure(comparison, output)
     return figures
 
 
