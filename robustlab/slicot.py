@@ -1,12 +1,14 @@
 """The one door to SLICOT: one checked wrapper per routine of slycot.
 
-SLICOT loops for ever on NaN and cannot be interrupted, so finiteness and shapes are checked before every call, and what comes
-back is checked for finiteness after it. Slycot is licensed under GPL-2.0; nothing else in robustlab imports it.
+SLICOT loops for ever on NaN and cannot be interrupted, so finiteness and shapes are checked before every call, and
+what comes back is checked for finiteness after it. Slycot is licensed under GPL-2.0; nothing else in robustlab
+imports it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,9 @@ def _finite(routine: str, **arrays: NDArray) -> None:
             raise InputError(f"{routine}: {name}", "NaN or infinite entries", "finite numbers")
 
 
-def ab13md(Z: NDArray[np.complex128], sizes: Sequence[int], real: Sequence[bool]) -> tuple[float, Array, Array]:
+def ab13md(
+    Z: NDArray[np.complexfloating[Any, Any]], sizes: Sequence[int], real: Sequence[bool]
+) -> tuple[float, Array, Array]:
     r"""Upper bound on mu of a square complex matrix, with the scalings that belong to it (cold start).
 
     .. math:: Z^* D Z + j (G Z - Z^* G) - \beta^2 D \preceq 0, \qquad D, G \text{ diagonal}
@@ -52,7 +56,8 @@ def ab13md(Z: NDArray[np.complex128], sizes: Sequence[int], real: Sequence[bool]
 
     References
     ----------
-    Fan, Tits, Doyle, "Robustness in the presence of mixed parametric uncertainty and unmodeled dynamics", IEEE TAC 36 (1991).
+    Fan, Tits, Doyle, "Robustness in the presence of mixed parametric uncertainty and unmodeled dynamics", IEEE TAC 36
+    (1991).
     """
     z = np.array(Z, dtype=np.complex128, order="F")
     n = sum(sizes)

@@ -17,7 +17,7 @@ from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
 
-ComplexArray = NDArray[np.complex128]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +29,16 @@ class MuBounds:
     lower, upper
         ``lower <= mu <= upper``; floats, or arrays (k,).
     delta
-        Delta of norm ``1 / lower`` with ``det(I - M Delta) = 0``, shape (q, p); zeros where none was found (``lower = 0``).
+        Delta of norm ``1 / lower`` with ``det(I - M Delta) = 0``, shape (q, p); zeros where none was found (``lower =
+        0``).
     D, G
-        Scalings (q, q) and (q, p) with :math:`M^* D_z M + j (G M - M^* G^*) - upper^2 D \preceq 0`. An ``upper`` of zero of a
-        nilpotent structure is proved by its zero pattern; D then shows it in the limit only.
+        Scalings (q, q) and (q, p) with :math:`M^* D_z M + j (G M - M^* G^*) - upper^2 D \preceq 0`. An ``upper`` of
+        zero of a nilpotent structure is proved by its zero pattern; D then shows it in the limit only.
     D_z
         The scaling (p, p) on the side of the outputs of M; equal to D where all blocks are square.
     status
-        CERTIFIED: upper proved and lower attained (or both zero). CONVERGED: upper proved, no Delta found at some matrix.
+        CERTIFIED: upper proved and lower attained (or both zero). CONVERGED: upper proved, no Delta found at some
+        matrix.
     blocks
         The blocks of Delta.
     """
@@ -60,17 +62,19 @@ class MuBounds:
 def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
     r"""Bounds of the structured singular value.
 
-    .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}, \qquad \mu = 0 \text{ where no } \Delta \text{ does}
+    .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}, \qquad \mu = 0 \text{ where no } \Delta
+    \text{ does}
 
-    The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an explicit
-    Delta. What lies between them is not known.
+    The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an
+    explicit Delta. What lies between them is not known.
 
     Parameters
     ----------
     M
         Complex matrix (p, q), or a stack (k, p, q); Delta is (q, p).
     blocks
-        Blocks, or rows of MATLAB's ``mussv``: ``[-r, 0]`` real and ``[r, 0]`` complex scalar repeated r times, ``[r, c]`` full.
+        Blocks, or rows of MATLAB's ``mussv``: ``[-r, 0]`` real and ``[r, 0]`` complex scalar repeated r times,
+        ``[r, c]`` full.
     seed
         Seed of the starting points of the lower bound.
 
@@ -137,7 +141,9 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         index = ",".join(str(i) for i in bad[0])
-        raise InputError("mu: M", f"entry [{index}] is not finite ({len(bad)} of {array.size} entries)", "finite numbers")
+        raise InputError(
+            "mu: M", f"entry [{index}] is not finite ({len(bad)} of {array.size} entries)", "finite numbers"
+        )
     stack = array.astype(np.complex128)
     return (stack[None] if single else stack), single
 
@@ -149,4 +155,6 @@ def _stacked(parts: list[ComplexArray], shape: tuple[int, int]) -> ComplexArray:
 def _contradiction(k: int, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> ArithmeticError:
     from robustlab.errors import NoTrustworthyNumber
 
-    return NoTrustworthyNumber(f"mu: matrix {k}", f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost")
+    return NoTrustworthyNumber(
+        f"mu: matrix {k}", f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost"
+    )

@@ -14,6 +14,7 @@ Fan, Tits, Doyle (1991); Rump, "Verification of positive definiteness", BIT 46 (
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_sli
 
 __all__ = ["certified_level", "delta_norm", "level", "positive_definite", "project", "proves", "singularity"]
 
-ComplexArray = NDArray[np.complex128]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 EPS = float(np.finfo(float).eps)
 
 # Relative steps by which a bound is raised until it proves itself.
@@ -31,7 +32,7 @@ INFLATIONS = (1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e
 
 
 def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
-    """Smallest beta of D and G in floating point, not yet a proof; 0 where N(0) > 0, inf where D is not positive definite."""
+    """Smallest beta of D and G by floating point, no proof; 0 where N(0) > 0, inf where D is not positive definite."""
     M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
     try:
         factor = np.linalg.cholesky(Dw)
@@ -92,7 +93,7 @@ def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: Comp
 
 
 def singularity(M: ComplexArray, delta: ComplexArray) -> float:
-    """Smallest singular value of ``I - M Delta``, relative to ``1 + ||M Delta||``; 0 means that Delta closes a singular loop."""
+    """Smallest singular value of ``I - M Delta`` over ``1 + ||M Delta||``; 0 where Delta makes it singular."""
     loop = M @ delta
     if not np.isfinite(loop).all():
         return float("inf")
@@ -136,7 +137,7 @@ def _supply(M: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> ComplexArray:
 def _power_of_two_scaled(
     M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """The same inequality with diagonals of D between 1/2 and 2: congruence by powers of two, free of rounding errors."""
+    """The same inequality with diagonals of D between 1/2 and 2: congruence by powers of two, free of rounding."""
     w, z = (np.exp2(np.round(-0.5 * np.log2(np.maximum(np.diagonal(d).real, 1e-300)))) for d in (Dw, Dz))
     return (
         M * w[None, :] / z[:, None],

@@ -1,13 +1,14 @@
 """What is done to M before any solver sees it: strongly connected components, and balancing by powers of two.
 
-Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it is 20 to 40
-times slower. mu of a block-triangular M is the largest mu of its diagonal components.
+Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it is
+20 to 40 times slower. mu of a block-triangular M is the largest mu of its diagonal components.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,8 @@ from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["Component", "balancing_exponents", "block_norms", "components", "expand"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
 
 
 def _osborne(norms: Array, sweeps: int = 100) -> Array:
-    """Whole exponents e such that rows and columns of ``norms_ij 2^(e_i - e_j)`` have about the same off-diagonal norm."""
+    """Whole exponents e such that row i and column i of ``norms_ij 2^(e_i - e_j)`` have about the same norm."""
     n = len(norms)
     with np.errstate(divide="ignore"):
         log = np.log2(norms)

@@ -1,10 +1,12 @@
-r"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian matrix.
+r"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian
+matrix.
 
 .. math:: \Phi(\omega) = M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w, \qquad M = C (j \omega I - A)^{-1} B + D
 
-:math:`\Phi(\omega)` is singular where :math:`j \omega` is an eigenvalue of H. Rounding moves eigenvalues off the axis, so *every* imaginary
-part counts as a possible change of sign, and the sign is tested between and at these candidates, outwards from a frequency at
-which :math:`\Phi < 0` is known. A version that asked "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
+:math:`\Phi(\omega)` is singular where :math:`j \omega` is an eigenvalue of H. Rounding moves eigenvalues off the
+axis, so *every* imaginary part counts as a possible change of sign, and the sign is tested between and at these
+candidates, outwards from a frequency at which :math:`\Phi < 0` is known. A version that asked "is this eigenvalue
+imaginary?" with a tolerance certified wrong intervals.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +27,8 @@ from robustlab.uncertainty.blocks import Block
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "extend"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # The Hamiltonian is that of a beta smaller by this much: a double root blurred by rounding costs far less.
 SLACK = 1e-5
@@ -98,11 +101,13 @@ def cover_axis(
     model: StateSpaceModel,
     blocks: Sequence[Block],
     beta: float,
+    *,
     first: Array,
     until: float,
     accuracy: float,
 ) -> AxisCover:
-    """Prove an upper bound of mu on [0, inf] for a stable continuous model, as close above its D-G peak as ``accuracy`` says.
+    """Prove an upper bound of mu on [0, inf] for a stable continuous model, as close above its D-G peak as
+    ``accuracy`` says.
 
     Parameters
     ----------
@@ -147,7 +152,7 @@ def _size(model: StateSpaceModel, omega: Array) -> float:
 
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
-    """The interval around ``omega`` on which D and G of ``bound`` prove beta, or None where they do not even at ``omega``."""
+    """The interval around ``omega`` on which D and G of ``bound`` prove beta; None where they do not at ``omega``."""
     if not np.isfinite(bound.beta):
         return None
     candidates = _candidates(model, bound, beta * (1 - SLACK))

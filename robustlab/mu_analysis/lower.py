@@ -1,18 +1,20 @@
 r"""Lower bounds of mu: the smallest Delta found that makes ``I - M Delta`` singular.
 
-Complex structures: power iteration (Packard, Fan, Doyle). Any structure: sequential minimum-norm steps. With x, y the right and
-left null directions of ``I - M Delta``, singularity is linear to first order, ``y^* M Delta x = y^* x``; the Delta of smallest
-norm that fulfils it is known in closed form. Every Delta is projected to the structure and checked by its singular values.
+Complex structures: power iteration (Packard, Fan, Doyle). Any structure: sequential minimum-norm steps. With x, y the
+right and left null directions of ``I - M Delta``, singularity is linear to first order, ``y^* M Delta x = y^* x``;
+the Delta of smallest norm that fulfils it is known in closed form. Every Delta is projected to the structure and
+checked by its singular values.
 
 References
 ----------
-Packard, Fan, Doyle, "A power method for the structured singular value" (1988). Young, Doyle, "Computation of mu with real and
-complex uncertainties" (1990).
+Packard, Fan, Doyle, "A power method for the structured singular value" (1988). Young, Doyle, "Computation of mu with
+real and complex uncertainties" (1990).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +25,8 @@ from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_sli
 
 __all__ = ["SINGULAR", "block_gains", "lower_bound", "smallest_step", "step_delta"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # Relative smallest singular value below which I - M Delta counts as singular.
 SINGULAR = 1e-11
@@ -68,7 +70,7 @@ def _candidates(M: ComplexArray, blocks: list[Block], seed: int, restarts: int, 
     x[0], y[0] = u[:, 0], u[:, 0]
     if restarts > 1 and p == q:
         x[1], y[1] = np.conj(vh[0]), u[:, 0]
-    found = _minimum_norm_steps(M, blocks, x, y, steps, rng)
+    found = _minimum_norm_steps(M, blocks, x, y, steps=steps, rng=rng)
     if not any(isinstance(b, RealScalar) for b in blocks):
         found.extend(_power_iteration(M, blocks, rng, restarts, 2 * steps))
     return found
@@ -78,7 +80,7 @@ def _candidates(M: ComplexArray, blocks: list[Block], seed: int, restarts: int, 
 
 
 def _minimum_norm_steps(
-    M: ComplexArray, blocks: list[Block], x: ComplexArray, y: ComplexArray, steps: int, rng: np.random.Generator
+    M: ComplexArray, blocks: list[Block], x: ComplexArray, y: ComplexArray, *, steps: int, rng: np.random.Generator
 ) -> list[ComplexArray]:
     """Iterate from each pair of directions x, y (k, p) at once."""
     k, p = x.shape
@@ -111,7 +113,7 @@ def _minimum_norm_steps(
 
 
 def block_gains(blocks: Sequence[Block], row: ComplexArray, x: ComplexArray) -> ComplexArray:
-    """a (k, n_blocks) in ``row Delta x = sum a_i delta_i``; full blocks count with ``|row_i| |x_i|``, their best direction."""
+    """Factors a (k, n_blocks) in ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block."""
     gains = np.empty((len(x), len(blocks)), dtype=complex)
     for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):
         if isinstance(block, FullBlock):
@@ -137,8 +139,9 @@ def step_delta(blocks: Sequence[Block], values: ComplexArray, row: ComplexArray,
 def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
     r"""The d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``.
 
-    The dual is a convex function of one number alpha, ``f = sum_R |Re a_i + alpha Im a_i| + sqrt(1 + alpha^2) sum_C |a_i|``, whose
-    minimum is ``1 / max |d_i|``: either at a kink, where that one real d_i is inside its range, or at a smooth point between two.
+    The dual is a convex function of one number alpha,
+    ``f = sum_R |Re a_i + alpha Im a_i| + sqrt(1 + alpha^2) sum_C |a_i|``, whose minimum is ``1 / max |d_i|``: either
+    at a kink, where that one real d_i is inside its range, or at a smooth point between two.
     """
     k = len(a)
     rows = np.arange(k)
@@ -149,6 +152,7 @@ def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
         alpha, kink = _dual_minimum(re, im, total)
     value = np.abs(re + alpha[:, None] * im).sum(axis=1) + np.sqrt(1 + alpha**2) * total
     tau = 1 / np.maximum(value, 1e-300)
+    inside = np.zeros(k)
     sign = np.sign(re + alpha[:, None] * im)
     phase = np.exp(1j * np.arctan(alpha))
     has = kink >= 0
@@ -173,8 +177,7 @@ def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
 
 def _dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.intp]]:
     """Minimiser alpha of the dual of `smallest_step`, and the index of the kink it sits at (-1: none)."""
-    k, n = re.shape
-    rows = np.arange(k)
+    rows = np.arange(len(re))
     size = np.abs(re) + np.abs(im)
     straight = np.abs(im) <= 1e-13 * np.maximum(size.max(axis=1, keepdims=True), 1e-300)
     im = np.where(straight, 0.0, im)
@@ -252,14 +255,14 @@ def _power_iteration(
 
 
 def _align(block: Block, w: ComplexArray, a: ComplexArray) -> ComplexArray:
-    """z of one block from w and a."""
+    """Vector z of one block from w and a."""
     if isinstance(block, FullBlock):
         return np.linalg.norm(w, axis=1, keepdims=True) * _unit(a)
     return np.exp(-1j * np.angle((np.conj(a) * w).sum(axis=1)))[:, None] * w
 
 
 def _align_back(block: Block, w: ComplexArray, a: ComplexArray) -> ComplexArray:
-    """b of one block from w and a."""
+    """Vector b of one block from w and a."""
     if isinstance(block, FullBlock):
         return np.linalg.norm(a, axis=1, keepdims=True) * _unit(w)
     return np.exp(1j * np.angle((np.conj(a) * w).sum(axis=1)))[:, None] * a
@@ -278,7 +281,8 @@ def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -
     slices = block_slices(blocks)
     part = [blocks[i] for i in component.members]
     e_w, e_z = expand(part, component.exponents)
-    # M_balanced = 2^z M 2^-w, so Delta = 2^-w Delta_balanced 2^z: the same numbers block by block, by exact powers of two.
+    # M_balanced = 2^z M 2^-w, so Delta = 2^-w Delta_balanced 2^z: the same numbers block by block, by exact powers of
+    # two.
     scaled = delta * np.exp2(-e_w)[:, None] * np.exp2(e_z)[None, :]
     result = np.zeros((q, p), dtype=complex)
     w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])

@@ -5,15 +5,18 @@ For fixed ``t = beta^2`` the analytic centre minimises
 .. math:: \varphi_t(x) = -\log\det F_t(x) - \rho \log\det D_w(x) + \kappa \, \mathrm{tr} D_w(x), \qquad
           F_t(x) = t D_w - M^* D_z M - j (G M - M^* G^*)
 
-Newton steps keep x near the centre while t falls along the tangent of the central path. Every x met on the way is feasible for
-the t that `certificate.level` gives it, so stopping early costs tightness, never soundness.
+Newton steps keep x near the centre while t falls along the tangent of the central path. Every x met on the way is
+feasible for the t that `certificate.level` gives it, so stopping early costs tightness, never soundness.
 
 References
 ----------
-Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Linear Algebra and its Applications 188 (1993).
+Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Linear Algebra and its Applications 188
+(1993).
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +25,8 @@ from robustlab.mu_analysis.scalings import ScalingSpace, hermitian
 
 __all__ = ["minimise"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 RHO = 0.3  # weight of the barrier that keeps D away from singular
 NEAR = 0.3  # squared Newton decrement below which a point counts as centred
@@ -91,7 +94,7 @@ class _Path:
         dx, tangent = _solve(hessian, -gradient, -drift)
         decrement = -(gradient * dx).sum(axis=1)
         near = decrement < NEAR
-        x = x + self._line(i, x, dx, t, F, Dw)[:, None] * dx
+        x = x + self._line(i, dx, t, F, Dw)[:, None] * dx
         gap = 3 * self.m / np.maximum(np.einsum("kij,kji->k", P, Dw).real, 1e-300)
         x, t = self._predict(i, x, t, tangent, near)
         found = self._level(i, x)
@@ -137,15 +140,15 @@ class _Path:
         own = inverse[:, k[None, :], r[:, None]]
         cw = s.in_w * s.coefficients
         cross += RHO * own * np.swapaxes(own, 1, 2) * (cw[:, None] * cw[None, :])
-        hessian = np.add.reduceat(np.add.reduceat(cross, s.first, axis=1), s.first, axis=2).real
+        hessian = np.real(np.add.reduceat(np.add.reduceat(cross, s.first, axis=1), s.first, axis=2))
         return (
-            np.add.reduceat(entry, s.first, axis=1).real,
+            np.real(np.add.reduceat(entry, s.first, axis=1)),
             hessian,
-            np.add.reduceat(drift, s.first, axis=1).real,
+            np.real(np.add.reduceat(drift, s.first, axis=1)),
             P,
         )
 
-    def _line(self, i: NDArray[np.intp], x: Array, dx: Array, t: Array, F: ComplexArray, Dw: ComplexArray) -> Array:
+    def _line(self, i: NDArray[np.intp], dx: Array, t: Array, F: ComplexArray, Dw: ComplexArray) -> Array:
         """Step lengths that minimise the barrier along dx, by safeguarded Newton steps on its eigenvalue form."""
         dF, dD, _ = self._forms(i, dx, t)
         e, d = _relative(F, dF), _relative(Dw, dD)
@@ -185,7 +188,7 @@ class _Path:
         return np.where(straight[:, None], x, x - step[:, None] * tangent), np.where(straight, t - own, t - step)
 
     def _level(self, i: NDArray[np.intp], x: Array) -> Array:
-        """Smallest t for which x is feasible in spite of rounding errors: where mu is near zero, G grows and digits are lost."""
+        """Smallest t for which x is feasible in spite of rounding; near mu = 0, G grows and digits are lost."""
         M = self.M[i]
         Dw, Dz, G = self.space.matrices(x)
         w, z = (1 / np.sqrt(np.einsum("kii->ki", d).real) for d in (Dw, Dz))

@@ -4,15 +4,16 @@ Real mu lives at isolated frequencies, so a frequency grid finds nothing. Instea
 
 .. math:: A_\Delta = A + B \Delta (I - D \Delta)^{-1} C
 
-is led to the axis in small steps, each the linearised move of least ``max |delta_i|``, and then along the axis to a smaller Delta.
-A real pole that meets another and crosses at zero is found by the static problem ``det(I - M(0) Delta) = 0``. What counts in the end
-is the spectral abscissa of :math:`A_\Delta` alone.
+is led to the axis in small steps, each the linearised move of least ``max |delta_i|``, and then along the axis to a
+smaller Delta. A real pole that meets another and crosses at zero is found by the static problem
+``det(I - M(0) Delta) = 0``. What counts in the end is the spectral abscissa of :math:`A_\Delta` alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,8 @@ from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure
 
 __all__ = ["Destabilising", "perturbed_state_matrix", "smallest_destabilising"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 LEADING = 15  # steps that lead a pole to the axis
 FOLLOWING = 35  # steps along the axis
@@ -34,7 +35,7 @@ FOLLOWING = 35  # steps along the axis
 
 @dataclass(frozen=True)
 class Destabilising:
-    """A Delta (q, p) of norm ``norm`` with a pole ``pole`` on or right of the axis; an ill-posed loop has ``pole = inf``."""
+    """A Delta (q, p) with a pole on or right of the axis; an ill-posed loop has ``pole = inf``."""
 
     norm: float
     delta: ComplexArray
@@ -74,7 +75,9 @@ def perturbed_state_matrix(model: StateSpaceModel, delta: ComplexArray) -> Compl
     """``A + B Delta (I - D Delta)^-1 C`` for Delta (q, p), or a stack of them; Inf where the loop is ill-posed."""
     loop = np.eye(model.n_outputs) - model.D @ delta
     try:
-        return model.A + model.B @ delta @ np.linalg.solve(loop, np.broadcast_to(model.C, (*delta.shape[:-2], *model.C.shape)))
+        return model.A + model.B @ delta @ np.linalg.solve(
+            loop, np.broadcast_to(model.C, (*delta.shape[:-2], *model.C.shape))
+        )
     except np.linalg.LinAlgError:
         return np.full((*delta.shape[:-2], *model.A.shape), np.inf, dtype=complex)
 
@@ -118,9 +121,13 @@ def _first_crossing(model: StateSpaceModel, blocks: Sequence[Block], delta: Comp
 
 
 def _migrate(
-    model: StateSpaceModel, blocks: Sequence[Block], given: Sequence[ComplexArray], rng: np.random.Generator, random_starts: int
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    given: Sequence[ComplexArray],
+    rng: np.random.Generator,
+    random_starts: int,
 ) -> list[ComplexArray]:
-    """Deltas that have a pole close to the axis; one path per pole of the nominal model and per random or given start."""
+    """Deltas that have a pole close to the axis; one path per nominal pole and per random or given start."""
     if not model.n_states:
         return []
     deltas, poles = _starts(model, blocks, given, rng, random_starts)
@@ -135,7 +142,7 @@ def _migrate(
         arrived = (np.abs(pole.real) <= 1e-6 * speed) & (norms < best_norm) & (norms > 0)
         best[arrived], best_norm[arrived] = deltas[arrived], norms[arrived]
         goal = pole.real * (1 - 1 / (LEADING - step)) if step < LEADING else np.zeros(len(pole))
-        new = _least_move(blocks, deltas, pole, row, x, goal)
+        new = _least_move(blocks, deltas, pole, row, x, goal=goal)
         if LEADING <= step < LEADING + FOLLOWING - 8:
             gain = 0.3 + 0.7 * rng.random(len(new))
             new = deltas + gain[:, None, None] * (new - deltas)
@@ -150,7 +157,11 @@ def _migrate(
 
 
 def _starts(
-    model: StateSpaceModel, blocks: Sequence[Block], given: Sequence[ComplexArray], rng: np.random.Generator, random_starts: int
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    given: Sequence[ComplexArray],
+    rng: np.random.Generator,
+    random_starts: int,
 ) -> tuple[ComplexArray, ComplexArray]:
     """Starting Deltas (k, q, p) and the pole to follow from each."""
     q, p = structure_size(blocks)
@@ -164,7 +175,9 @@ def _starts(
     for k in range(random_starts):
         values = rng.uniform(-1, 1, (1, len(blocks))) if k % 2 else rng.choice([-1.0, 1.0], (1, len(blocks)))
         values = values * distance * 10 ** rng.uniform(-1, 0.3)
-        delta = step_delta(blocks, values.astype(complex), *(rng.standard_normal((1, n)).astype(complex) for n in (q, p)))[0]
+        delta = step_delta(
+            blocks, values.astype(complex), *(rng.standard_normal((1, n)).astype(complex) for n in (q, p))
+        )[0]
         deltas.append(delta)
         poles.append(_rightmost(model, delta))
     for delta in given:
@@ -174,7 +187,9 @@ def _starts(
     return np.stack([deltas[k] for k in keep]), np.array([poles[k] for k in keep])
 
 
-def _eigenstructure(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def _eigenstructure(
+    model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """The pole next to each aim, and row, x with ``d pole = row dDelta x``."""
     a = perturbed_state_matrix(model, deltas)
     if not np.isfinite(a).all():
@@ -193,7 +208,13 @@ def _eigenstructure(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexA
 
 
 def _least_move(
-    blocks: Sequence[Block], deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray, goal: Array
+    blocks: Sequence[Block],
+    deltas: ComplexArray,
+    pole: ComplexArray,
+    row: ComplexArray,
+    x: ComplexArray,
+    *,
+    goal: Array,
 ) -> ComplexArray:
     """The Delta of least norm that, to first order, puts the real part of the pole at ``goal``."""
     gains = block_gains(blocks, row, x)

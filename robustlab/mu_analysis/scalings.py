@@ -10,6 +10,7 @@ so that gradients and Hessians of its barrier need products of single entries of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,8 @@ from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_sli
 
 __all__ = ["ScalingSpace", "hermitian"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 def hermitian(X: NDArray) -> NDArray:
@@ -55,8 +56,8 @@ class ScalingSpace:
         for block, (w, z) in zip(self.blocks, self.slices, strict=True):
             if isinstance(block, FullBlock):
                 parameters.append(
-                    [(i, i, 1, 1) for i in range(w.start, w.stop)]
-                    + [(self.q + i, self.q + i, -1, 0) for i in range(z.start, z.stop)]
+                    [(i, i, 1 + 0j, 1) for i in range(w.start, w.stop)]
+                    + [(self.q + i, self.q + i, -1 + 0j, 0) for i in range(z.start, z.stop)]
                 )
                 identity.append(1.0)
                 continue
@@ -99,7 +100,7 @@ class ScalingSpace:
 
 
 def _hermitian_basis(r: int) -> list[list[tuple[int, int, complex]]]:
-    """Basis of the Hermitian r x r matrices over the real numbers, each as (row, column, value); diagonal ones first."""
+    """Basis of the Hermitian r x r matrices over the real numbers as (row, column, value); diagonal ones first."""
     diagonal: list[list[tuple[int, int, complex]]] = [[(i, i, 1.0)] for i in range(r)]
     pairs = [(i, j) for i in range(r) for j in range(i + 1, r)]
     return diagonal + [[(i, j, c), (j, i, np.conj(c))] for i, j in pairs for c in (1.0 + 0j, 1j)]

@@ -23,7 +23,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["Margin", "robust_stability"]
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +33,11 @@ class Margin:
     Attributes
     ----------
     lower, upper
-        ``lower <= margin <= upper``; ``lower`` holds over the whole frequency axis where the status is CERTIFIED (else it is 0).
-        Both are inf where nothing can destabilise.
+        ``lower <= margin <= upper``; ``lower`` holds over the whole frequency axis where the status is CERTIFIED
+        (else it is 0). Both are inf where nothing can destabilise.
     frequency
-        Frequency in rad/s at which ``delta`` brings a pole to the stability boundary; None where no such Delta was found.
+        Frequency in rad/s at which ``delta`` brings a pole to the stability boundary; None where no such Delta was
+        found.
     delta
         The critical Delta, one value per block name; empty where none was found.
     physical
@@ -44,7 +45,8 @@ class Margin:
     pole
         The pole of the model perturbed by ``delta`` that lies on or beyond the stability boundary.
     status
-        CERTIFIED: ``lower`` proved on the whole axis. TIMEOUT: ``open`` intervals are left, ``mu_upper`` holds on the grid only.
+        CERTIFIED: ``lower`` proved on the whole axis. TIMEOUT: ``open`` intervals are left, ``mu_upper`` holds on the
+        grid only.
     omega, mu_lower, mu_upper
         Bounds of mu at the grid frequencies, for the figure; what lies between grid points is in ``intervals``.
     intervals
@@ -83,9 +85,9 @@ def robust_stability(
 ) -> Margin:
     r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
 
-    ``lower`` is proved: intervals on which constant D, G satisfy the D-G inequality cover [0, inf]. ``upper`` is attained: the model
-    perturbed by ``delta`` has a pole on the stability boundary. A discrete model is mapped by ``s = (z - 1) / (z + 1)``, under which
-    the unit circle becomes the axis and mu does not change.
+    ``lower`` is proved: intervals on which constant D, G satisfy the D-G inequality cover [0, inf]. ``upper`` is
+    attained: the model perturbed by ``delta`` has a pole on the stability boundary. A discrete model is mapped by
+    ``s = (z - 1) / (z + 1)``, under which the unit circle becomes the axis and mu does not change.
 
     Parameters
     ----------
@@ -118,16 +120,24 @@ def robust_stability(
     grid = _grid(uncertain.M, omega)
     if not blocks:
         zero = np.zeros(len(grid))
-        return _margin(uncertain, None, AxisCover(open=[]), grid, zero, zero, ("no uncertainty: mu = 0",))
+        return _margin(
+            uncertain,
+            None,
+            AxisCover(open=[]),
+            grid=grid,
+            mu_lower=zero,
+            mu_upper=zero.copy(),
+            notes=("no uncertainty: mu = 0",),
+        )
     seeds = _seed_frequencies(model)
     worst = smallest_destabilising(model, blocks, seeds, seed)
     peak = 1 / worst.norm if worst else 0.0
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
-    cover = _cover(model, blocks, peak, first, started + time_limit, accuracy)
+    cover = _cover(model, blocks, peak, first=first, until=started + time_limit, accuracy=accuracy)
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([lower_bound(m, blocks, seed, restarts=4, steps=24)[0] for m in response])
     mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
-    return _margin(uncertain, worst, cover, grid, mu_lower, mu_upper, ())
+    return _margin(uncertain, worst, cover, grid=grid, mu_lower=mu_lower, mu_upper=mu_upper, notes=())
 
 
 def _check_nominal(uncertain: UncertainModel) -> None:
@@ -181,9 +191,9 @@ def _seed_frequencies(model: StateSpaceModel) -> Array:
 
 
 def _cover(
-    model: StateSpaceModel, blocks: Sequence[Block], peak: float, first: Array, until: float, accuracy: float
+    model: StateSpaceModel, blocks: Sequence[Block], peak: float, *, first: Array, until: float, accuracy: float
 ) -> AxisCover:
-    """Cover the axis for each strongly connected part of M11 on its own; the largest mu of the parts is that of the whole."""
+    """Cover the axis for each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
     parts = _parts(model, blocks)
     covers = []
     slices = block_slices(blocks)
@@ -191,7 +201,7 @@ def _cover(
         w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
         z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
         part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[np.ix_(z, w)])
-        covers.append(cover_axis(part, [blocks[i] for i in members], peak, first, until, accuracy))
+        covers.append(cover_axis(part, [blocks[i] for i in members], peak, first=first, until=until, accuracy=accuracy))
     whole = AxisCover(open=[])
     for cover in covers:
         whole.pieces.extend(cover.pieces)
@@ -202,7 +212,7 @@ def _cover(
 
 
 def _parts(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:
-    """Blocks that act on each other in a cycle, by the zero pattern of A, B, C, D; a block that feeds nothing back is left out."""
+    """Blocks that act on each other in a cycle, by the zero pattern of A, B, C, D; others have mu = 0."""
     from scipy.sparse.csgraph import connected_components
 
     n = model.n_states
@@ -213,7 +223,10 @@ def _parts(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.i
         pick_w[w, i] = 1
         pick_z[i, z] = 1
     # Nodes: states, then blocks; an edge from j to i where j acts on i directly.
-    acts = np.block([[model.A != 0, (model.B != 0) @ pick_w], [pick_z @ (model.C != 0), pick_z @ (model.D != 0) @ pick_w]]) > 0
+    acts = (
+        np.block([[model.A != 0, (model.B != 0) @ pick_w], [pick_z @ (model.C != 0), pick_z @ (model.D != 0) @ pick_w]])
+        > 0
+    )
     _, labels = connected_components(acts, directed=True, connection="strong")
     groups = [np.flatnonzero(labels[n:] == label) for label in np.unique(labels[n:])]
     return [g for g in groups if len(g) > 1 or acts[n + g[0], n + g[0]] or (labels[:n] == labels[n + g[0]]).any()]
@@ -223,6 +236,7 @@ def _margin(
     uncertain: UncertainModel,
     worst: Destabilising | None,
     cover: AxisCover,
+    *,
     grid: Array,
     mu_lower: Array,
     mu_upper: Array,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_sli
 
 __all__ = ["UpperBound", "points_below", "upper_bounds"]
 
-ComplexArray = NDArray[np.complex128]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # AB13MD needs O(n^6) operations, the batched path following O(n^4): they break even at about this order.
 AB13MD_ORDER = 12
@@ -119,7 +120,8 @@ def _by_path(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBoun
 def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], parts: list[UpperBound]) -> UpperBound:
     """D and G of the whole matrix from those of its components, certified once more on M itself.
 
-    Couplings run from a lower to a higher depth only: with D of a depth much smaller than that of the depth before it they cost nothing.
+    Couplings run from a lower to a higher depth only: with D of a depth much smaller than that of the depth before it
+    they cost nothing.
     """
     q, p = structure_size(blocks)
     floor = max((b.beta for b in parts), default=0.0)
