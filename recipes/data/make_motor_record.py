@@ -1,7 +1,7 @@
 """Make ``motor_record.csv``, the stand-in for a measured record in ``make demo``. It is simulated, not measured.
 
-Run it with ``python recipes/data/make_motor_record.py``. Nothing of robustlab is imported: were the record made by the code that
-is later compared with it, the comparison would prove nothing. What the "real" motor has and the nominal model has not:
+Run it with ``python recipes/data/make_motor_record.py``. Nothing of robustlab is imported: were the record made by the
+code that is later compared with it, the comparison would prove nothing. What this motor has and that model lacks:
 
 - parameters off their data-sheet values: R +4 %, L -6 %, torque and back-EMF constant -2 %, J +5 %, Kf -20 %;
 - dry friction of bearings and brushes with presliding (LuGre model: Coulomb 6 mN m, break-away 8.5 mN m);
@@ -96,12 +96,13 @@ def simulate(duration: float = DURATION) -> np.ndarray:
             x = step(x, float(u[k]), SAMPLE_TIME / SUBSTEPS)
     noise = np.random.default_rng(SEED).normal(0.0, CURRENT_NOISE, round(DURATION / SAMPLE_TIME))[:n]
     count = 2 * math.pi / COUNTS
-    return np.column_stack([t, u, np.floor(phi / count) * count, np.round((current + noise) / CURRENT_STEP) * CURRENT_STEP])
+    shown = np.round((current + noise) / CURRENT_STEP) * CURRENT_STEP
+    return np.column_stack([t, u, np.floor(phi / count) * count, shown])
 
 
 HEADER = """\
-# SIMULATED stand-in for a measured record: a Maxon RE 35 motor with friction, driver drop and sensors that the nominal model
-# does not have. Made by make_motor_record.py beside this file (its own equations and integrator, seed {seed}); not a measurement.
+# SIMULATED stand-in for a measured record, not a measurement: a Maxon RE 35 motor with friction, driver drop, sensors
+# that the nominal model does not have. Made by make_motor_record.py (own equations and integrator, seed {seed}).
 # u: command to the driver; phi: encoder, 2000 counts a turn; i: current sensor, 5 mA resolution, 20 mA noise
 t [s],u [V],phi [rad],i [A]
 """

@@ -12,7 +12,8 @@ import robustlab as rl
 def random_model(seed: int, n: int, n_u: int, n_y: int, dt: float = 0.0) -> rl.StateSpaceModel:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(n, n))
-    a = a / (1.2 * np.abs(np.linalg.eigvals(a)).max()) if dt else a - (np.linalg.eigvals(a).real.max() + 0.3) * np.eye(n)
+    poles = np.linalg.eigvals(a)
+    a = a / (1.2 * np.abs(poles).max()) if dt else a - (poles.real.max() + 0.3) * np.eye(n)
     return rl.StateSpaceModel(a, rng.normal(size=(n, n_u)), rng.normal(size=(n_y, n)), rng.normal(size=(n_y, n_u)), dt)
 
 

@@ -27,7 +27,7 @@ def test_rank_of_ctrb_and_obsv(seed):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_hidden_modes_are_cancelled_in_the_transfer_function(seed):
-    """Zeros of the input-decoupling pencil by a rank drop of [A - s I, B] at each reported mode, and at no other pole."""
+    """The input-decoupling pencil [A - s I, B] drops rank at each reported mode, and at no other pole."""
     rng = np.random.default_rng(100 + seed)
     n, hidden = 6, 2
     a, b = rng.normal(size=(n, n)), rng.normal(size=(n, 1))

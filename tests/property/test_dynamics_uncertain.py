@@ -25,7 +25,9 @@ def toleranced(name: str):
 
 
 def chain():
-    return rl.plant("mass-spring-damper", m=[(1.0, 0.3), (2.0, 0.2), 3.0], c=(0.5, 0.4), k=[(10.0, 0.3), 20.0, (5.0, 0.2)])
+    return rl.plant(
+        "mass-spring-damper", m=[(1.0, 0.3), (2.0, 0.2), 3.0], c=(0.5, 0.4), k=[(10.0, 0.3), 20.0, (5.0, 0.2)]
+    )
 
 
 def assert_same(left, right, rtol=1e-12):
@@ -71,7 +73,7 @@ def test_nominal_is_exact(name):
 
 
 def test_thesis_equations_10_1_to_10_4():
-    """With absolute deltas, di/dt row: -(dR i + dKb w + dL di/dt) / (L + dL); dw/dt row: (dKm i - dKf w - dJ dw/dt) / (J + dJ).
+    """With absolute deltas: the current's row -(dR i + dKb w + dL di/dt) / L; the speed's (dKm i - dKf w - dJ w') / J.
 
     The printed coefficients -1, +1 are right only for deltas that are divided by L and J beforehand.
     """
@@ -88,7 +90,9 @@ def test_thesis_equations_10_1_to_10_4():
     np.testing.assert_allclose(c[by_name["R"]], [0, radius["R"]], rtol=1e-14)
     np.testing.assert_allclose(c[by_name["Km"]], [0, radius["Km"]], rtol=1e-14)
     np.testing.assert_allclose(c[by_name["Kf"]], [radius["Kf"], 0], rtol=1e-14)
-    np.testing.assert_allclose(c[by_name["L"]], radius["L"] / value["L"] * np.array([-value["Kb"], -value["R"]]), rtol=1e-14)
+    np.testing.assert_allclose(
+        c[by_name["L"]], radius["L"] / value["L"] * np.array([-value["Kb"], -value["R"]]), rtol=1e-14
+    )
 
 
 @QUICK
@@ -118,7 +122,12 @@ def test_parameter_in_outputs_and_of_higher_rank():
 
     parameters = {k: Parameter(k, v, tolerance=0.2) for k, v in {"m": 2.0, "a": 3.0, "s": 0.5}.items()}
     plant = LinearPlant(
-        "box", parameters, (Signal("u"),), (Signal("y1"), Signal("y2")), (Signal("x1"), Signal("x2")), equations=equations
+        "box",
+        parameters,
+        (Signal("u"),),
+        (Signal("y1"), Signal("y2")),
+        (Signal("x1"), Signal("x2")),
+        equations=equations,
     )
     assert [(b.name, b.repeats) for b in plant.uncertain().blocks] == [("m", 2), ("a", 2), ("s", 2)]
     check(plant, {"m": -0.7, "a": 1.3, "s": -2.0})
@@ -135,7 +144,9 @@ def test_coupled_left_hand_side():
             C=[[1, 0], [0, 1]],
         )
 
-    parameters = {k: Parameter(k, v, tolerance=0.3, sign="positive") for k, v in {"J1": 1.0, "J2": 2.0, "J12": 0.4}.items()}
+    parameters = {
+        k: Parameter(k, v, tolerance=0.3, sign="positive") for k, v in {"J1": 1.0, "J2": 2.0, "J12": 0.4}.items()
+    }
     names = (Signal("w1"), Signal("w2"))
     plant = LinearPlant("pair", parameters, (Signal("T"),), names, names, equations=equations)
     assert [b.repeats for b in plant.uncertain().blocks] == [1, 1, 1]

@@ -22,7 +22,7 @@ def record():
 def test_it_says_that_it_is_simulated():
     head = (FOLDER / "motor_record.csv").read_text(encoding="utf-8").splitlines()[:4]
     assert head[0].startswith("# SIMULATED")
-    assert "not a measurement" in head[1]
+    assert "not a measurement" in head[0]
     assert head[3] == "t [s],u [V],phi [rad],i [A]"
     assert (FOLDER / "motor_record.csv").stat().st_size < 400_000
 

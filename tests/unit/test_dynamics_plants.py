@@ -66,7 +66,6 @@ def test_friction_tolerance_covers_the_data_sheet():
     assert speed[-1] == pytest.approx(788.85, abs=0.05)
     maker = 7530 * 2 * math.pi / 60
 
-
     def kf_for(omega):  # from omega = 42 Km / (Kb Km + R Kf), relative to the nominal Kf
         return (42 * KM / omega - KB * KM) / R / KF - 1
 

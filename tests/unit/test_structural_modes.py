@@ -43,7 +43,11 @@ def test_twelve_states_with_the_thesis_scaling():
     a = np.block([[np.zeros((6, 6)), np.eye(6)], [stiffness, np.zeros((6, 6))]])
     b = np.vstack([np.zeros((6, 6)), 4.4e4 * (np.eye(6) + 0.05)])
     platform = model(a, b)
-    for test in (rl.controllability(platform), rl.observability(platform), rl.observability(model(a, b, np.eye(12)[:6]))):
+    for test in (
+        rl.controllability(platform),
+        rl.observability(platform),
+        rl.observability(model(a, b, np.eye(12)[:6])),
+    ):
         assert (test.rank, test.status) == (12, rl.Status.CONVERGED)
 
 
@@ -122,7 +126,7 @@ def test_long_chains_stay_controllable(n):
 
 
 def test_symmetric_chain_pushed_in_the_middle():
-    """Three masses, walls on both sides, force on the middle one: the antisymmetric mode stays hidden (q = 1, 0, -1)."""
+    """Three masses, walls on both sides, force on the middle one: the mode q = (1, 0, -1) stays hidden."""
     k = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]])
     a = np.block([[np.zeros((3, 3)), np.eye(3)], [-k, np.zeros((3, 3))]])
     names = ["q1", "q2", "q3", "v1", "v2", "v3"]
