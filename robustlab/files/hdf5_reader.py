@@ -88,7 +88,7 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
 
 
 def _hint(problem: str) -> str | None:
-    if "filter" in problem:
+    if "plugins" in problem:
         return "h5repack -f GZIP=6 IN OUT writes it with a filter that everyone has"
     if "checksum" in problem or "damaged" in problem:
         return DAMAGED
@@ -241,7 +241,7 @@ def _values(walk: _Walk, did: h5d.DatasetID, path: str, kind: str, shape: tuple[
         filters = [
             dataset.id.get_create_plist().get_filter(i)[0] for i in range(dataset.id.get_create_plist().get_nfilters())
         ]
-        if FLETCHER32 in filters and "fletcher" in str(error).lower():
+        if FLETCHER32 in filters and "filter" in str(error):  # the checksum is the first filter when reading
             walk.problem(path, "checksum mismatch")
         else:
             walk.problem(path, f"damaged values ({_short(error)})")

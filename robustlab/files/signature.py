@@ -52,6 +52,8 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
             raise InputError(where, f"{size_text(state.st_size)}", f"at most {size_text(limits.file)}")
         with path.open("rb") as stream:
             return stream.read(520)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise _missing(path) from None
     except PermissionError:

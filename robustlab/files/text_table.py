@@ -83,8 +83,8 @@ def read_table(
             "begin other lines with #",
         )
     data = rows[first_data:]
-    sign = _delimiter(where, data, delimiter, decimal)
     header = rows[0] if first_data else None
+    sign = _delimiter(where, data, header[1] if header else None, given=delimiter, decimal=decimal)
     width = len(_cells(data[0][1], sign))
     names = _cells(header[1], sign) if header else None
     if header and names is not None and len(names) != width:
@@ -142,7 +142,9 @@ def _looks_numeric(text: str) -> bool:
     return bool(re.match(r"^[+-]?(\d|[.,]\d|nan$|inf)", first, re.IGNORECASE))
 
 
-def _delimiter(where: str, data: list[tuple[int, str]], given: str | None, decimal: str) -> str:
+def _delimiter(
+    where: str, data: list[tuple[int, str]], header: str | None, *, given: str | None, decimal: str
+) -> str:
     if given is not None:
         if given not in (",", ";", "\t", "\\t", WHITESPACE):
             raise InputError(where, f"delimiter {given!r}", "one of ',' ';' tab or ' '")
@@ -150,15 +152,21 @@ def _delimiter(where: str, data: list[tuple[int, str]], given: str | None, decim
             raise InputError(where, f"delimiter and decimal sign are both {given!r}", "different ones")
         return "\t" if given == "\\t" else given
     sample = [text for _, text in data[:20]]
-    for candidate in (";", "\t", ","):
-        if candidate == decimal:
-            continue
-        if all(candidate in text for text in sample):
-            whole = candidate == "," and all(DECIMAL_COMMA.match(cell) for text in sample for cell in text.split())
-            # "0,1  0,5": the commas stand inside cells that white space parts
-            if not (whole and all(len(text.split()) > 1 for text in sample)):
-                return candidate
+    # The header says how many cells a line has; where no delimiter fits it, the first line of numbers does.
+    for pattern in ([header] if header else []) + sample[:1]:
+        fits = {sign: _share_that_fits(pattern, sample, sign) for sign in (";", "\t", ",", WHITESPACE) if sign != decimal}
+        best = max(fits, key=lambda sign: fits[sign])
+        if fits[best] > 0:
+            return best
     return WHITESPACE
+
+
+def _share_that_fits(pattern: str, sample: list[str], sign: str) -> float:
+    """Share of the lines with as many cells as ``pattern``; 0 where the delimiter does not even part the pattern."""
+    count = len(_cells(pattern, sign))
+    if count < 2 or any(len(cell.split()) > 1 for text in sample for cell in _cells(text, sign)):
+        return 0.0
+    return sum(len(_cells(text, sign)) == count for text in sample) / len(sample)
 
 
 def _cells(text: str, delimiter: str) -> list[str]:
