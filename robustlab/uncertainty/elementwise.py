@@ -122,6 +122,10 @@ class EndpointResidual:
         """Largest relative residual."""
         return max(self.relative.values())
 
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return {"absolute": self.absolute, "relative": self.relative, "largest": self.largest}
+
 
 def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResidual:
     """Evaluate the set at ``Delta = I`` and compare with the perturbed model, matrix by matrix."""

@@ -120,4 +120,4 @@ def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
     duration = 8.0 / float(decay.min()) if len(decay) else (8.0 * 2 * np.pi / size if size else 1.0)
     if model.is_discrete:
         return np.arange(max(2, min(round(duration / model.dt) + 1, 5000))) * model.dt
-    return np.linspace(0.0, duration, n)
+    return np.arange(n) * (duration / (n - 1))

@@ -7,7 +7,7 @@ one, through `UncertainModel.evaluate` and the routines that a user would call: 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,29 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, chunks, members, peak_gains, time_responses
 from robustlab.worst_case_analysis.excitation import Excitation
 
-__all__ = ["HinfGain", "Metric", "PeakDeviation", "SpectralAbscissa", "connected"]
+__all__ = ["Evaluation", "HinfGain", "Metric", "PeakDeviation", "SpectralAbscissa", "connected"]
 
 Array = NDArray[np.float64]
 
 GRID_POINTS = 48
+
+
+class Evaluation(NamedTuple):
+    """A metric at one Delta.
+
+    Attributes
+    ----------
+    value
+        The metric; ``inf`` where there is no bounded value.
+    at
+        Time in s or frequency in rad/s where it is attained; NaN where there is none.
+    accurate
+        False where the routine behind it lost digits.
+    """
+
+    value: float
+    at: float = np.nan
+    accurate: bool = True
 
 
 class Metric(Protocol):
@@ -48,8 +66,8 @@ class Metric(Protocol):
         """The metric at a stack of Deltas (k, q, p), shape (k,); ``inf`` where there is no bounded value."""
         ...
 
-    def evaluate(self, delta: Mapping[str, Any]) -> tuple[float, float]:
-        """The metric at one Delta, and the time or frequency where it is attained (NaN where there is none)."""
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
+        """The metric at one Delta."""
         ...
 
 
@@ -89,7 +107,7 @@ class PeakDeviation:
             deviation = np.abs(self._responses(ensemble) - self._nominal).max(axis=1)
         return np.where(ensemble.ill_posed | np.isnan(deviation), np.inf, deviation)
 
-    def evaluate(self, delta: Mapping[str, Any]) -> tuple[float, float]:
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
         """See `Metric.evaluate`; `robustlab.dynamics.simulation.simulate` is the second way."""
         from robustlab.dynamics.simulation import simulate
 
@@ -97,10 +115,10 @@ class PeakDeviation:
         try:
             member = simulate(self.uncertain.evaluate(delta), t, u, hold=self._hold)[output]
         except NoTrustworthyNumber:  # ill-posed, or outgrown double precision
-            return np.inf, np.nan
+            return Evaluation(np.inf)
         deviation = np.abs(member - simulate(self.uncertain.nominal, t, u, hold=self._hold)[output])
         worst = int(deviation.argmax())
-        return float(deviation[worst]), float(t[worst])
+        return Evaluation(float(deviation[worst]), float(t[worst]))
 
 
 class HinfGain:
@@ -116,7 +134,10 @@ class HinfGain:
             poles = nominal.poles()
             worst = poles[np.argmax(np.abs(poles) if nominal.is_discrete else poles.real)]
             raise NoTrustworthyNumber(
-                "worst_case", f"nominal model unstable (pole {worst:.4g}): its H-infinity norm is infinite"
+                "worst_case",
+                f"nominal model is not asymptotically stable (pole {worst:.4g}): its H-infinity norm is infinite",
+                None,
+                "choose an output that does not see this pole, or close a loop around the model first",
             )
         self._grid = default_grid(nominal, GRID_POINTS)
 
@@ -124,7 +145,7 @@ class HinfGain:
         """See `Metric.values`."""
         return peak_gains(members(self.uncertain, delta), self._grid)[0]
 
-    def evaluate(self, delta: Mapping[str, Any]) -> tuple[float, float]:
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
         """See `Metric.evaluate`; for a real Delta `robustlab.norms.hinf_norm` is the second way."""
         from robustlab.norms import hinf_norm
 
@@ -133,20 +154,20 @@ class HinfGain:
         try:
             norm = hinf_norm(self.uncertain.evaluate(delta))
         except NoTrustworthyNumber:  # ill-posed
-            return np.inf, np.nan
-        return norm.value, norm.frequency
+            return Evaluation(np.inf)
+        return Evaluation(norm.value, norm.frequency, norm.status.trustworthy)
 
-    def _complex_gain(self, delta: Mapping[str, Any]) -> tuple[float, float]:
+    def _complex_gain(self, delta: Mapping[str, Any]) -> Evaluation:
         """Gain at the frequency that the search found, from `UncertainModel.response`; stability from the poles."""
         stack = delta_matrix(self.uncertain.blocks, delta)[None]
         ensemble = members(self.uncertain, stack)
         if not ensemble.spectral_abscissa()[0] < 0 and self.uncertain.M.n_states:
-            return np.inf, np.nan
+            return Evaluation(np.inf)
         omega = float(peak_gains(ensemble, self._grid)[1][0])
         # At a negative frequency M is the conjugate of itself at the positive one; so the gain is that of conj(Delta).
         values = delta if omega >= 0 else {name: np.conj(value) for name, value in delta.items()}
         response = self.uncertain.response([abs(omega)], values)[0]
-        return float(np.linalg.norm(response, 2)) if response.size else 0.0, omega
+        return Evaluation(float(np.linalg.norm(response, 2)) if response.size else 0.0, omega)
 
 
 class SpectralAbscissa:
@@ -167,18 +188,18 @@ class SpectralAbscissa:
             result[part] = members(self.uncertain, delta[part]).spectral_abscissa()
         return result
 
-    def evaluate(self, delta: Mapping[str, Any]) -> tuple[float, float]:
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
         """See `Metric.evaluate`."""
         d = delta_matrix(self.uncertain.blocks, delta)
         if not np.iscomplexobj(d):
             try:
-                return self.uncertain.evaluate(delta).spectral_abscissa(), np.nan
+                return Evaluation(self.uncertain.evaluate(delta).spectral_abscissa())
             except NoTrustworthyNumber:  # ill-posed
-                return np.inf, np.nan
+                return Evaluation(np.inf)
         m11 = self.uncertain.delta_channels
         a = m11.A + m11.B @ d @ np.linalg.solve(np.eye(d.shape[1]) - m11.D @ d, m11.C)
         poles = np.linalg.eigvals(a)
-        return float(np.abs(poles).max() - 1.0 if m11.is_discrete else poles.real.max()), np.nan
+        return Evaluation(float(np.abs(poles).max() - 1.0 if m11.is_discrete else poles.real.max()))
 
 
 def _selected(uncertain: UncertainModel, input: str | None, output: str | None) -> UncertainModel:

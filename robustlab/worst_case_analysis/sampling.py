@@ -210,7 +210,7 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
         return drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
     order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
     bits = (order[:, None] >> np.arange(k)[::-1]) & 1
-    return np.where(bits, np.float64(1.0), np.float64(-1.0))
+    return np.asarray(2.0 * bits - 1.0, dtype=np.float64)
 
 
 def _random_delta(blocks: Sequence[Block], rng: np.random.Generator, boundary: bool = False) -> dict[str, Any]:

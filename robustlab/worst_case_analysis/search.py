@@ -52,7 +52,8 @@ class WorstCase:
     nominal_value
         The metric at Delta = 0, by the same path as ``value``.
     status
-        CONVERGED; INACCURATE where search and re-evaluation disagree; TIMEOUT where the time limit ended the search.
+        CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; TIMEOUT where the time limit
+        ended the search.
     label
         What the value is, and is not.
     evaluations
@@ -148,9 +149,9 @@ def worst_case(
     theta, found = search.run(int(n), seed)
     stack = search.box.deltas(theta[None])
     delta = delta_values(uncertain.blocks, stack[0])
-    value, at = judge.evaluate(delta)
-    nominal_value, _ = judge.evaluate({})
-    status = Status.CONVERGED if _agree(found, value, judge) else Status.INACCURATE
+    value, at, accurate = judge.evaluate(delta)
+    nominal_value = judge.evaluate({}).value
+    status = Status.CONVERGED if accurate and _agree(found, value, judge) else Status.INACCURATE
     if search.out_of_time:
         status = Status.TIMEOUT
     label = LABEL if np.isfinite(value) else "attained: this member has no bounded value"

@@ -1,0 +1,289 @@
+"""``robustlab uncertain``: build, show and sample uncertain models."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import JsonOption, OutOption, SeedOption, emit, note, table
+from robustlab.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from robustlab.provenance import Provenance
+    from robustlab.uncertainty.elementwise import EndpointResidual
+    from robustlab.uncertainty.lft import UncertainModel
+    from robustlab.worst_case_analysis import Responses
+
+app = typer.Typer(help="Build, show and sample uncertain models.", no_args_is_help=True)
+
+UncertainArgument = Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.", metavar="FILE")]
+InputOption = Annotated[
+    list[str] | None,
+    typer.Option("--input", help="Constant input, NAME=VALUE; may be repeated. A unit step where left out."),
+]
+EndOption = Annotated[float | None, typer.Option("--t-end", help="End time in s; from the nominal poles if left out.")]
+PointsOption = Annotated[int, typer.Option("--points", help="Number of times, where --t-end is given.")]
+
+SHOWN_BLOCKS = 40
+
+
+@app.command()
+def build(  # noqa: PLR0917  one parameter per option of the command line
+    nominal: Annotated[
+        str | None,
+        typer.Argument(help="Nominal model; or one file with groups nominal and perturbed.", metavar="[NOMINAL]"),
+    ] = None,
+    perturbed: Annotated[
+        str | None, typer.Argument(help="Maximally perturbed model of the same signals.", metavar="[PERTURBED]")
+    ] = None,
+    structure: Annotated[
+        str, typer.Option("--structure", help="elements, columns, rows, matrices or single.")
+    ] = "elements",
+    noise: Annotated[
+        float | None,
+        typer.Option("--noise", help="Relative differences up to this are noise; none where left out."),
+    ] = None,
+    plant: Annotated[
+        str | None, typer.Option("--plant", help="Instead of files: a plant with uncertain parameters.")
+    ] = None,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option("--tolerance", help="Relative tolerance of a parameter of the plant, NAME=VALUE; repeatable."),
+    ] = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Uncertain model from two models (every delta of its structure in [-1, 1]), or from a plant's parameter ranges.
+
+    Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
+    """
+    from robustlab.storage import save
+
+    if (plant is None) == (nominal is None):
+        raise UsageError(
+            "uncertain build", "no models or both files and a plant", "NOMINAL [PERTURBED], or --plant NAME"
+        )
+    if plant is not None:
+        model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance))
+    else:
+        assert nominal is not None
+        model, residual, origin = _from_models(nominal, perturbed, structure, noise)
+    if not model.blocks:
+        note("no uncertainty: mu = 0")
+    if out is not None:
+        save(out, model, origin)
+    lines = [f"{out}: {model!r}" if out else repr(model), *_block_lines(model)]
+    if residual is not None:
+        lines.append(f"at Delta = I off the perturbed model by {residual.largest:.2g} of each matrix's largest entry")
+    result = {"file": out, "structure": structure if plant is None else "parameters", "delta_shape": model.delta_shape}
+    emit("uncertain build", {**result, "blocks": _blocks(model), "residual": residual}, "\n".join(lines), as_json)
+
+
+@app.command()
+def show(file: UncertainArgument, as_json: JsonOption = False) -> None:
+    """Print the blocks, signals and nominal stability of an uncertain model.
+
+    Example: robustlab uncertain show uncertain.h5
+    """
+    model = load_uncertain(file)
+    nominal = model.nominal
+    abscissa = nominal.spectral_abscissa()
+    lines = [
+        f"{file}: {model!r}",
+        f"inputs: {', '.join(_named(model.inputs))}",
+        f"outputs: {', '.join(_named(model.outputs))}",
+        f"nominal spectral abscissa: {abscissa:.6g} ({'stable' if abscissa < 0 else 'not asymptotically stable'})",
+        *_block_lines(model),
+    ]
+    result = {
+        "file": file,
+        "blocks": _blocks(model),
+        "delta_shape": model.delta_shape,
+        "nominal": nominal,
+        "nominal_spectral_abscissa": abscissa,
+    }
+    emit("uncertain show", result, "\n".join(lines), as_json)
+
+
+@app.command()
+def sample(  # noqa: PLR0917  one parameter per option of the command line
+    file: UncertainArgument,
+    n: Annotated[int, typer.Option("-n", "--samples", help="Number of random samples.")] = 20,
+    seed: SeedOption = 0,
+    vertices: Annotated[str, typer.Option("--vertices", help="Vertices to add: a number, or all.")] = "0",
+    inputs: InputOption = None,
+    t_end: EndOption = None,
+    points: PointsOption = 401,
+    figure: Annotated[
+        str | None, typer.Option("--figure", help="Folder for the envelope as SVG and PNG.", show_default=False)
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
+
+    Example: robustlab uncertain sample uncertain.h5 -n 20 --seed 1 --vertices all --input u=42 --t-end 0.1
+    """
+    from robustlab.worst_case_analysis import sample as draw
+    from robustlab.worst_case_analysis.excitation import default_clock
+
+    model = load_uncertain(file)
+    clock = default_clock(model.nominal, "uncertain sample") if t_end is None else times(model.dt, t_end, points)
+    members = draw(model, n, seed, _vertex_count(vertices))
+    responses = members.respond(clock, assignments("--input", inputs) or None)
+    if responses.unstable:
+        note(f"{len(responses.unstable)} of {len(members)} samples are unstable: {_listed(responses.unstable)}")
+    result: dict[str, Any] = {"file": file, "seed": seed, "vertices": members.vertices, **responses.to_json()}
+    if figure is not None:
+        from robustlab.report.figures import save_figure
+
+        result["figures"] = [str(path) for path in save_figure(_envelope(responses), figure, "envelope")]
+    emit("uncertain sample", result, _summary(responses, members.vertices), as_json)
+    if not responses.status.trustworthy:
+        raise typer.Exit(4)
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def load_uncertain(file: str) -> UncertainModel:
+    """The uncertain model in a file, or an error that says what the file holds instead."""
+    from robustlab.storage import load
+    from robustlab.uncertainty.lft import UncertainModel
+
+    model = load(file)
+    if not isinstance(model, UncertainModel):
+        raise InputError(
+            file, f"holds a {type(model).__name__}", "an uncertain model", "make one with: robustlab uncertain build"
+        )
+    return model
+
+
+def assignments(option: str, texts: list[str] | None) -> dict[str, float]:
+    """``["u=42"]`` as ``{"u": 42.0}``."""
+    values: dict[str, float] = {}
+    for text in texts or []:
+        name, _, value = text.rpartition("=")
+        try:
+            values[name] = float(value)
+        except ValueError:
+            raise UsageError(f"{option} {text}", "no number after =", "NAME=VALUE") from None
+        if not name:
+            raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+    return values
+
+
+def times(dt: float, t_end: float, points: int) -> Any:
+    """Times from 0 to ``t_end``: ``points`` of them, or every sample of a discrete model."""
+    import numpy as np
+
+    if not 0 < t_end < float("inf") or points < 2:
+        raise UsageError("times", f"--t-end {t_end:g} with --points {points}", "a positive time and at least 2 points")
+    return np.arange(round(t_end / dt) + 1) * dt if dt else np.linspace(0.0, t_end, points)
+
+
+def _from_models(
+    nominal: str, perturbed: str | None, structure: str, noise: float | None
+) -> tuple[UncertainModel, EndpointResidual, Provenance]:
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.statespace import as_model
+    from robustlab.storage import load, load_pair
+    from robustlab.uncertainty.elementwise import elementwise, endpoint_residual
+
+    if perturbed is None:
+        first, second = load_pair(nominal)
+    else:
+        first, second = as_model(load(nominal), nominal), as_model(load(perturbed), perturbed)
+    model = elementwise(first, second, structure, noise)
+    files = {path: file_sha256(path) for path in (nominal, perturbed) if path is not None}
+    note_text = f"structure {structure}" + (f", noise {noise:g}" if noise else "")
+    return model, endpoint_residual(model, second), Provenance.now("uncertain build", files, note=note_text)
+
+
+def _from_plant(name: str, tolerances: dict[str, float]) -> tuple[UncertainModel, None, Provenance]:
+    from robustlab.dynamics import plant
+    from robustlab.provenance import Provenance
+
+    nominal = plant(name).values
+    unknown = [key for key in tolerances if key not in nominal]
+    if unknown:
+        raise UsageError(f"--tolerance {unknown[0]}", f"no such parameter of {name}", f"one of {', '.join(nominal)}")
+    model = plant(name, **{key: (nominal[key], value) for key, value in tolerances.items()}).uncertain()
+    said = ", ".join(f"{key} +-{100 * value:g} %" for key, value in tolerances.items())
+    return model, None, Provenance.now("uncertain build", note=f"{name} {said}".strip())
+
+
+def _vertex_count(text: str) -> Any:
+    if text == "all":
+        return "all"
+    try:
+        return int(text)
+    except ValueError:
+        raise UsageError("--vertices", text, "a whole number, or all") from None
+
+
+# --- printing --------------------------------------------------------------------------------------------------------
+
+
+def _named(signals: Any) -> list[str]:
+    return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
+
+
+def _listed(indices: tuple[int, ...]) -> str:
+    return ", ".join(map(str, indices[:10])) + (", ..." if len(indices) > 10 else "")
+
+
+def _blocks(model: UncertainModel) -> Any:
+    return model.to_json()["blocks"]
+
+
+def _block_lines(model: UncertainModel) -> list[str]:
+    """The blocks as a table, the first SHOWN_BLOCKS of them."""
+    rows = []
+    for block in model.blocks[:SHOWN_BLOCKS]:
+        parameter = getattr(block, "parameter", None)
+        stands_for = (
+            f"{parameter.value(-1.0):.6g} .. {parameter.value(1.0):.6g} {parameter.unit}".rstrip() if parameter else "-"
+        )
+        rows.append((block.name, type(block).__name__, f"{block.rows} x {block.cols}", stands_for))
+    if not rows:
+        return []
+    lines = table(rows, ("block", "kind", "size", "stands for")).splitlines()
+    hidden = len(model.blocks) - len(rows)
+    return [*lines, f"... and {hidden} more blocks"] if hidden else lines
+
+
+def _summary(responses: Responses, vertices: int) -> str:
+    rows = [
+        (
+            _named([signal])[0],
+            f"{responses.nominal[-1, k]:.6g}",
+            f"{responses.lower[-1, k]:.6g}",
+            f"{responses.upper[-1, k]:.6g}",
+            f"{responses.peak_deviation[k]:.6g}",
+            str(responses.worst[k]),
+        )
+        for k, signal in enumerate(responses.outputs)
+    ]
+    header = ("output", "nominal end", "lowest end", "highest end", "peak deviation", "worst sample")
+    count = len(responses.deltas)
+    head = f"{count - vertices} random samples, {vertices} vertices, {responses.t[-1]:g} s ({responses.label})"
+    return f"{head}\n{table(rows, header)}\nstatus: {responses.status}"
+
+
+def _envelope(responses: Responses) -> Any:
+    """Figure with one panel per output: envelope, samples, worst sample, nominal."""
+    from robustlab.report.figures import COLOURS, axis_label, new_figure
+
+    figure, axes = new_figure(rows=len(responses.outputs), height=2.4, sharex=True)
+    t = responses.t
+    for k, (axis, signal) in enumerate(zip(axes, responses.outputs, strict=True)):
+        lower, upper = responses.lower[:, k], responses.upper[:, k]
+        axis.fill_between(t, lower, upper, color=COLOURS["band"], alpha=0.3, linewidth=0, label="envelope")
+        axis.plot(t, responses.y[:100, :, k].T, color=COLOURS["sample"], linewidth=0.6, alpha=0.7)
+        axis.plot(t, responses.y[responses.worst[k], :, k], color=COLOURS["worst"], label="farthest sample")
+        axis.plot(t, responses.nominal[:, k], color=COLOURS["nominal"], label="nominal")
+        axis.set_ylabel(axis_label(signal.name, signal.unit))
+    axes[0].legend()
+    axes[-1].set_xlabel("t [s]")
+    return figure
