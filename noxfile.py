@@ -32,5 +32,7 @@ def tests(session: nox.Session) -> None:
 def oldest(session: nox.Session) -> None:
     """All tests with the oldest versions that pyproject.toml allows."""
     session.install("uv")
-    session.run("uv", "pip", "install", "--python", session.virtualenv.location, "--resolution", "lowest-direct", "-e", ".[dev]")
+    session.run(
+        "uv", "pip", "install", "--python", session.virtualenv.location, "--resolution", "lowest-direct", "-e", ".[dev]"
+    )
     session.run("pytest", *session.posargs)

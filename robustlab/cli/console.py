@@ -56,18 +56,18 @@ def table(rows: list[tuple[str, ...]], header: tuple[str, ...] | None = None) ->
 
 
 @contextmanager
-def progress(description: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """A progress bar on stderr, on a terminal only; yields ``advance(steps)``."""
+def progress(description: str, total: int | None = None) -> Iterator[Callable[..., None]]:
+    """A progress bar on stderr, on a terminal only; yields ``advance(steps, text)``; a text is shown before it."""
     if not sys.stderr.isatty():
-        yield lambda _steps: None
+        yield lambda _steps, _text="": None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
+    columns = [TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=total)
-        yield lambda steps: bar.advance(task, steps)
+        yield lambda steps, text="": bar.update(task, advance=steps, description=text or None)
 
 
 def main_guard(run: Callable[[], int | None]) -> int:
@@ -97,9 +97,10 @@ def main_guard(run: Callable[[], int | None]) -> int:
         print(f"error: {where}: {error.strerror}; what was there before is kept", file=sys.stderr)
         return EnvironmentFault.exit_code
     except Exception as error:  # noqa: BLE001  the outermost handler: a bug of ours becomes exit code 70 and a report file
-        if isinstance(show := getattr(error, "show", None), Callable) and hasattr(error, "exit_code"):
+        show, code = getattr(error, "show", None), getattr(error, "exit_code", None)
+        if callable(show) and code is not None:
             show(sys.stderr)  # a usage error of the parser (its class is click's, or typer's own copy of it)
-            return int(getattr(error, "exit_code"))
+            return int(code)
         return _bug(error)
 
 

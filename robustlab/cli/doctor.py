@@ -59,9 +59,12 @@ def _riccati() -> str:
 
 
 def _clarabel() -> str:
-    import clarabel
+    from importlib import import_module
+
     import numpy as np
     from scipy.sparse import csc_matrix
+
+    clarabel = import_module("clarabel")  # it ships no types
 
     # min x subject to x >= 1
     settings = clarabel.DefaultSettings()

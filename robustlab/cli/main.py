@@ -1,7 +1,7 @@
 """The ``robustlab`` command: a table of command groups, each loaded only when it is called.
 
-The first word decides the group, and the group's own parser (typer) reads the rest. The top level needs no parser for that,
-and so ``robustlab --help`` loads neither typer nor any numerical library.
+The first word decides the group, and the group's own parser (typer) reads the rest. The top level needs no parser for
+that, and so ``robustlab --help`` loads neither typer nor any numerical library.
 """
 
 from __future__ import annotations

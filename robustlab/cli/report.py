@@ -16,7 +16,7 @@ def report(
     run_dir: Annotated[str, typer.Argument(help="The folder that robustlab run wrote.", show_default=False)],
     as_json: JsonOption = False,
 ) -> None:
-    """Write report.html and junit.xml again from result.json and the figures of a finished run; nothing is computed again.
+    """Write report.html and junit.xml again from result.json and figures of a finished run; nothing is computed again.
 
     Example: robustlab report out/first-light
     """

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Annotated
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit, note, table
+from robustlab.cli.console import JsonOption, emit, note, progress, table
 
 app = typer.Typer(help="Run a recipe: steps, requirements, report.")
 
@@ -44,7 +45,16 @@ def run(
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     folder = Path(out) if out else Path("out") / loaded.recipe.name
-    result = run_recipe(loaded, folder, note)
+    steps = iter(range(len(loaded.recipe.step)))
+    with progress(loaded.recipe.name, len(loaded.recipe.step)) as advance:
+
+        def begin(name: str, kind: str) -> None:
+            done = next(steps)
+            advance(1 if done else 0, f"{name} ({kind})")
+            if not sys.stderr.isatty():
+                note(f"[{done + 1}/{len(loaded.recipe.step)}] {name} ({kind})")
+
+        result = run_recipe(loaded, folder, begin)
     data = result.data
     rows = [
         ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or _short(q["value"]), q["condition"])

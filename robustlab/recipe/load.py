@@ -1,6 +1,7 @@
 """Reading a recipe: TOML to a checked `Recipe`, with every fault named at once by its dotted key.
 
-A recipe comes from outside. It is data only: TOML has no code and no tags, nothing of it is evaluated, and its size is limited.
+A recipe comes from outside. It is data only: TOML has no code and no tags, nothing of it is evaluated, and its size is
+limited.
 """
 
 from __future__ import annotations
@@ -9,12 +10,12 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
 from robustlab.errors import InputError, UsageError, did_you_mean
-from robustlab.recipe.schema import Recipe, RefersTo, Step, StepBase
+from robustlab.recipe.schema import Recipe, RefersTo, Requirement, Step, StepBase
 
 __all__ = ["LoadedRecipe", "load_recipe", "parse_recipe", "references"]
 
@@ -116,7 +117,7 @@ def parse_recipe(text: str, where: str = "recipe", overrides: dict[str, str] | N
     raise InputError(where, f"{len(faults)} faults", None, None, tuple(f"  {fault}" for fault in shown))
 
 
-# --- faults in words ---------------------------------------------------------------------------------------------------
+# --- faults in words -------------------------------------------------------------------------------------------------
 
 
 def _fault(error: Any, data: dict[str, Any]) -> str:
@@ -160,8 +161,8 @@ def _suggestion(name: str, known: list[str]) -> str:
 
 def _kinds() -> dict[str, type[StepBase]]:
     """Kind of step -> its model, in the order of the schema."""
-    union = Step.__origin__  # pyright: ignore[reportAttributeAccessIssue]
-    return {cls.model_fields["do"].annotation.__args__[0]: cls for cls in union.__args__}
+    union, _ = get_args(Step)
+    return {get_args(cls.model_fields["do"].annotation)[0]: cls for cls in get_args(union)}
 
 
 def _known_keys(loc: tuple[Any, ...], kinds: dict[str, type[StepBase]]) -> list[str]:
@@ -169,11 +170,11 @@ def _known_keys(loc: tuple[Any, ...], kinds: dict[str, type[StepBase]]) -> list[
     if loc[0] == "step" and len(loc) == 4:
         return list(kinds[loc[2]].model_fields)
     if loc[0] == "require":
-        return list(Recipe.model_fields["require"].annotation.__args__[0].model_fields)  # pyright: ignore[reportOptionalMemberAccess]
+        return list(Requirement.model_fields)
     return [field.alias or name for name, field in Recipe.model_fields.items()] if len(loc) == 1 else []
 
 
-# --- references between steps ----------------------------------------------------------------------------------------------
+# --- references between steps ----------------------------------------------------------------------------------------
 
 
 def _reference_faults(recipe: Recipe) -> list[str]:
@@ -217,7 +218,7 @@ def references(step: StepBase) -> list[tuple[str, tuple[str, ...]]]:
     return found
 
 
-# --- overrides -----------------------------------------------------------------------------------------------------------
+# --- overrides -------------------------------------------------------------------------------------------------------
 
 
 def _split_override(item: str) -> tuple[str, str]:

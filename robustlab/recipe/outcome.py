@@ -24,10 +24,11 @@ def quantity(value: float, unit: str = "", digits: int = 5) -> str:
 
 @dataclass(frozen=True)
 class Fact:
-    """A line of the report: what, and its value with unit."""
+    """A line of the report: what, its value with unit, and where that comes from."""
 
     label: str
     value: str
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -45,17 +46,20 @@ class Outcome:
     facts
         The key numbers in words.
     status
-        How much the numbers can be trusted.
+        How much the numbers can be trusted; None for a step that only builds, reads, writes or draws.
     notes
         What the reader must know to judge the numbers.
+    text
+        A longer account for reading, line by line.
     """
 
     value: Any
     summary: str
     numbers: Mapping[str, Any] = field(default_factory=dict)
     facts: tuple[Fact, ...] = ()
-    status: Status = Status.CONVERGED
+    status: Status | None = None
     notes: tuple[str, ...] = ()
+    text: str = ""
 
 
 @dataclass
@@ -100,7 +104,7 @@ class Workspace:
         self.figures.setdefault(self.step, []).append((stem, caption))
 
     def keep(self, result: Any) -> None:
-        """Save a result with its evidence as ``evidence/STEP.h5``, so that it can be checked again without a new run."""
+        """Save a result with its evidence as ``evidence/STEP.h5``: it can then be checked again without a new run."""
         from robustlab.provenance import Provenance
         from robustlab.storage import save
 

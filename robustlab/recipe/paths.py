@@ -14,8 +14,9 @@ __all__ = ["find_files"]
 def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
     """Step name -> the file it reads, for every step that reads one; asked for before anything runs.
 
-    A path is looked for beside the recipe, in the folder above it, and in the working directory; one given with ``--set`` in the
-    working directory first. Models must lie in the recipe's folder or the folder above it, unless ``--set`` says otherwise.
+    A path is looked for beside the recipe, in the folder above it, and in the working directory; one given with
+    ``--set`` in the working directory first. Models must lie in the recipe's folder or the folder above it, unless
+    ``--set`` says otherwise.
 
     Raises
     ------

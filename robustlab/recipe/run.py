@@ -43,7 +43,7 @@ from robustlab.result import Status, plain
 
 __all__ = ["RunResult", "read_result", "run_recipe", "write_report"]
 
-NOT_RUN = "not run"
+DONE, NOT_RUN = "done", "not run"
 
 
 @dataclass(frozen=True)
@@ -67,23 +67,26 @@ class RunResult:
         return int(self.data["exit_code"])
 
 
-def run_recipe(loaded: LoadedRecipe, out: str | Path, report: Callable[[str], None] = lambda _line: None) -> RunResult:
+def run_recipe(
+    loaded: LoadedRecipe, out: str | Path, report: Callable[[str, str], None] = lambda _name, _kind: None
+) -> RunResult:
     """Run a recipe and write its results into ``out``.
 
-    Files appear in ``out`` only when the run is through, ``result.json`` last: an interrupted run leaves the previous one as it was.
+    Files appear in ``out`` only when the run is through, ``result.json`` last: an interrupted run leaves the previous
+    one as it was.
 
     Parameters
     ----------
     out
         The folder; files in it that are no result of an earlier run stay.
     report
-        Called with a line before each step.
+        Called with name and kind of each step before it runs.
 
     Raises
     ------
     InputError, UsageError, EnvironmentFault
-        A step cannot be done as the recipe says; the step is named. (A step that is done, but ends without a trustworthy number, is
-        no error: the run goes on with the steps that do not need it, and says so.)
+        A step cannot be done as the recipe says; the step is named. (A step that is done, but ends without a
+        trustworthy number, is no error: the run goes on with the steps that do not need it, and says so.)
     """
     started = time.monotonic()
     sources = find_files(loaded)
@@ -112,32 +115,31 @@ def write_report(data: Mapping[str, Any], folder: Path) -> None:
     _write(folder / "junit.xml", xml)
 
 
-# --- steps ---------------------------------------------------------------------------------------------------------------
+# --- steps -----------------------------------------------------------------------------------------------------------
 
 
-def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str], None]) -> list[dict[str, Any]]:
+def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str, str], None]) -> list[dict[str, Any]]:
     from robustlab.recipe.steps import EXECUTORS
 
     done: list[dict[str, Any]] = []
-    count = len(loaded.recipe.step)
-    for number, (name, step) in enumerate(loaded.recipe.step.items(), 1):
+    for name, step in loaded.recipe.step.items():
+        report(name, step.kind)
         missing = [target for field, _ in references(step) if (target := getattr(step, field)) not in workspace.values]
         if missing:
-            done.append(_entry(name, step, None, f"not run: it needs step {missing[0]!r}, which gave nothing", 0.0, []))
+            done.append(_entry(name, step, NOT_RUN, f"it needs step {missing[0]!r}, which gave nothing"))
             continue
-        kind = step.do  # pyright: ignore[reportAttributeAccessIssue]
-        report(f"[{number}/{count}] {name} ({kind})")
         workspace.step = name
         begun = time.monotonic()
         try:
-            outcome = EXECUTORS[kind](step, workspace)
+            outcome = EXECUTORS[step.kind](step, workspace)
         except NoTrustworthyNumber as error:
-            done.append(_entry(name, step, None, str(error), time.monotonic() - begun, []))
-            continue
+            entry = _entry(name, step, str(Status.FAILED), str(error))
         except RobustlabError as error:
             raise _at_step(error, loaded.path.name, name) from error
-        workspace.values[name] = outcome.value
-        done.append(_entry(name, step, outcome, "", time.monotonic() - begun, workspace.figures.get(name, [])))
+        else:
+            workspace.values[name] = outcome.value
+            entry = _done(name, step, outcome, workspace.figures.get(name, []))
+        done.append({**entry, "seconds": round(time.monotonic() - begun, 3)})
     return done
 
 
@@ -145,28 +147,42 @@ def _at_step(error: RobustlabError, recipe: str, name: str) -> RobustlabError:
     return type(error)(f"{recipe}: step.{name}: {error.where}", error.found, error.expected, error.hint, error.more)
 
 
-def _entry(
-    name: str, step: StepBase, outcome: Outcome | None, error: str, seconds: float, figures: list[tuple[str, str]]
-) -> dict[str, Any]:
-    status = outcome.status if outcome else Status.FAILED if not error.startswith(NOT_RUN) else None
-    numbers = {**plain(outcome.numbers), "status": plain(outcome.status)} if outcome else {}
+def _done(name: str, step: StepBase, outcome: Outcome, figures: list[tuple[str, str]]) -> dict[str, Any]:
+    """The entry of a step that is done."""
+    status = outcome.status
     return {
-        "name": name,
-        "do": step.do,  # pyright: ignore[reportAttributeAccessIssue]
-        "title": step.title,
-        "status": str(status) if status else NOT_RUN,
-        "trustworthy": bool(status and status.trustworthy),
-        "summary": outcome.summary if outcome else "",
-        "error": error,
-        "numbers": numbers,
-        "facts": [{"label": fact.label, "value": fact.value} for fact in (outcome.facts if outcome else ())],
-        "notes": list(outcome.notes if outcome else ()),
+        **_entry(name, step),
+        "status": str(status) if status else DONE,
+        "trustworthy": status is None or status.trustworthy,
+        "summary": outcome.summary,
+        "numbers": {**plain(outcome.numbers), "status": str(status) if status else DONE},
+        "facts": [vars(fact) for fact in outcome.facts],
+        "notes": list(outcome.notes),
+        "text": outcome.text,
         "figures": [{"stem": stem, "caption": caption} for stem, caption in figures],
-        "seconds": round(seconds, 3),
     }
 
 
-# --- result ----------------------------------------------------------------------------------------------------------------
+def _entry(name: str, step: StepBase, status: str = NOT_RUN, error: str = "") -> dict[str, Any]:
+    """The entry of a step that gave nothing."""
+    return {
+        "name": name,
+        "do": step.kind,
+        "title": step.title,
+        "status": status,
+        "trustworthy": False,
+        "summary": "",
+        "error": error,
+        "numbers": {},
+        "facts": [],
+        "notes": [],
+        "text": "",
+        "figures": [],
+        "seconds": 0.0,
+    }
+
+
+# --- result ----------------------------------------------------------------------------------------------------------
 
 
 def _result(loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
@@ -206,7 +222,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _publish(folder: Path, target: Path) -> None:
-    """Move the files of a finished run to their place, ``result.json`` last, and remove what only the previous run had."""
+    """Move the files of a finished run to their place, ``result.json`` last; remove what only the previous run had."""
     fresh = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     fresh.sort(key=lambda path: path.name == "result.json")
     stale = _files_of_previous_run(target)

@@ -1,6 +1,7 @@
 """What a recipe may say (format ``robustlab.recipe/1``): one small model per kind of step, one for a requirement.
 
-The JSON Schema made from these models is committed as ``recipes/recipe.schema.json``, so that an editor can complete and check recipes.
+The JSON Schema made from these models is committed as ``recipes/recipe.schema.json``, so that an editor can complete
+and check recipes.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
 
 
-# --- words that the steps share ----------------------------------------------------------------------------------------
+# --- words that the steps share --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,11 @@ class StepBase(Strict):
     gives: ClassVar[str] = "nothing"
 
     title: Text = Field("", description="What the report calls this step; the step's name where left out.")
+
+    @property
+    def kind(self) -> str:
+        """What the step does, as the recipe says with ``do``."""
+        return str(vars(self)["do"])
 
 
 class PerformanceWeight(Strict):
@@ -285,7 +291,7 @@ class CloseLoopStep(StepBase):
 
 
 class RecordStep(StepBase):
-    """A measured record from HDF5, MATLAB or CSV; its file may lie anywhere, because measured data are not ours to ship."""
+    """A measured record from HDF5, MATLAB or CSV; its file may lie anywhere: measured data are not ours to ship."""
 
     gives: ClassVar[str] = "record"
     do: Literal["record"]
@@ -339,7 +345,7 @@ Step = Annotated[
 ]
 
 
-# --- requirements and the recipe ---------------------------------------------------------------------------------------
+# --- requirements and the recipe -------------------------------------------------------------------------------------
 
 
 class Requirement(Strict):

@@ -1,4 +1,4 @@
-"""The recipes and models that come with robustlab: beside the package in a checkout, inside it when installed from a wheel."""
+"""The recipes that come with robustlab: beside the package in a checkout, inside it when installed from a wheel."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ input = {{ u = 42.0 }} # V, applied at t = 0
 t_end = 0.05 # s
 reference = [{{ output = "omega", value = 788.5, text = "data sheet" }}]
 
-# A requirement names a number of a step and a condition: at_least, at_most, within = [low, high], or equals (with tolerance).
+# A requirement names a number of a step and a condition: at_least, at_most, within = [low, high], equals (tolerance).
 [[require]]
 text = "The set of models covers the data sheet's no-load speed of 788.5 rad/s"
 that = "speed.outputs.omega.final.upper"

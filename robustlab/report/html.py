@@ -1,8 +1,8 @@
 """The report of a run as one self-contained HTML page: opens offline, runs no script, reaches no network.
 
-Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it, control and
-bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in an image cannot run
-anything), and the page's Content-Security-Policy forbids everything but its own style and such images.
+Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
+control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
+an image cannot run anything), and the page's Content-Security-Policy forbids all but its own style and such images.
 """
 
 from __future__ import annotations
@@ -92,14 +92,16 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
         lstrip_blocks=True,
     )
     environment.filters["pretty"] = _pretty
-    environment.globals.update(
-        found=_found,
-        paragraphs=_paragraphs,
-        status_meaning=_status_meaning,
-        image=lambda stem: _image(Path(folder), stem),
-    )
     try:
-        return environment.get_template("page.html.j2").render(r=_readable(result), verdict=verdict(_readable(result)))
+        readable = _readable(result)
+        return environment.get_template("page.html.j2").render(
+            r=readable,
+            verdict=verdict(readable),
+            found=_found,
+            paragraphs=_paragraphs,
+            status_meaning=_status_meaning,
+            image=lambda stem: _image(Path(folder), stem),
+        )
     except (UndefinedError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{folder}/result.json", f"a part is missing or has another form ({error})", "the result of a run"
@@ -128,7 +130,7 @@ def _paragraphs(text: str) -> list[str]:
 
 
 def _status_meaning(status: str) -> str:
-    return _MEANING[Status(status)] if status in set(Status) else "not run"
+    return _MEANING[Status(status)] if status in set(Status) else "no status: nothing here could fail to converge"
 
 
 def _pretty(numbers: Any) -> str:

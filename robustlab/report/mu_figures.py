@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from robustlab.report.figures import COLOURS, house_style, new_figure
+from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure
 
 __all__ = ["mu_figure"]
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
+PROVED = "#d6ecf8"  # opaque: the intervals overlap
 
 
 def mu_figure(
@@ -37,10 +39,10 @@ def mu_figure(
     low, high = (float(omega[shown].min()), float(omega[shown].max())) if shown.any() else (1e-1, 1e1)
     with house_style():
         for i, (start, stop, bound) in enumerate(intervals):
-            edges = [max(start, low / 10), min(stop, high * 10)]
+            edges = [max(start, low), min(stop, high)]
             if edges[0] < edges[1]:
-                label = "proved on whole intervals" if i == 0 else None
-                axes.fill_between(edges, 0, bound, color=COLOURS["band"], alpha=0.25, lw=0, label=label)
+                label = "proved for every frequency between" if i == 0 else None
+                axes.fill_between(edges, 0, bound, color=PROVED, lw=0, label=label)
         axes.plot(omega[shown], upper[shown], color=COLOURS["nominal"], label="upper bound (proved by D, G)")
         found = shown & (lower > 0)
         axes.plot(
@@ -54,7 +56,7 @@ def mu_figure(
         axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
         if critical is not None and np.isfinite(critical) and critical > 0:
             axes.axvline(critical, color=COLOURS["worst"], lw=0.9, ls=":")
-        axes.set_xscale("log")
+        logarithmic(axes.xaxis)
         axes.set_xlim(low, high)
         axes.set_ylim(0, 1.12 * max(1.0, float(np.nanmax(upper[shown], initial=0.0))))
         axes.set_xlabel("frequency [rad/s]")

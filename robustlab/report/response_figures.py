@@ -1,4 +1,4 @@
-"""Figures of step responses of an uncertain model: samples, envelope, worst case, known values (thesis figures 10.2, 10.3)."""
+"""Figures of step responses of an uncertain model: members, envelope, worst case (thesis figures 10.2, 10.3)."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ def response_figure(
     t: Array,
     samples: Array,
     nominal: Array,
-    lower: Array,
-    upper: Array,
+    envelope: tuple[Array, Array],
+    *,
     output: tuple[str, str],
     references: Sequence[tuple[float, str]] = (),
-    title: str = "",
 ) -> Figure:
     """All responses of one output: the whole time on the left, the end of it enlarged on the right.
 
@@ -36,8 +35,10 @@ def response_figure(
         Times in s, shape (n_t,).
     samples
         Responses of the members, shape (n_samples, n_t).
-    nominal, lower, upper
-        Nominal response and envelope of all members, shape (n_t,).
+    nominal
+        Nominal response, shape (n_t,).
+    envelope
+        Smallest and largest value of all members at each time, each of shape (n_t,).
     output
         Name and unit.
     references
@@ -46,7 +47,7 @@ def response_figure(
     figure, (whole, zoom) = new_figure(1, 2, width=9.6, height=3.6)
     with house_style():
         for axes in (whole, zoom):
-            axes.fill_between(t, lower, upper, color=COLOURS["band"], alpha=0.25, lw=0, label="envelope of all members")
+            axes.fill_between(t, *envelope, color=COLOURS["band"], alpha=0.25, lw=0, label="envelope of all members")
             for i, curve in enumerate(samples[:MAX_CURVES]):
                 axes.plot(t, curve, color=COLOURS["sample"], lw=0.6, alpha=0.8, label="members" if i == 0 else None)
             axes.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
@@ -54,9 +55,9 @@ def response_figure(
                 axes.axhline(value, color=COLOURS["worst"], ls=(0, (5, 2)), lw=1.3, label=plain_label(text))
             axes.set_xlabel("time [s]")
         whole.set_ylabel(axis_label(*output))
-        whole.set_title(plain_label(title) or "whole response")
+        whole.set_title("whole response")
         zoom.set_title("enlarged: the end of the response")
-        _enlarge(zoom, t, [lower, upper], [value for value, _ in references])
+        _enlarge(zoom, t, envelope, [value for value, _ in references])
         handles, labels = whole.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure

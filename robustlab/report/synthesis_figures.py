@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
+from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
 
 __all__ = ["WeightedResponse", "sensitivity_figure"]
 
@@ -40,11 +40,13 @@ def sensitivity_figure(omega: Array, responses: Sequence[WeightedResponse], gamm
     figure, panels = new_figure(1, len(responses), width=3.4 * max(2, len(responses)), height=3.4)
     with house_style():
         for axes, response in zip(panels, responses, strict=True):
-            axes.loglog(omega, response.gain, color=COLOURS["nominal"], label="closed loop")
+            axes.plot(omega, response.gain, color=COLOURS["nominal"], label="closed loop")
             if response.bound is not None:
-                axes.loglog(
+                axes.plot(
                     omega, response.bound, color=COLOURS["worst"], ls=(0, (5, 2)), label=f"γ / |W|, γ = {gamma:.4g}"
                 )
+            logarithmic(axes.xaxis)
+            logarithmic(axes.yaxis)
             axes.set_title(plain_label(response.name))
             axes.set_xlabel("frequency [rad/s]")
         panels[0].set_ylabel("largest singular value")

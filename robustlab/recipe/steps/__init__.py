@@ -1,7 +1,7 @@
 """What each kind of step does: one function per kind, from the checked step to its `Outcome`.
 
-These functions call the public functions of the rooms below, choose the numbers that requirements may address, and draw. No
-mathematics lives here.
+These functions call the public functions of the rooms below, choose the numbers that requirements may address, and
+draw. No mathematics lives here.
 """
 
 from __future__ import annotations

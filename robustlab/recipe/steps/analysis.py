@@ -14,7 +14,7 @@ __all__ = ["hinf_norm", "robust_stability", "sample", "worst_case"]
 
 
 def sample(step: SampleStep, work: Workspace) -> Outcome:
-    """Responses of seeded members and of vertices, with their envelope; a sample proves nothing about members not drawn."""
+    """Responses of seeded members and of vertices, with their envelope; nothing is proved about members not drawn."""
     import robustlab as rl
     from robustlab.report.response_figures import response_figure
 
@@ -43,19 +43,20 @@ def sample(step: SampleStep, work: Workspace) -> Outcome:
         references = [(r.value, r.text) for r in step.reference if r.output == name]
         covers = [final["lower"] <= value <= final["upper"] for value, _ in references]
         numbers[name] = {"final": final, "peak_deviation": deviation, "covers": covers}
-        span = f"{quantity(final['lower'])} … {quantity(final['upper'], unit)} (nominal {quantity(final['nominal'], unit)})"
-        facts.append(Fact(f"{name} at the end", span))
+        span = f"{quantity(final['lower'])} … {quantity(final['upper'], unit)}"
+        facts.append(Fact(f"{name} at the end", f"{span} (nominal {quantity(final['nominal'], unit)})"))
         facts += [
             Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}")
             for (value, text), inside in zip(references, covers, strict=True)
         ]
-        figure = response_figure(t, y, nominal, lower, upper, (name, unit), references)
-        caption = f"{name} after a step of {_amplitudes(step.input, model)}: {step.n} random members and {step.vertices} vertices of Δ."
+        figure = response_figure(t, y, nominal, (lower, upper), output=(name, unit), references=references)
+        members = f"{step.n} random members and {step.vertices} vertices of Δ"
+        caption = f"{name} after a step of {_amplitudes(step.input, model)}: {members}."
         work.draw(figure, name, caption)
-    members = int(responses.y.shape[0])
-    summary = f"{members} members of {step.of} simulated ({step.n} random, seed {seed}; the rest vertices of Δ)."
+    count = int(responses.y.shape[0])
+    summary = f"{count} members of {step.of} simulated ({step.n} random, seed {seed}; the rest vertices of Δ)."
     note = "Sampled, not proved: members that were not drawn may lie outside this envelope."
-    return Outcome(None, summary, {"outputs": numbers, "members": members}, tuple(facts), notes=(note,))
+    return Outcome(None, summary, {"outputs": numbers, "members": count}, tuple(facts), notes=(note,))
 
 
 def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
@@ -80,7 +81,7 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
         "evaluations": found.evaluations,
         "delta": found.delta,
     }
-    where = f" at {quantity(found.at)} ({found.location})" if math.isfinite(found.at) else ""
+    where = f" at {found.location} = {quantity(found.at)}" if math.isfinite(found.at) else ""
     facts = [
         Fact(f"Worst {step.metric} found", f"{quantity(found.value, found.unit)}{where}"),
         Fact("The same at Δ = 0", quantity(found.nominal_value, found.unit)),
@@ -90,12 +91,9 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
     if t is not None and u is not None:
         index = [s.name for s in model.outputs].index(step.output) if step.output else 0
         name, unit = model.outputs[index]
-        pair = [_respond(member, t, u)[:, index] for member in (model.nominal, model.evaluate(found.delta))]
-        work.draw(
-            worst_case_figure(t, *pair, (name, unit), "worst member found"),
-            name,
-            f"{name}: nominal and worst member found.",
-        )
+        nominal, worst = (_respond(m, t, u)[:, index] for m in (model.nominal, model.evaluate(found.delta)))
+        figure = worst_case_figure(t, nominal, worst, (name, unit), "worst member found")
+        work.draw(figure, name, f"{name}: nominal and worst member found.")
     summary = f"Worst {step.metric} over Δ of {step.of}; {found.label}."
     return Outcome(None, summary, numbers, tuple(facts), found.status)
 

@@ -99,7 +99,9 @@ def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
             "Controller", f"{found.K.n_states} states, fastest pole {quantity(found.fastest_controller_pole, 'rad/s')}"
         ),
     )
-    return Outcome(found.controller, f"{summary} {found.reason}", numbers, facts, found.status)
+    return Outcome(
+        found.controller, f"{summary} {found.reason[:1].upper()}{found.reason[1:]}.", numbers, facts, found.status
+    )
 
 
 def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:
@@ -111,7 +113,7 @@ def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:
     from robustlab.statespace import as_model
 
     loop = tracking_loop(as_model(model), found.K).nominal
-    omega = default_grid(loop, 400)
+    omega = default_grid(as_model(model), 400, decades=3.0)  # the weights live around the plant's dynamics
     response = rl.frequency_response(loop, omega)
     n_y = as_model(model).n_outputs
     output, control = response[:, :n_y], response[:, n_y:]

@@ -23,7 +23,7 @@ def record(step: RecordStep, work: Workspace) -> Outcome:
         Fact("Samples", f"{found.n}, {quantity(found.duration, 's')} in steps of {quantity(found.dt, 's')}"),
         Fact("Signals", ", ".join(signals)),
     )
-    notes = (step.about,) if step.about else ()
+    notes = (" ".join(step.about.split()),) if step.about else ()
     return Outcome(found, f"Record {path.name} read.", numbers, facts, notes=notes)
 
 
@@ -46,24 +46,24 @@ def compare(step: CompareStep, work: Workspace) -> Outcome:
             gap.windowed_rms_percent,
             gap.windowed_fit,
         )
-        facts.append(Fact(f"{name}: free run", _errors(gap.unit, *free)))
-        facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, *windowed)))
+        facts.append(Fact(f"{name}: free run", _errors(gap.unit, free)))
+        facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, windowed)))
     for name, figure in comparison_figures(found).items():
         work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
-    text = found.summary()
-    return Outcome(
-        found, f"{step.of} against {step.record}.", found.to_json(series=False), tuple(facts), found.status, (text,)
-    )
+    summary = f"{step.of} against {step.record}."
+    numbers = found.to_json(series=False)
+    return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
 
 
 _CAPTIONS = {
     "time": "Measured and simulated signal, and the error over time; shaded: the window with the largest error.",
     "speed": "Where the error lives over speed and position: dry friction shows as a step at zero speed.",
     "spectrum": "Where the error lives over frequency.",
-    "residual": "What is left in the residual: its own correlation and that with the input. Outside the band: not white.",
+    "residual": "What is left in the residual: its correlation with itself and with the input, and the 99 % band.",
 }
 
 
-def _errors(unit: str, peak: float, peak_percent: float, rms: float, rms_percent: float, fit: float) -> str:
-    peak_text, rms_text = quantity(peak, unit, 3), quantity(rms, unit, 3)
-    return f"peak {peak_text} ({peak_percent:.3g} % of the range), rms {rms_text} ({rms_percent:.3g} %), fit {fit:.4g} %"
+def _errors(unit: str, sizes: tuple[float, float, float, float, float]) -> str:
+    peak, peak_percent, rms, rms_percent, fit = sizes
+    peak_text = f"peak {quantity(peak, unit, 3)} ({peak_percent:.3g} % of the range)"
+    return f"{peak_text}, rms {quantity(rms, unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"

@@ -40,7 +40,7 @@ def plant(step: PlantStep, _work: Workspace) -> Outcome:
     facts = []
     for p in made.parameters.values():
         spread = f" ± {100 * p.tolerance:g} %" if p.tolerance else ""
-        facts.append(Fact(f"{p.name}, {p.meaning}", f"{quantity(p.value, p.unit)}{spread} ({p.source})"))
+        facts.append(Fact(f"{p.name}, {p.meaning}", f"{quantity(p.value, p.unit)}{spread}", p.source))
     numbers = {
         name: {"value": p.value, "unit": p.unit, "tolerance": p.tolerance} for name, p in made.parameters.items()
     }
@@ -157,9 +157,7 @@ def uncertain(step: UncertainStep, work: Workspace) -> Outcome:
     made = given.with_parameters(**{**exact, **ranges})  # an unknown name is refused there, with the nearest known one
     model = made.uncertain(step.outputs)
     facts = [Fact(b.name, _range(b)) for b in model.blocks]
-    summary = (
-        f"Uncertain model of {step.of}: {len(model.blocks)} real parameters, {model.delta_shape[0]} channels, exact."
-    )
+    summary = f"Exact uncertain model of {step.of}; uncertain: {', '.join(b.name for b in model.blocks)}."
     return Outcome(model, summary, uncertain_numbers(model), tuple(facts))
 
 
@@ -205,6 +203,7 @@ def _model_facts(model: Any) -> tuple[Fact, ...]:
 
 
 def uncertain_numbers(model: Any) -> dict[str, Any]:
+    """Size of an uncertain model, for requirements."""
     return {"blocks": [b.name for b in model.blocks], "channels": model.delta_shape[0], "states": model.M.n_states}
 
 
