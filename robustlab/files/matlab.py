@@ -42,7 +42,7 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     try:
         for name, shape, _kind in whosmat(path):
             _check_size(where, name, math.prod(int(n) for n in shape) * 8, limits)
-        variables = loadmat(path, struct_as_record=False, squeeze_me=False, mat_dtype=True)
+        variables = loadmat(path, struct_as_record=False, squeeze_me=False)
     except InputError:
         raise
     except MemoryError:

@@ -41,7 +41,7 @@ NONSENSE = [
     "import sys; sys.stdout.write('RLTREE1\\n')",
     "import sys; sys.stdout.buffer.write(b'RLTREE1\\n' + (2).to_bytes(8, 'little') + b'[]')",
     "import sys; sys.stdout.buffer.write(b'RLTREE1\\n' + (2).to_bytes(8, 'little') + b'{}')",
-    "import sys; h = b'{\"tree\": {\"attrs\": {\"x\": [\"<f8\", null, [9]]}, \"datasets\": {}, \"groups\": {}}}';"
+    'import sys; h = b\'{"tree": {"attrs": {"x": ["<f8", null, [9]]}, "datasets": {}, "groups": {}}}\';'
     "sys.stdout.buffer.write(b'RLTREE1\\n' + len(h).to_bytes(8, 'little') + h)",
 ]
 

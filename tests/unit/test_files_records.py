@@ -54,7 +54,10 @@ def test_names_units_meanings(measured):
 REFUSED = [
     (dict(group="rum"), "missing group /rum.*\nhint: did you mean run"),
     (dict(group="run", outputs=["p", "Q"]), r"missing /run/p.*\n.*missing /run/Q"),
-    (dict(group="run", outputs=["q", "slow"]), r"/run/slow has 3 samples \(its own sample time is 1 s\), expected 6 as /run/q"),
+    (
+        dict(group="run", outputs=["q", "slow"]),
+        r"/run/slow has 3 samples \(its own sample time is 1 s\), expected 6 as /run/q",
+    ),
     (dict(group="run", outputs=["text"]), "/run/text: dtype text, expected a column of real numbers"),
     (dict(group="run", outputs=["z"]), "/run/z: dtype complex128, expected a column of real numbers"),
     (dict(group="clocked", outputs=["y"], clock="tick"), "missing /clocked/tick"),
@@ -88,7 +91,9 @@ def test_row_36_clock_faults(tmp_path):
         read(csv(tmp_path / "b.csv", t, q=T))
     keep = np.r_[0:8, 11:20]
     path = csv(tmp_path / "c.csv", T[keep], q=T[keep])
-    with pytest.raises(InputError, match=r"t: 3 samples missing between t\[7\] = 0\.7 s and t\[8\] = 1\.1 s \(1 gaps in all\)"):
+    with pytest.raises(
+        InputError, match=r"t: 3 samples missing between t\[7\] = 0\.7 s and t\[8\] = 1\.1 s \(1 gaps in all\)"
+    ):
         read(path)
     assert read(path, allow_gaps=True).n == 17
     with pytest.raises(InputError, match="no clock and no sample time"):
