@@ -49,7 +49,7 @@ LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
 
 REFERENCE = (
     "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
-    "(each sample predicted from the samples before it in its window)"
+    "(each sample predicted from the samples of the same output before it in its window)"
 )
 
 

@@ -35,7 +35,7 @@ def clipped_samples(y: Array) -> int:
     """Number of samples that stand still at the largest or smallest value, which was reached or left with a jump.
 
     A sensor at its limit stops from full slope; a machine that comes to rest slows down first. A stand counts from 5
-    samples on and where the last step before it, or the first after it, is at least half the signal's median step.
+    samples on, and where one of the two steps before or after it is at least half the signal's median step.
     """
     if len(y) < SHORTEST_CLIP + 2 or len(np.unique(y)) < FEWEST_LEVELS:
         return 0
@@ -48,8 +48,8 @@ def clipped_samples(y: Array) -> int:
         for first, last in zip(
             change[::2], change[1::2], strict=True
         ):  # samples first .. last - 1 stand at the extreme
-            into = step[first - 1] if first else 0.0
-            out = step[last - 1] if last < len(y) else 0.0
-            if last - first >= SHORTEST_CLIP and max(into, out) >= 0.5 * usual:
+            # Two steps on either side: the one that meets the limit is cut short by it.
+            beside = np.concatenate([step[max(0, first - 2) : first], step[last - 1 : last + 1]])
+            if last - first >= SHORTEST_CLIP and beside.max(initial=0.0) >= 0.5 * usual:
                 count += int(last - first)
     return count
