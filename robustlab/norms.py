@@ -257,7 +257,8 @@ def _candidates(m: StateSpaceModel, level: float) -> Array:
     hamiltonian = np.block([[a1, b @ np.linalg.solve(r, b.T)], [-c.T @ np.linalg.solve(s, c), -a1.T]])
     if not np.isfinite(hamiltonian).all():
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    balanced, _ = matrix_balance(hamiltonian, permute=False)
+    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
+        balanced, _ = matrix_balance(hamiltonian, permute=False)
     crossing = np.unique(np.concatenate([[0.0], np.abs(np.linalg.eigvals(balanced).imag)]))
     between = 0.5 * (crossing[:-1] + crossing[1:])
     beyond = [2 * crossing[-1], 10 * crossing[-1]]
