@@ -130,7 +130,8 @@ def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
     figure = mu_figure(margin.omega, margin.mu_lower, margin.mu_upper, margin.intervals, margin.frequency)
     work.draw(figure, "mu", "Bounds of μ over frequency. The proved margin is the inverse of the highest shaded level.")
     stable = "proved stable for every Δ of the set" if margin.lower > 1 else "not proved stable over the whole set"
-    return Outcome(None, f"{step.of}: {stable}.", numbers, tuple(facts), margin.status, margin.notes)
+    scale = "A margin of 1 means the set as stated; at 2 every range could be twice as wide."
+    return Outcome(None, f"{step.of}: {stable}.", numbers, tuple(facts), margin.status, (scale, *margin.notes))
 
 
 def _step_input(model: Any, amplitudes: Mapping[str, float], t_end: float, points: int) -> tuple[Any, Any]:
