@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.evidence import Evidence
 from robustlab.identification.initial_state import InitialState, starting_state
 from robustlab.identification.input_disturbance import InputDisturbance, input_disturbance
 from robustlab.identification.localisation import (
@@ -54,7 +55,7 @@ REFERENCE = (
 
 
 @dataclass(frozen=True)
-class OutputGap:
+class OutputGap(Evidence):
     r"""Disagreement at one output, in its unit and in percent.
 
     Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
@@ -85,13 +86,9 @@ class OutputGap:
     windowed_rms_percent: float
     windowed_fit: float
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class WindowErrors:
+class WindowErrors(Evidence):
     """Error of one output window by window; all arrays have shape (n_windows,).
 
     Attributes
@@ -115,13 +112,9 @@ class WindowErrors:
     worst: int
     worst_free: int
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class ResidualTests:
+class ResidualTests(Evidence):
     """Tests of one output's recursive residual (see `robustlab.identification.windowed_simulation`).
 
     Attributes
@@ -138,13 +131,9 @@ class ResidualTests:
     whiteness: Whiteness
     inputs: Mapping[str, InputCorrelation]
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Evidence):
     """Result of `compare`.
 
     Attributes

@@ -243,3 +243,19 @@ def test_repeatable():
     record = rl.Record(t, {"u": u}, {"q": with_coulomb_friction(u, 1e-2, 15.0)[:, 0]}, {"u": "V", "q": "m"})
     first, second = (json.dumps(plain(compare(axis(), record).to_json())) for _ in range(2))
     assert first == second
+
+
+def test_result_cannot_be_changed():
+    t = np.arange(300) * 1e-2
+    u = excitation(300)
+    found = compare(axis(), rl.Record(t, {"u": u}, {"q": with_coulomb_friction(u, 1e-2, 15.0)[:, 0]}))
+    arrays = (
+        found.windows["q"].rms,
+        found.frequency["q"].error,
+        found.frequency["q"].coherence["u"],
+        found.residual["q"].whiteness.autocorrelation,
+        found.recursive["q"],
+        found.initial_state.x0,
+        found.disturbance["u"].value,
+    )
+    assert not any(array.flags.writeable for array in arrays)
