@@ -73,6 +73,8 @@ def _candidates(M: ComplexArray, blocks: list[Block], seed: int, restarts: int, 
     found = _minimum_norm_steps(M, blocks, x, y, steps=steps, rng=rng)
     if not any(isinstance(b, RealScalar) for b in blocks):
         found.extend(_power_iteration(M, blocks, rng, restarts, 2 * steps))
+    if all(isinstance(b, RealScalar) for b in blocks):
+        found.extend(_vertex_rays(M, blocks, rng, 2 * restarts))
     return found
 
 
@@ -109,6 +111,19 @@ def _minimum_norm_steps(
         y = _unit(np.einsum("kji,kj->ki", np.conj(inverse), y), y)
         if step >= steps - 2:
             found.extend(_completed(M, blocks, d) for d in delta)
+    return found
+
+
+def _vertex_rays(M: ComplexArray, blocks: list[Block], rng: np.random.Generator, count: int) -> list[ComplexArray]:
+    """Along the ray through a vertex V of the box, ``I - t M V`` is singular where 1 / t is an eigenvalue of M V."""
+    found = []
+    for k in range(count):
+        signs = np.ones(len(blocks)) if k == 0 else rng.choice([-1.0, 1.0], len(blocks))
+        vertex = np.diag(np.repeat(signs, [b.rows for b in blocks])).astype(complex)
+        eigenvalues = np.linalg.eigvals(M @ vertex)
+        real = eigenvalues.real[np.abs(eigenvalues.imag) <= 1e-9 * np.abs(eigenvalues)]
+        if len(real) and np.abs(real).max() > 0:
+            found.append(vertex / real[np.abs(real).argmax()])
     return found
 
 

@@ -267,9 +267,9 @@ def _margin(
 
 
 def _pole(uncertain: UncertainModel, worst: Destabilising | None) -> complex | None:
-    if worst is None or not uncertain.M.is_discrete or not np.isfinite(worst.pole):
+    if worst is None or not uncertain.M.is_discrete:
         return worst.pole if worst else None
-    return (1 + worst.pole) / (1 - worst.pole)
+    return (1 + worst.pole) / (1 - worst.pole) if np.isfinite(worst.pole) else -1.0 + 0j
 
 
 def _frequency(uncertain: UncertainModel, worst: Destabilising | None) -> float | None:
