@@ -111,7 +111,8 @@ def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
         for name, value in variables.items()
     }
     with Path(path).open("wb") as stream:
-        savemat(stream, content, appendmat=False)
+        # zlib carries a checksum, which version 5 itself has not
+        savemat(stream, content, appendmat=False, do_compression=True)
 
 
 # --- version 7.3 -----------------------------------------------------------------------------------------------------

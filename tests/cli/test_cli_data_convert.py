@@ -1,6 +1,7 @@
 """``robustlab data check`` and ``convert``."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,10 +46,7 @@ def test_convert_and_check(run, csv):
 def test_faults(run, csv):
     assert "missing p" in run("check", csv, "--inputs", "p", code=3)
     assert "NAME=UNIT" in run("check", csv, "--unit", "q", code=2)
-    with open(csv) as stream:
-        text = stream.read().replace(".", ",")
-    with open("comma.csv", "w") as stream:
-        stream.write(text)
+    Path("comma.csv").write_text(Path(csv).read_text().replace(".", ","))
     assert "hint: --decimal ," in run("check", "comma.csv", code=3)
     assert "50 samples" in run("check", "comma.csv", "--decimal", ",")
     assert "no such folder" in run("convert", csv, "nowhere/r.h5", code=5)

@@ -25,7 +25,7 @@ def assert_model(model, dt=0.0):
 
 
 def matlab73(path, variables):
-    """A version 7.3 file as MATLAB lays it out: user block of 512 bytes, matrices column by column, classes as attributes."""
+    """A version 7.3 file as MATLAB lays it out: user block of 512 bytes, matrices column by column, classes marked."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in variables.items():
             _put73(file, name, value)
@@ -146,7 +146,7 @@ def test_python_control_in_and_out(ext, tmp_path):
 
 
 def test_plain_h5py_reads_format_1_as_documented(tmp_path):
-    """What a reader in another language sees: two-dimensional float64, texts of fixed length, checksums, an old superblock."""
+    """What a reader in another language sees: 2-D float64, texts of fixed length, checksums, an old superblock."""
     rl.save(tmp_path / "p.h5", rl.StateSpaceModel(A, B, C, D, 0.1, [("u", "V"), ("Störung", "N m")], [("phi", "rad")]))
     with h5py.File(tmp_path / "p.h5") as file:
         assert file.attrs["format"].decode() == "robustlab"

@@ -52,17 +52,17 @@ def test_names_units_meanings(measured):
 
 
 REFUSED = [
-    (dict(group="rum"), "missing group /rum.*\nhint: did you mean run"),
-    (dict(group="run", outputs=["p", "Q"]), r"missing /run/p.*\n.*missing /run/Q"),
+    ({"group": "rum"}, "missing group /rum.*\nhint: did you mean run"),
+    ({"group": "run", "outputs": ["p", "Q"]}, r"missing /run/p.*\n.*missing /run/Q"),
     (
         dict(group="run", outputs=["q", "slow"]),
         r"/run/slow has 3 samples \(its own sample time is 1 s\), expected 6 as /run/q",
     ),
-    (dict(group="run", outputs=["text"]), "/run/text: dtype text, expected a column of real numbers"),
-    (dict(group="run", outputs=["z"]), "/run/z: dtype complex128, expected a column of real numbers"),
-    (dict(group="clocked", outputs=["y"], clock="tick"), "missing /clocked/tick"),
-    (dict(group="run", outputs=["q"], units={"p": "m"}), "a unit for 'p'"),
-    (dict(outputs=["q"]), r"missing /q, expected signals in the group given; groups are .*\nhint: --group"),
+    ({"group": "run", "outputs": ["text"]}, "/run/text: dtype text, expected a column of real numbers"),
+    ({"group": "run", "outputs": ["z"]}, "/run/z: dtype complex128, expected a column of real numbers"),
+    ({"group": "clocked", "outputs": ["y"], "clock": "tick"}, "missing /clocked/tick"),
+    ({"group": "run", "outputs": ["q"], "units": {"p": "m"}}, "a unit for 'p'"),
+    ({"outputs": ["q"]}, r"missing /q, expected signals in the group given; groups are .*\nhint: --group"),
 ]
 
 
