@@ -55,7 +55,7 @@ REFUSED = [
     ({"group": "rum"}, "missing group /rum.*\nhint: did you mean run"),
     ({"group": "run", "outputs": ["p", "Q"]}, r"missing /run/p.*\n.*missing /run/Q"),
     (
-        dict(group="run", outputs=["q", "slow"]),
+        {"group": "run", "outputs": ["q", "slow"]},
         r"/run/slow has 3 samples \(its own sample time is 1 s\), expected 6 as /run/q",
     ),
     ({"group": "run", "outputs": ["text"]}, "/run/text: dtype text, expected a column of real numbers"),
