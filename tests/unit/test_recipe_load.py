@@ -57,7 +57,7 @@ def test_all_faults_are_listed_at_once_with_their_keys():
     ("text", "expected"),
     [
         ("[step.m\ndo", "at line 1, column 8"),
-        ('a = 1\na = 2\n', "Cannot overwrite a value (at line 2"),
+        ("a = 1\na = 2\n", "Cannot overwrite a value (at line 2"),
         ("x = " + "[" * 5000, "not readable as TOML"),
         ("x = " + "1" * 5000, "not readable as TOML"),
         ("", "schema: missing"),
@@ -152,7 +152,12 @@ def test_a_folder_a_large_file_and_other_bytes_are_refused(tmp_path):
 
 def test_overrides_reach_top_level_keys_steps_and_requirements():
     text = HEAD + MOTOR + '[[require]]\ntext = "t"\nthat = "motor.status"\nequals = "done"\n'
-    changes = {"seed": "7", "motor.plant": "two-mass", "step.motor.parameters.J1": "[1.0, 0.1]", "require.0.equals": '"x"'}
+    changes = {
+        "seed": "7",
+        "motor.plant": "two-mass",
+        "step.motor.parameters.J1": "[1.0, 0.1]",
+        "require.0.equals": '"x"',
+    }
     recipe = parse_recipe(text, "r", changes)
     assert recipe.seed == 7
     assert recipe.step["motor"].plant == "two-mass"

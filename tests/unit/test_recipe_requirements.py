@@ -10,7 +10,16 @@ from robustlab.errors import InputError
 from robustlab.recipe.requirements import judge, look_up
 from robustlab.recipe.schema import Requirement
 
-NUMBERS = {"gap": {"outputs": {"q": {"fit": 93.2}}, "poles": [-1.0, -2.0], "ok": True, "kind": "x", "norm": "inf", "bad": "nan"}}
+NUMBERS = {
+    "gap": {
+        "outputs": {"q": {"fit": 93.2}},
+        "poles": [-1.0, -2.0],
+        "ok": True,
+        "kind": "x",
+        "norm": "inf",
+        "bad": "nan",
+    }
+}
 
 
 def verdict(**condition):
