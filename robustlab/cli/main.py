@@ -27,8 +27,8 @@ GROUPS = {
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }
 
-# One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run ten
-# times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded, so it comes first.
+# One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
+# several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 _HEAD = """\

@@ -1,4 +1,4 @@
-"""``robustlab run``, ``recipe`` and ``report`` from outside: exit codes, files, JSON, what a failed run leaves behind."""
+"""``robustlab run``, ``recipe`` and ``report`` from outside: exit codes, files, JSON, what a failed run leaves."""
 
 from __future__ import annotations
 
@@ -93,8 +93,13 @@ def test_a_run_with_all_requirements_met(recipe, capsys):
     assert err.splitlines()[0] == "[1/4] motor (plant)"
     written = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert written == {
-        "result.json", "report.html", "junit.xml", "set.h5", "figures/cover-omega.svg", "figures/cover-omega.png",
-    }  # fmt: skip
+        "result.json",
+        "report.html",
+        "junit.xml",
+        "set.h5",
+        "figures/cover-omega.svg",
+        "figures/cover-omega.png",
+    }
     assert set(result(folder)["files"]) == written
     assert [p.name for p in recipe.joinpath("out").iterdir()] == ["small"]
     assert rl.load(folder / "set.h5").blocks[0].name == "Kf"
@@ -236,7 +241,7 @@ def test_an_unknown_shipped_recipe_names_the_nearest(recipe, capsys):
     assert "did you mean first-light?" in capsys.readouterr().err
 
 
-# --- recipe check, schema, new; report ---------------------------------------------------------------------------------------
+# --- recipe check, schema, new; report -------------------------------------------------------------------------------
 
 
 def test_a_new_recipe_checks_and_runs(recipe, capsys):

@@ -11,9 +11,26 @@ import robustlab as rl
 
 # What users and outside checks call, as far as this version has it.
 CONTRACT = [
-    "StateSpaceModel", "load", "save", "RealScalar", "ComplexScalar", "FullBlock", "UncertainModel", "elementwise",
-    "sample", "worst_case", "mu", "robust_stability", "hinf", "mixsyn", "plant", "linearise", "simulate", "Record", "compare",
-]  # fmt: skip
+    "StateSpaceModel",
+    "load",
+    "save",
+    "RealScalar",
+    "ComplexScalar",
+    "FullBlock",
+    "UncertainModel",
+    "elementwise",
+    "sample",
+    "worst_case",
+    "mu",
+    "robust_stability",
+    "hinf",
+    "mixsyn",
+    "plant",
+    "linearise",
+    "simulate",
+    "Record",
+    "compare",
+]
 
 
 @pytest.mark.parametrize("name", rl.__all__)

@@ -117,7 +117,7 @@ def test_a_recipe_with_hundreds_of_faults_lists_the_first_ones():
     assert "and 250 more" in text
 
 
-# --- files ---------------------------------------------------------------------------------------------------------------
+# --- files -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["r.yaml", "r.yml", "r.pkl", "r.json", "r.py"])
@@ -147,7 +147,7 @@ def test_a_folder_a_large_file_and_other_bytes_are_refused(tmp_path):
         load_recipe(other)
 
 
-# --- overrides -------------------------------------------------------------------------------------------------------------
+# --- overrides -------------------------------------------------------------------------------------------------------
 
 
 def test_overrides_reach_top_level_keys_steps_and_requirements():
@@ -183,7 +183,7 @@ def test_an_override_without_key_and_value_is_a_usage_error(tmp_path, item):
         load_recipe(path, [item])
 
 
-# --- where files may lie -----------------------------------------------------------------------------------------------------
+# --- where files may lie ---------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -245,7 +245,7 @@ def test_device_files_are_refused(project):
             found(project, path)
 
 
-# --- what is committed -----------------------------------------------------------------------------------------------------
+# --- what is committed -----------------------------------------------------------------------------------------------
 
 
 def test_the_committed_schema_is_the_schema():

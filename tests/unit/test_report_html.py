@@ -22,16 +22,40 @@ REQUIREMENT = {
     "why_not": "",
 }
 STEP = {
-    "name": "a", "do": "plant", "title": "A step", "status": "certified", "trustworthy": True, "summary": "Did it.", "error": "",
-    "numbers": {"x": 2.0}, "facts": [{"label": "speed", "value": "2 rad/s", "source": ""}], "notes": ["mind"], "text": "a\n  b",
-    "figures": [{"stem": "a-y", "caption": "The response."}], "seconds": 0.1,
-}  # fmt: skip
+    "name": "a",
+    "do": "plant",
+    "title": "A step",
+    "status": "certified",
+    "trustworthy": True,
+    "summary": "Did it.",
+    "error": "",
+    "numbers": {"x": 2.0},
+    "facts": [{"label": "speed", "value": "2 rad/s", "source": ""}],
+    "notes": ["mind"],
+    "text": "a\n  b",
+    "figures": [{"stem": "a-y", "caption": "The response."}],
+    "seconds": 0.1,
+}
 RESULT = {
-    "schema": "robustlab.result/1", "command": "run", "exit_code": 0, "requirements": [REQUIREMENT], "steps": [STEP],
-    "recipe": {"name": "r", "title": "", "description": "One.\n\nTwo.", "file": "r.toml", "sha256": "ab12", "overrides": {"seed": "7"}, "text": "name = 1"},
-    "seed": 7, "seconds": 1.25, "provenance": {"created": "2026-01-01", "inputs": {"m.h5": "cd34"}, "versions": {"numpy": "2.0"}},
+    "schema": "robustlab.result/1",
+    "command": "run",
+    "exit_code": 0,
+    "requirements": [REQUIREMENT],
+    "steps": [STEP],
+    "recipe": {
+        "name": "r",
+        "title": "",
+        "description": "One.\n\nTwo.",
+        "file": "r.toml",
+        "sha256": "ab12",
+        "overrides": {"seed": "7"},
+        "text": "name = 1",
+    },
+    "seed": 7,
+    "seconds": 1.25,
+    "provenance": {"created": "2026-01-01", "inputs": {"m.h5": "cd34"}, "versions": {"numpy": "2.0"}},
     "files": [],
-}  # fmt: skip
+}
 
 
 @pytest.fixture
