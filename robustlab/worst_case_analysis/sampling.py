@@ -206,11 +206,12 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
     if k > MAX_LISTED:
         # Equal draws are rare among so many vertices; where they happen, fewer different ones come back.
-        drawn = 2.0 * rng.integers(0, 2, (number, k)) - 1.0
-        return drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
+        drawn = rng.integers(0, 2, (number, k))
+        bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
+        return real_array("vertices", 2 * bits - 1, 2)
     order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
     bits = (order[:, None] >> np.arange(k)[::-1]) & 1
-    return np.asarray(2.0 * bits - 1.0, dtype=np.float64)
+    return real_array("vertices", 2 * bits - 1, 2)
 
 
 def _random_delta(blocks: Sequence[Block], rng: np.random.Generator, boundary: bool = False) -> dict[str, Any]:
