@@ -29,8 +29,8 @@ names = st.one_of(st.sampled_from(ATTACKS), st.text(st.characters(), max_size=40
 numbers = st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.booleans(), st.none(), names)
 
 TAGS = """
-html head meta title style body header main section nav footer p h1 h2 div small table thead tbody tr th td br span a ol li
-details summary pre b code figure img figcaption
+html head meta title style body header main section nav footer p h1 h2 div small table thead tbody tr th td br span a ol
+li details summary pre b code figure img figcaption
 """
 ALLOWED_TAGS = set(TAGS.split())
 
