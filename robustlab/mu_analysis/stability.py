@@ -149,7 +149,7 @@ def _check_nominal(uncertain: UncertainModel) -> None:
         "robust_stability",
         f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)",
         "a stable nominal model",
-        "close the loop first: UncertainModel.close(K)",
+        "close the loop first (UncertainModel.close), or drop an integrator that feeds nothing back",
     )
 
 
