@@ -305,3 +305,46 @@ def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
     monkeypatch.setitem(doctor._CHECKS, "h5py", missing)
     assert robustlab("doctor") == 5
     assert "missing: ImportError: No module named 'h5py'" in capsys.readouterr().out
+
+
+# --- steps that are given something else than they need ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        ('do = "robust-stability"\nof = "a"', "step 'a': gave a StateSpaceModel, expected an UncertainModel"),
+        ('do = "sample"\nof = "a"\nn = 1\ninput = { u1 = 1.0 }\nt_end = 1.0', "expected an UncertainModel"),
+        ('do = "compare"\nof = "a"\nrecord = "a"', "expected a Record"),
+        (
+            'do = "worst-case"\nof = "set"\nmetric = "peak-deviation"\ninput = { u9 = 1.0 }\nt_end = 1.0',
+            "no such input",
+        ),
+        ('do = "worst-case"\nof = "set"\noutput = "y9"\ninput = { u1 = 1.0 }\nt_end = 1.0', "y9"),
+        ('do = "close-loop"\nof = "set"\ncontroller = "wide"', "controller: 2 inputs and 1 outputs, expected 1 and 1"),
+        ('do = "steady-state"\nof = "a"\ninputs = { u9 = 1.0 }', "no such input"),
+        ('do = "hinf"\nof = "a"\nmeasurements = 5\ncontrols = 1', "n_meas is 5"),
+    ],
+)
+def test_a_step_that_does_not_fit_is_bad_input(tmp_path, monkeypatch, capsys, step, message):
+    monkeypatch.chdir(tmp_path)
+    for name, pole in (("a", -1.0), ("b", -2.0)):
+        rl.save(tmp_path / f"{name}.h5", rl.StateSpaceModel([[pole]], [[1.0]], [[1.0]], [[0.0]]))
+    rl.save(tmp_path / "wide.h5", rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]]))
+    head, _, _ = UNSTABLE.partition("[step.margin]")
+    (tmp_path / "r.toml").write_text(f'{head}[step.wide]\ndo = "load"\npath = "wide.h5"\n[step.last]\n{step}\n')
+    assert robustlab("run", "r.toml") == 3
+    err = capsys.readouterr().err
+    assert "r.toml: step.last" in err
+    assert message in err
+
+
+def test_responses_that_outgrow_every_number_are_no_trustworthy_number(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, pole in (("a", 1.0), ("b", 2.0)):
+        rl.save(tmp_path / f"{name}.h5", rl.StateSpaceModel([[pole]], [[1.0]], [[1.0]], [[0.0]]))
+    head, _, _ = UNSTABLE.partition("[step.margin]")
+    sample = '[step.s]\ndo = "sample"\nof = "set"\nn = 2\ninput = { u1 = 1.0 }\nt_end = 2000.0\npoints = 11\n'
+    (tmp_path / "r.toml").write_text(head + sample)
+    assert robustlab("run", "r.toml") == 4
+    assert "responses outgrow every number" in capsys.readouterr().out

@@ -86,4 +86,4 @@ def test_emps_states_the_known_disagreement(tmp_path):
     gap = numbers(result, "gap")["outputs"]["q"]
     assert gap["rms_percent"] > 10  # the free run of a frictionless model drifts away
     saved = json.loads((result.folder / "result.json").read_text(encoding="utf-8"))
-    assert saved["provenance"]["inputs"]["emps.h5"]
+    assert saved["provenance"]["inputs"]["record: emps.h5"]

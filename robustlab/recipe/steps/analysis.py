@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import HinfNormStep, RobustStabilityStep, SampleStep, WorstCaseStep
 
@@ -15,13 +15,17 @@ __all__ = ["hinf_norm", "robust_stability", "sample", "worst_case"]
 
 def sample(step: SampleStep, work: Workspace) -> Outcome:
     """Responses of seeded members and of vertices, with their envelope; nothing is proved about members not drawn."""
+    import numpy as np
+
     import robustlab as rl
     from robustlab.report.response_figures import response_figure
 
-    model = work.values[step.of]
+    model = work.uncertain(step.of)
     t, u = _step_input(model, step.input, step.t_end, step.points)
     seed = work.seed if step.seed is None else step.seed
     responses = rl.sample(model, step.n, seed, vertices=step.vertices).respond(t, u)
+    if not (np.isfinite(responses.upper).all() and np.isfinite(responses.lower).all()):
+        raise NoTrustworthyNumber(f"sample {step.of}", "responses outgrow every number", hint="a smaller t_end")
     known = [s.name for s in model.outputs]
     for reference in step.reference:
         if reference.output not in known:
@@ -64,15 +68,17 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
     import robustlab as rl
     from robustlab.report.response_figures import worst_case_figure
 
-    model = work.values[step.of]
+    model = work.uncertain(step.of)
     options: dict[str, Any] = {"seed": work.seed if step.seed is None else step.seed}
     if step.n is not None:
         options["n"] = step.n
+    if step.output is not None:
+        options["output"] = step.output
     t = u = None
     if step.metric == "peak-deviation":
         assert step.t_end is not None
         t, u = _step_input(model, step.input, step.t_end, step.points)
-        options |= {"t": t, "u": u, "output": step.output}
+        options |= {"t": t, "u": u}
     found = rl.worst_case(model, step.metric, **options)
     work.keep(found)
     numbers = {
@@ -116,7 +122,7 @@ def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
     import robustlab as rl
     from robustlab.report.mu_figures import mu_figure
 
-    margin = rl.robust_stability(work.values[step.of], seed=work.seed)
+    margin = rl.robust_stability(work.uncertain(step.of), seed=work.seed)
     work.keep(margin)
     numbers = {"lower": margin.lower, "upper": margin.upper, "frequency": margin.frequency, "delta": margin.delta}
     attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"
