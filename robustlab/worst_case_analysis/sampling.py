@@ -273,7 +273,8 @@ def _respond(
     everything = np.concatenate([y, nominal[None]])
     finite = bool(np.isfinite(everything).all())
     lost = np.isnan(everything)
-    deviation = np.nan_to_num(np.abs(y - nominal), nan=np.inf, posinf=np.inf).max(axis=1)
+    with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model outgrow double precision
+        deviation = np.nan_to_num(np.abs(y - nominal), nan=np.inf, posinf=np.inf).max(axis=1)
     return Responses(
         drive.t,
         drive.u,

@@ -157,7 +157,7 @@ def test_a_second_run_replaces_its_own_files_and_no_others(recipe):
     ("change", "code", "message"),
     [
         ("set.tolerances.Kg=0.1", 3, "step.set: dc-motor: 'Kg': no such parameter"),
-        ("cover.input.v=1.0", 3, "no such input"),
+        ("cover.input.v=1.0", 3, "input 'v': no such signal"),
         ("motor.plant=dc-moter", 3, "did you mean dc-motor?"),
         ("require.0.that=cover.outputs.omega.cover", 3, "has no 'cover'"),
         ("cover.n=-1", 3, "step.cover.n"),
