@@ -318,7 +318,7 @@ def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
         ('do = "compare"\nof = "a"\nrecord = "a"', "expected a Record"),
         (
             'do = "worst-case"\nof = "set"\nmetric = "peak-deviation"\ninput = { u9 = 1.0 }\nt_end = 1.0',
-            "no such input",
+            "no such signal",
         ),
         ('do = "worst-case"\nof = "set"\noutput = "y9"\ninput = { u1 = 1.0 }\nt_end = 1.0', "y9"),
         ('do = "close-loop"\nof = "set"\ncontroller = "wide"', "controller: 2 inputs and 1 outputs, expected 1 and 1"),
