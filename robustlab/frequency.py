@@ -20,8 +20,8 @@ CHUNK = 4_000_000
 def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> Array:
     """Logarithmic grid in rad/s around the model's own dynamics, shape (n,).
 
-    From ``decades`` below the slowest to ``decades`` above the fastest pole; every lightly damped pole's frequency is added,
-    so that its peak is not stepped over. A discrete model's grid ends at the Nyquist frequency pi / dt.
+    From ``decades`` below the slowest to ``decades`` above the fastest pole; every lightly damped pole's frequency is
+    added, so that its peak is not stepped over. A discrete model's grid ends at the Nyquist frequency pi / dt.
     """
     poles = model.poles()
     if model.is_discrete:

@@ -1,6 +1,6 @@
-"""Linear time-invariant models in state space, with named signals and units, and their interconnection.
+r"""Linear time-invariant models in state space, with named signals and units, and their interconnection.
 
-.. math:: \\dot x = A x + B u, \\qquad y = C x + D u  \\qquad (dt = 0), \\qquad  x_{k+1} = A x_k + B u_k \\quad (dt > 0)
+.. math:: \dot x = A x + B u, \qquad y = C x + D u  \qquad (dt = 0), \qquad  x_{k+1} = A x_k + B u_k \quad (dt > 0)
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SignalLike = str | Signal | tuple[str, str]
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Where a model was linearised: states ``x (n_x,)``, inputs ``u (n_u,)``, outputs ``y (n_y,)``, in the model's units."""
+    """Where a model was linearised: ``x (n_x,)``, ``u (n_u,)``, ``y (n_y,)``, in the model's units."""
 
     x: Array
     u: Array
@@ -290,7 +290,8 @@ class StateSpaceModel:
     def from_control(cls, system: Any) -> StateSpaceModel:
         """From a ``control.StateSpace`` or ``control.TransferFunction``; ``dt=None`` and ``dt=True`` are refused.
 
-        Python-control's ``None`` means "unspecified" and ``True`` "discrete, unknown sample time"; neither can be simulated.
+        Python-control's ``None`` means "unspecified" and ``True`` "discrete, unknown sample time"; neither can be
+        simulated.
         """
         import control
 
@@ -300,10 +301,14 @@ class StateSpaceModel:
             else:
                 raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace")
         if not isinstance(system, control.StateSpace):
-            raise InputError("from_control", f"{type(system).__name__}", "a control.StateSpace or control.TransferFunction")
+            raise InputError(
+                "from_control", f"{type(system).__name__}", "a control.StateSpace or control.TransferFunction"
+            )
         if system.dt is True or system.dt is None:
             if system.dt is True:
-                raise InputError("from_control", "dt=True (discrete, sample time unknown)", "dt = 0 or a sample time in s")
+                raise InputError(
+                    "from_control", "dt=True (discrete, sample time unknown)", "dt = 0 or a sample time in s"
+                )
             if system.nstates:
                 raise InputError("from_control", "dt=None (timebase unspecified)", "dt = 0 or a sample time in s")
         return cls(
@@ -370,11 +375,11 @@ def as_model(system: Any, where: str = "model") -> StateSpaceModel:
 
 
 def append(*models: StateSpaceModel) -> StateSpaceModel:
-    """Block-diagonal collection: inputs and outputs of all models side by side. Names must be unique over all models."""
+    """Block-diagonal collection: inputs and outputs of all models side by side, under unique names."""
     from scipy.linalg import block_diag
 
     dt = _common_dt(models, "append")
-    blocks = [block_diag(*(getattr(m, name) for m in models)) for name in "ABCD"]
+    blocks = [np.asarray(block_diag(*(getattr(m, name) for m in models))) for name in "ABCD"]
     # block_diag gives a (0, k) matrix a row count of 0 but keeps its columns, as it must be.
     n, n_u, n_y = (sum(getattr(m, a) for m in models) for a in ("n_states", "n_inputs", "n_outputs"))
     shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))
@@ -441,7 +446,8 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
 
     .. math:: F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
-    The last ``K.n_outputs`` inputs of P are u, its last ``K.n_inputs`` outputs are y. States of the result: those of P, then of K.
+    The last ``K.n_outputs`` inputs of P are u, its last ``K.n_inputs`` outputs are y. States of the result: those of P,
+    then of K.
 
     Raises
     ------
@@ -516,7 +522,9 @@ def _indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) ->
         wanted = [wanted]
     for name in wanted:
         if name not in known:
-            raise InputError(f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
+            raise InputError(
+                f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
+            )
     return [known.index(name) for name in wanted]
 
 

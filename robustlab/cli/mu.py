@@ -16,7 +16,7 @@ app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_com
 
 
 @app.command()
-def mu(  # noqa: PLR0917  one parameter per option of the command line
+def mu(
     file: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.")],
     accuracy: Annotated[float, typer.Option(help="Relative distance to the best margin that D, G can prove.")] = 1e-3,
     timeout: Annotated[float, typer.Option(help="Seconds after which the proof over the axis is given up.")] = 60.0,

@@ -65,7 +65,7 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     count, labels = connected_components(norms > 0, directed=True, connection="strong")
     groups = [np.flatnonzero(labels == c) for c in range(count)]
     # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
-    drives = np.array([[bool((norms[np.ix_(i, j)] > 0).any()) for j in groups] for i in groups])
+    drives = np.array([[bool((norms[i[:, None], j] > 0).any()) for j in groups] for i in groups])
     np.fill_diagonal(drives, False)
     depth = np.zeros(count, dtype=int)
     for _ in range(count):
@@ -77,12 +77,12 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     result = []
     for c in np.argsort(depth, kind="stable"):
         members = groups[c]
-        exponents = _osborne(norms[np.ix_(members, members)])
+        exponents = _osborne(norms[members[:, None], members])
         part = [blocks[i] for i in members]
         w, z = expand(part, exponents)
         rows = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
         cols = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
-        matrix = M[np.ix_(rows, cols)] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
+        matrix = M[rows[:, None], cols] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
         result.append(Component(tuple(int(i) for i in members), int(depth[c]), exponents, matrix))
     return result
 

@@ -302,5 +302,5 @@ def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -
     result = np.zeros((q, p), dtype=complex)
     w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
     z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
-    result[np.ix_(w, z)] = scaled
+    result[w[:, None], z] = scaled
     return result

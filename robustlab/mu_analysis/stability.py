@@ -200,7 +200,7 @@ def _cover(
     for members in parts:
         w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
         z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
-        part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[np.ix_(z, w)])
+        part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[z[:, None], w])
         covers.append(cover_axis(part, [blocks[i] for i in members], peak, first=first, until=until, accuracy=accuracy))
     whole = AxisCover(open=[])
     for cover in covers:

@@ -157,9 +157,9 @@ def _place(
     w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
     z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
     Dw, Dz, G = into
-    Dw[np.ix_(w, w)] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
-    Dz[np.ix_(z, z)] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
-    G[np.ix_(w, z)] = weight * bound.G * e_w[:, None] * e_z[None, :]
+    Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
+    Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
+    G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
 
 
 def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:

@@ -13,7 +13,7 @@ from robustlab.identification.localisation import (
     speed_edges,
     time_shares,
 )
-from robustlab.identification.record_quality import clipped_samples
+from robustlab.identification.record_quality import clipped_runs
 from robustlab.record import Record
 
 
@@ -109,8 +109,11 @@ def test_speed_is_the_measured_one_else_the_derivative_of_the_position():
 
 def test_clipping_is_told_from_rest_and_from_two_levels():
     t = np.arange(2000) * 0.01
-    assert clipped_samples(np.clip(np.sin(t), -2, 0.8)) == (np.sin(t) >= 0.8).sum()
-    assert clipped_samples(np.sin(t)) == 0
+    clipped = clipped_runs(np.clip(np.sin(t), -2, 0.8))
+    assert sum(last - first for first, last in clipped) == (np.sin(t) >= 0.8).sum()
+    assert clipped_runs(np.sin(t)) == []
     smooth = np.where(t < 5, 0.5 - 0.5 * np.cos(np.pi * np.minimum(t, 5) / 5), 1.0)  # comes to rest and stays
-    assert clipped_samples(np.round(smooth, 6)) == 0
-    assert clipped_samples(np.sign(np.sin(t))) == 0
+    assert clipped_runs(np.round(smooth, 6)) == []
+    assert clipped_runs(np.sign(np.sin(t))) == []
+    waits = np.maximum(np.arange(2000) - 500, 0) * 0.01  # stands before it starts at full slope
+    assert clipped_runs(waits) == []
