@@ -36,13 +36,7 @@ def _run(folder, *arguments):
 def test_command(folder, command):
     words = command.split()
     assert words[0] == "robustlab"
-    done = subprocess.run(
-        [sys.executable, "-m", "robustlab.cli.main", *words[1:]],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = _run(folder, "-m", "robustlab.cli.main", *words[1:])
     # The one that says so ends with a requirement that is not met.
     assert done.returncode == (1 if "Kf=0.3" in command else 0), done.stderr
     assert done.stdout.strip()
