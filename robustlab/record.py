@@ -177,6 +177,8 @@ class Record:
 
 
 def _channels(given: Mapping[str, ArrayLike], n: int, where: str) -> dict[str, Array]:
+    if not isinstance(given, Mapping):
+        raise InputError(where, f"signals as a {type(given).__name__}", "a dict of name -> samples")
     channels: dict[str, Array] = {}
     for key, value in given.items():
         if not key or len(key) > MAX_NAME:

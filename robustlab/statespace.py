@@ -92,6 +92,8 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
         given = [given]
     result: list[Signal] = []
     for item in given:
+        if not isinstance(item, str) and not (isinstance(item, (tuple, list)) and len(item) == 2):
+            raise InputError(where, f"signal {item!r}", "a name or a (name, unit) pair")
         name, unit = (item, "") if isinstance(item, str) else (str(item[0]), str(item[1]))
         if not name or len(name) > MAX_NAME:
             raise InputError(where, f"signal name of {len(name)} characters", f"1 to {MAX_NAME} characters")
@@ -159,9 +161,12 @@ class StateSpaceModel:
         operating_point: OperatingPoint | None = None,
         where: str = "StateSpaceModel",
     ) -> None:
+        if all(isinstance(m, (list, tuple)) and not m for m in (A, B, C)):  # a static gain: [] has no shape of its own
+            gain = real_array("D", D, 2, where)
+            A, B, C = np.zeros((0, 0)), np.zeros((0, gain.shape[1])), np.zeros((gain.shape[0], 0))
         a, b, c, d = (real_array(name, m, 2, where) for name, m in zip("ABCD", (A, B, C, D), strict=True))
         _check_shapes(a, b, c, d, where)
-        if isinstance(dt, bool) or not np.isfinite(dt) or dt < 0:
+        if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 <= dt < np.inf:
             raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
         put = object.__setattr__  # the dataclass is frozen
         put(self, "A", a)
@@ -297,7 +302,10 @@ class StateSpaceModel:
 
         if isinstance(system, control.TransferFunction):
             if system.ninputs == 1 and system.noutputs == 1:
-                system = control.tf2ss(system)
+                try:
+                    system = control.tf2ss(system)
+                except ValueError as error:  # improper: more zeros than poles
+                    raise InputError("from_control", str(error), "no more zeros than poles") from None
             else:
                 raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace")
         if not isinstance(system, control.StateSpace):
@@ -494,10 +502,10 @@ def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
     if not wrong:
         return
     hint = None
-    if d.T.shape == (c.shape[0], b.shape[1]):
+    if a.shape == (n, n) and d.shape != d.T.shape == (c.shape[0], b.shape[1]):
         wrong = [f"D is {d.shape}, expected {d.T.shape}"]
         hint = "D looks transposed (column-major file?): use --transpose"
-    elif b.T.shape == (n, n_u) or c.T.shape == (n_y, n):
+    elif b.shape != b.T.shape == (n, n_u) or c.shape != c.T.shape == (n_y, n):
         hint = "B or C looks transposed (column-major file?): use --transpose"
     raise InputError(where, "; ".join(wrong), None, hint)
 

@@ -94,6 +94,8 @@ def mixsyn(
         _weight("--w2", w2, control_weight),
         _weight("--w3", w3, complementary_weight),
     )
+    if all(weight is None for weight in weights):
+        raise UsageError("synth mixsyn", "no weight", "at least one of --w1, --w2, --w3")
     model = as_model(load(file), file)
     if inputs or outputs:
         model = model.select(_names(inputs) if inputs else None, _names(outputs) if outputs else None)

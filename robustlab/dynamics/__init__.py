@@ -33,7 +33,7 @@ _PLANTS = {
 }
 
 
-def plant(name: str, /, **parameters: Any) -> LinearPlant:
+def plant(name: str, **parameters: Any) -> LinearPlant:
     """The named plant with its published parameters, or with the given ones in their places.
 
     Parameters

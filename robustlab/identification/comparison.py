@@ -224,7 +224,7 @@ class Comparison(Evidence):
 
 
 def compare(
-    plant_or_model: Any,
+    plant: Any,
     record: Record,
     *,
     window: float | None = None,
@@ -237,7 +237,7 @@ def compare(
 
     Parameters
     ----------
-    plant_or_model
+    plant
         A linear `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record.
         Inputs are held between samples.
     record
@@ -277,7 +277,7 @@ def compare(
     >>> round(gap.peak, 3), round(gap.peak_percent, 2)
     (0.1, 9.09)
     """
-    response = response_of(plant_or_model, record)
+    response = response_of(plant, record)
     record = response.with_units(record)
     whole = response.stretch(record)
     length = _window_length(response, record, window)
@@ -295,7 +295,7 @@ def compare(
     piece = max(length // PIECES_PER_WINDOW, min(length, SHORTEST_WINDOW))
     return Comparison(
         status=Status.CONVERGED,
-        model=_name(plant_or_model),
+        model=_name(plant),
         record=record.name,
         motion=motion,
         initial_state=initial,

@@ -68,6 +68,16 @@ class RunResult:
         return int(self.data["exit_code"])
 
 
+def _workplace(target: Path, out: str | Path) -> Path:
+    """A hidden folder beside ``target``, where the results lie until the run is through."""
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
+
+
 def run_recipe(
     loaded: LoadedRecipe, out: str | Path, report: Callable[[str, str], None] = lambda _name, _kind: None
 ) -> RunResult:
@@ -92,10 +102,9 @@ def run_recipe(
     started = time.monotonic()
     sources = find_files(loaded)
     target = Path(out).resolve()
-    target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists() and not target.is_dir():
         raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
-    folder = Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
+    folder = _workplace(target, out)
     try:
         workspace = Workspace(folder, sources, loaded.recipe.seed)
         workspace.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in sources.items()}

@@ -177,6 +177,8 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
     >>> [delta["pole"] for delta in sample(lag, 0, vertices="all").deltas]
     [-1.0, 1.0]
     """
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("sample", type(uncertain).__name__, "an UncertainModel")
     for name, count in (("n", n), ("vertices", 0 if vertices == "all" else vertices), ("seed", seed)):
         if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 0:
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")

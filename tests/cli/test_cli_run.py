@@ -236,6 +236,12 @@ def test_an_output_that_is_a_file_is_exit_code_5(recipe, capsys):
     assert "is a file" in capsys.readouterr().err
 
 
+def test_a_folder_that_cannot_be_made_is_exit_code_5(recipe, capsys):
+    (recipe / "taken").write_text("x")
+    assert robustlab("run", "small.toml", "--out", "taken/below") == 5
+    assert "taken/below: cannot be made" in capsys.readouterr().err
+
+
 def test_an_unknown_shipped_recipe_names_the_nearest(recipe, capsys):
     assert robustlab("run", "first-ligth") == 3
     assert "did you mean first-light?" in capsys.readouterr().err
@@ -267,6 +273,7 @@ def test_check_names_steps_and_files(recipe, capsys):
 
 
 def test_check_finds_an_absent_record_before_anything_runs(recipe, capsys):
+    (recipe / "gone1.h5").write_bytes(b"")  # a file of nearly that name must not hide how to point to a copy
     assert robustlab("recipe", "check", "emps", "--set", "record.path=gone.h5") == 3
     err = capsys.readouterr().err
     assert "Janot" in err

@@ -83,7 +83,7 @@ def test_no_stabilising_controller_is_exit_code_4(tmp_path, capsys):
         (["mixsyn", "P", "--w1", "peak=2"], 2, "bandwidth is missing"),
         (["mixsyn", "P", "--w1", "bandwidth=fast"], 2, "a number"),
         (["mixsyn", "P", "--w1", "bandwidth=-1"], 3, "positive"),
-        (["mixsyn", "P"], 3, "no weight"),
+        (["mixsyn", "P"], 2, "no weight, expected at least one of --w1"),
     ],
 )
 def test_wrong_calls(problem, capsys, arguments, code, text):

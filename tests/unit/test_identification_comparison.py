@@ -259,3 +259,10 @@ def test_result_cannot_be_changed():
         found.disturbance["u"].value,
     )
     assert not any(array.flags.writeable for array in arrays)
+
+
+def test_arguments_may_be_given_by_the_names_of_the_contract():
+    t = np.arange(0.0, 1.0, 0.01)
+    axis = rl.plant(name="servo-axis")
+    record = rl.simulate(axis, t, np.sin(t))
+    assert compare(plant=axis, record=record).outputs["q"].rms < 1e-12

@@ -83,3 +83,8 @@ def test_samples_cannot_be_written_and_become_json():
     with pytest.raises(ValueError, match="read-only"):
         record["q"][0] = 1.0
     assert plain(record)["outputs"]["v"][-1] == 2.0
+
+
+def test_signals_without_names_are_refused():
+    with pytest.raises(InputError, match="signals as a list, expected a dict"):
+        Record([0.0, 1.0], [[1.0, 2.0]], {"q": [1.0, 2.0]})

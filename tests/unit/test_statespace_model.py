@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from robustlab.errors import InputError, UnitMismatch
+from robustlab.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, feedback, lower_lft, series
 
 GOOD = {"A": np.diag([-1.0, -2.0, -3.0]), "B": np.ones((3, 2)), "C": np.ones((4, 3)), "D": np.zeros((4, 2))}
@@ -225,3 +226,36 @@ def test_algebraic_loop_without_solution_is_refused():
     with pytest.raises(InputError, match="not well posed"):
         feedback(one, one, sign=+1)
     np.testing.assert_allclose(feedback(one, one).D, [[0.5]])
+
+
+def test_a_wide_a_is_named_and_not_a_d_that_fits():
+    with pytest.raises(InputError, match=r"A is \(1, 2\), expected \(1, 1\)$"):
+        StateSpaceModel([[1.0, 2.0]], [[1.0]], [[1.0]], [[0.0]])
+
+
+def test_empty_lists_make_a_static_gain():
+    gain = StateSpaceModel([], [], [], [[1, 2]])
+    assert (gain.A.shape, gain.B.shape, gain.C.shape) == ((0, 0), (0, 2), (1, 0))
+    assert gain.dc_gain().tolist() == [[1.0, 2.0]]
+
+
+@pytest.mark.parametrize("dt", [None, "0.1", 1j, float("inf")])
+def test_a_sample_time_that_is_no_number_is_refused(dt):
+    with pytest.raises(InputError, match="dt is"):
+        StateSpaceModel(-1, 1, 1, 0, dt=dt)
+
+
+@pytest.mark.parametrize("signal", [3, ("u", "V", "x")])
+def test_a_signal_that_is_no_name_is_refused(signal):
+    with pytest.raises(InputError, match=r"inputs: signal .* a name or a \(name, unit\) pair"):
+        StateSpaceModel(-1, 1, 1, 0, inputs=[signal])
+
+
+def test_an_improper_transfer_function_is_refused():
+    with pytest.raises(InputError, match="no more zeros than poles"):
+        StateSpaceModel.from_control(control.tf([1, 1], [1]))
+
+
+def test_frequency_response_takes_python_control_objects():
+    response = frequency_response(control.tf([1], [1, 1]), [1.0])
+    np.testing.assert_allclose(response, [[[0.5 - 0.5j]]], rtol=1e-14)

@@ -138,3 +138,9 @@ def test_control_and_complementary_weights_mean_what_they_say():
 def test_weights_refuse_senseless_numbers(call):
     with pytest.raises(InputError):
         call()
+
+
+def test_a_list_of_models_is_no_weight():
+    lag = StateSpaceModel(-1, 1, 1, 0)
+    with pytest.raises(InputError, match="mixsyn: W1: a list that is no matrix"):
+        mixsyn(lag, [lag], 0.1)

@@ -15,7 +15,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis import sample
+from robustlab.worst_case_analysis import sample, worst_case
 
 T = np.linspace(0.0, 4.0, 81)
 
@@ -222,3 +222,9 @@ def test_chunks_do_not_change_the_answer(monkeypatch):
     whole = samples.respond(T)
     monkeypatch.setattr("robustlab.worst_case_analysis.ensemble.CHUNK", 100)
     np.testing.assert_allclose(samples.respond(T).y, whole.y, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("call", [lambda m: sample(m, 2, 0), lambda m: worst_case(m, "hinf")])
+def test_a_model_without_uncertainty_is_refused_by_name(call):
+    with pytest.raises(InputError, match="StateSpaceModel, expected an UncertainModel"):
+        call(StateSpaceModel(-1, 1, 1, 0))
