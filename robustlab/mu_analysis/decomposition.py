@@ -46,8 +46,13 @@ class Component:
 def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
     """Frobenius norm of each block ``M_ij`` (outputs of block i, inputs of block j), shape (n_blocks, n_blocks)."""
     slices = block_slices(blocks)
-    largest = max(float(np.abs(M).max(initial=0.0)), 1e-300)
-    return largest * np.array([[np.linalg.norm(M[z, w] / largest) for w, _ in slices] for _, z in slices])
+    return np.array([[_norm(M[z, w]) for w, _ in slices] for _, z in slices])
+
+
+def _norm(part: ComplexArray) -> float:
+    """Frobenius norm, scaled by the largest entry: the squares of a small coupling must not vanish."""
+    largest = float(np.abs(part).max(initial=0.0))
+    return largest * float(np.linalg.norm(part / largest)) if largest else 0.0
 
 
 def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:

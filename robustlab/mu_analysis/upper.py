@@ -107,7 +107,10 @@ def _by_ab13md(m: ComplexArray, blocks: list[Block]) -> UpperBound | None:
 
 def _by_path(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
     space = ScalingSpace(blocks)
-    Dw, Dz, G = space.matrices(minimise(M, space, tol))
+    # The path is sized for matrices of order one; powers of two scale exactly, and G like M.
+    size = np.exp2(np.rint(np.log2(np.maximum(np.abs(M).max(axis=(1, 2)), 1e-300))))[:, None, None]
+    Dw, Dz, G = space.matrices(minimise(M / size, space, tol))
+    G = G * size
     eye, zero = space.matrices(space.identity[None])[:2], np.zeros_like(G[0])
     result = []
     for m, w, z, g in zip(M, Dw, Dz, G, strict=True):

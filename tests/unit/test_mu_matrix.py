@@ -131,6 +131,53 @@ def test_scaling_over_twelve_decades_changes_nothing(blocks):
     assert scaled.lower == pytest.approx(plain.lower, rel=0.05)
 
 
+@pytest.mark.parametrize("kind", [-1, 1])
+@pytest.mark.parametrize("decades", [12, 100, 150])
+def test_a_small_coupling_is_no_zero(decades, kind):
+    # mu([[0, a], [b, 0]]) = sqrt(a b); the square of b / a is below the smallest number
+    bounds = rl.mu([[0, 10.0**decades], [10.0**-decades, 0]], [[kind, 0]] * 2)
+    assert bounds.lower == pytest.approx(1.0, rel=1e-9)
+    assert bounds.upper == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("blocks", [[[1, 0]] * 2, [[-1, 0]] * 2, [[2, 2]], [[2, 0]]])
+@pytest.mark.parametrize("factor", [1e-300, 1e-200, 1e200, 1e300])
+def test_size_of_the_matrix_is_a_factor_of_mu(factor, blocks):
+    M = np.array([[1.0, 2.0], [3.0, 4.0]])
+    plain, scaled = rl.mu(M, blocks), rl.mu(factor * M, blocks)
+    assert scaled.lower == pytest.approx(factor * plain.lower, rel=1e-9)
+    assert scaled.upper == pytest.approx(factor * plain.upper, rel=1e-6)
+    assert scaled.status is rl.Status.CERTIFIED
+
+
+@pytest.mark.parametrize("real", [True, False])
+@pytest.mark.parametrize("coupling", [1e3, 1e10, 1e13, 1e16])
+def test_a_nearly_singular_loop_of_a_non_normal_matrix_is_no_lower_bound(coupling, real):
+    # One repeated scalar: mu is the largest (real) eigenvalue, whatever stands above the diagonal.
+    block = [[-2 if real else 2, 0]]
+    assert rl.mu([[0.5, coupling], [0.0, 0.5]], block).lower <= 0.5 * (1 + 1e-9)
+    assert rl.mu([[0.0, coupling], [0.0, 0.0]], block).lower == 0.0
+    if real:
+        assert rl.mu([[0.5, coupling], [-1 / coupling, 0.5]], block).lower == 0.0
+
+
+@pytest.mark.parametrize("imaginary", [1e-9, 2e-11, 5e-12, 1e-12, 1e-13])
+def test_real_delta_needs_a_real_value(imaginary):
+    assert rl.mu([[1 + 1j * imaginary]], [[-1, 0]]).lower == 0.0
+    two = rl.mu(np.diag([1 + 1j * imaginary, 0.5]), [[-1, 0]] * 2)
+    assert two.lower == pytest.approx(0.5, rel=1e-9)
+    assert two.upper >= 0.5
+    # det(I - M Delta) = 1 - j d1 d2
+    assert rl.mu([[0, 1j], [1, 0]], [[-1, 0]] * 2).lower == 0.0
+
+
+def test_a_bound_next_to_zero_is_proved_in_spite_of_couplings():
+    M = [[0.83347462 - 1.7043919j, 0], [-0.12644912 - 0.0820067j, 0]]
+    bounds = rl.mu(M, [[-1, 0], [-1, 0]])
+    assert bounds.lower == 0.0
+    assert bounds.upper <= 1e-5
+
+
 def test_reducible_matrix_is_as_large_as_its_largest_component():
     M = np.zeros((6, 6), dtype=complex)
     parts = random_complex(7, 3, 2, 2)
