@@ -307,7 +307,8 @@ class StateSpaceModel:
                 except ValueError as error:  # improper: more zeros than poles
                     raise InputError("from_control", str(error), "no more zeros than poles") from None
             else:
-                raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace")
+                hint = "control.ss(tf) makes one"
+                raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace", hint)
         if not isinstance(system, control.StateSpace):
             raise InputError(
                 "from_control", f"{type(system).__name__}", "a control.StateSpace or control.TransferFunction"

@@ -51,6 +51,10 @@ def build(
         list[str] | None,
         typer.Option("--tolerance", help="Relative tolerance of a parameter of the plant, NAME=VALUE; repeatable."),
     ] = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option("--outputs", help="Outputs of the plant to keep: a,b; states they do not show are dropped."),
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -65,9 +69,12 @@ def build(
             "uncertain build", "no models or both files and a plant", "NOMINAL [PERTURBED], or --plant NAME"
         )
     if plant is not None:
-        model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance))
+        kept = outputs.split(",") if outputs else None
+        model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance), kept)
     else:
         assert nominal is not None
+        if outputs:
+            raise UsageError("uncertain build", "--outputs without --plant", "--outputs with --plant NAME only")
         model, residual, origin = _from_models(nominal, perturbed, structure, noise)
     if not model.blocks:
         note("no uncertainty: mu = 0")
@@ -186,7 +193,9 @@ def _from_models(
     return model, endpoint_residual(model, second), Provenance.now("uncertain build", files, note=note_text)
 
 
-def _from_plant(name: str, tolerances: dict[str, float]) -> tuple[UncertainModel, None, Provenance]:
+def _from_plant(
+    name: str, tolerances: dict[str, float], outputs: list[str] | None
+) -> tuple[UncertainModel, None, Provenance]:
     from robustlab.dynamics import plant
     from robustlab.provenance import Provenance
 
@@ -194,7 +203,7 @@ def _from_plant(name: str, tolerances: dict[str, float]) -> tuple[UncertainModel
     unknown = [key for key in tolerances if key not in nominal]
     if unknown:
         raise UsageError(f"--tolerance {unknown[0]}", f"no such parameter of {name}", f"one of {', '.join(nominal)}")
-    model = plant(name, **{key: (nominal[key], value) for key, value in tolerances.items()}).uncertain()
+    model = plant(name, **{key: (nominal[key], value) for key, value in tolerances.items()}).uncertain(outputs)
     said = ", ".join(f"{key} +-{100 * value:g} %" for key, value in tolerances.items())
     return model, None, Provenance.now("uncertain build", note=f"{name} {said}".strip())
 

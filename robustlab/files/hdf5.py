@@ -56,7 +56,7 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
 
 
 def write_tree(path: str | Path, tree: Tree) -> Path:
-    """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as fixed-length UTF-8.
+    """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as UTF-8.
 
     The file is laid out in memory first, so that a full disk meets one plain write and never a half-flushed library.
 
@@ -104,10 +104,13 @@ def _write_dataset(target: Any, name: str, dataset: Dataset, path: str) -> None:
 
 def _write_attributes(target: Any, attrs: dict[str, Any], path: str) -> None:
     for name, value in attrs.items():
-        values = _storable(canonical(value, f"{path}@{name}"))
+        text_or_numbers = canonical(value, f"{path}@{name}")
+        values = _storable(text_or_numbers)
         if values.nbytes > MAX_ATTRIBUTE_TEXT:
             raise InputError(path, f"attribute {name} of {values.nbytes} bytes", f"at most {MAX_ATTRIBUTE_TEXT}")
-        target.attrs.create(name, values)
+        # A single text is stored with variable length, so that h5py gives it back as str and not as bytes.
+        single_text = text_or_numbers.dtype.kind == "U" and not text_or_numbers.ndim
+        target.attrs.create(name, text_or_numbers.item() if single_text else values)
 
 
 def _storable(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

@@ -340,8 +340,9 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array, local: Array) -> Outp
 
     def judged(e: Array) -> tuple[float, float, float, float, float]:
         peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
-        percent = 100.0 / spread if spread else np.nan
-        fit = 100.0 * (1.0 - rms / spread_rms) if spread else np.nan
+        # A signal whose spread or its square vanishes in floating point has nothing to be compared with.
+        percent = 100.0 / spread if spread_rms else np.nan
+        fit = 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
         return peak, rms, peak * percent, rms * percent, fit
 
     return OutputGap(signal.name, signal.unit, spread, *judged(error), float(t[np.abs(error).argmax()]), *judged(local))

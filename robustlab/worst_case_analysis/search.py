@@ -197,7 +197,8 @@ def _metric(
         return HinfGain(uncertain, input, output)
     names = [s.name for s in uncertain.outputs]
     if output is None and len(names) != 1:
-        raise UsageError("worst_case", f"{len(names)} outputs and none named", f"output: one of {', '.join(names)}")
+        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}, or --output {names[0]}"
+        raise UsageError("worst_case", f"{len(names)} outputs and none named", expected, hint)
     if u is None and input is not None:
         u = {input: 1.0}
     nominal = uncertain.nominal

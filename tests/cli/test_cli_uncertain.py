@@ -145,3 +145,16 @@ def test_sample_refuses(motor, options, code, capsys):
     found, out, err = call(capsys, "sample", motor, *options)
     assert (found, out) == (code, "")
     assert err.startswith("error: ")
+
+
+def test_outputs_of_a_plant_drop_the_states_they_do_not_show(tmp_path):
+    """With the angle the motor integrates and has no margin; with the speed alone it is stable and has one."""
+    file = str(tmp_path / "speed.h5")
+    words = ["uncertain", "build", "--plant", "dc-motor", "--outputs", "omega", "--out", file]
+    assert run(words) == 0
+    import robustlab as rl
+
+    model = rl.load(file)
+    assert model.nominal.state_names == ("omega", "i")
+    assert model.nominal.is_stable()
+    assert run(["uncertain", "build", "a.h5", "b.h5", "--outputs", "omega"]) == 2
