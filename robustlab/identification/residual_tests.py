@@ -62,10 +62,10 @@ class InputCorrelation(Evidence):
     r"""Cross-correlation of one input with a residual, and the test of their independence.
 
     .. math:: r_k = \frac{\sum_t e_{t+k} \tilde u_t}{\sqrt{\sum e^2 \sum \tilde u^2}}, \qquad
-              Q = N R^2 \sim \chi^2_{rank} \text{ for a white residual independent of } u
+              Q = N_m R^2 \sim \chi^2_{rank} \text{ for a white residual independent of } u
 
-    with :math:`\tilde u` the input without its mean and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
-    u_{t-m}`.
+    with :math:`\tilde u` the input without its mean, and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
+    u_{t-m}` at the :math:`N_m` samples that have all of these.
 
     Attributes
     ----------
@@ -149,23 +149,24 @@ def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorr
     r_e, r_u = autocorrelation(e, lags)[0], autocorrelation(v, lags)[0]
     # Variance of r_k for a coloured residual that is independent of a coloured input (Ljung 1999, eq. 16.64).
     spread = max(1.0, float(1.0 + 2.0 * (r_e[1:] @ r_u[1:])))
-    share, dof = _explained(v, e, lags)
-    statistic = n * share
+    share, dof, rows = _explained(v, e, lags)
+    statistic = rows * share
     p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
     band = float(BAND_99 * np.sqrt(spread / max(n, 1)))
     return InputCorrelation(np.arange(-lags, lags + 1), correlation, band, statistic, dof, p_value, share, n)
 
 
-def _explained(v: Array, e: Array, lags: int) -> tuple[float, int]:
-    """R² of the regression of ``e`` on ``v`` at lags 0..``lags``, and the number of excited directions."""
+def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:
+    """R² of the regression of ``e`` on ``v`` at lags 0..``lags``, excited directions, and samples that went in."""
     rows = np.flatnonzero(np.isfinite(e))
     rows = rows[rows >= lags]
     target = e[rows]
     power = float(target @ target)
     if not power:
-        return 0.0, 0
+        return 0.0, 0, len(rows)
     lagged = np.column_stack([v[rows - k] for k in range(lags + 1)])
     values, vectors = np.linalg.eigh(lagged.T @ lagged)
     keep = values > NOT_EXCITED * max(values[-1], 0.0) if values[-1] > 0 else np.zeros(lags + 1, bool)
     coordinates = vectors[:, keep].T @ (lagged.T @ target)
-    return float(np.clip((coordinates**2 / values[keep]).sum() / power, 0.0, 1.0)), int(keep.sum())
+    share = float(np.clip((coordinates**2 / values[keep]).sum() / power, 0.0, 1.0))
+    return share, int(keep.sum()), len(rows)

@@ -147,14 +147,10 @@ def test_sample_refuses(motor, options, code, capsys):
     assert err.startswith("error: ")
 
 
-def test_outputs_of_a_plant_drop_the_states_they_do_not_show(tmp_path):
+def test_outputs_of_a_plant_drop_the_states_they_do_not_show(tmp_path, capsys):
     """With the angle the motor integrates and has no margin; with the speed alone it is stable and has one."""
     file = str(tmp_path / "speed.h5")
-    words = ["uncertain", "build", "--plant", "dc-motor", "--outputs", "omega", "--out", file]
-    assert run(words) == 0
-    import robustlab as rl
-
-    model = rl.load(file)
-    assert model.nominal.state_names == ("omega", "i")
-    assert model.nominal.is_stable()
-    assert run(["uncertain", "build", "a.h5", "b.h5", "--outputs", "omega"]) == 2
+    assert call(capsys, "build", "--plant", "dc-motor", "--outputs", "omega", "--out", file)[0] == 0
+    nominal = load(file).nominal
+    assert (nominal.state_names, nominal.is_stable()) == (("omega", "i"), True)
+    assert call(capsys, "build", "a.h5", "b.h5", "--outputs", "omega")[0] == 2

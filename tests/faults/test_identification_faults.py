@@ -111,3 +111,12 @@ def test_very_short_records(n):
 def test_not_a_model():
     with pytest.raises(InputError, match="compare"):
         rl.compare(42, record())
+
+
+def test_a_signal_too_small_to_be_squared_has_no_fit():
+    """1e-200 is a number, its square is not: no division by it."""
+    from robustlab.identification.comparison import _gap
+    from robustlab.statespace import Signal
+
+    y = 1e-200 * np.sin(T)
+    assert np.isnan(_gap(Signal("q", "m"), T, y, 0.1 * y, 0.1 * y).fit)
