@@ -88,7 +88,6 @@ class Parameters:
     rotor_inertia: float = 0.0
     gravity: float = 9.81
     offset_sign: float = 1.0  # of I_i = sign (-1)^i (K_i x z) at home; the published torque needs +
-    nut_turns: bool = True  # False: the nut's slightly unequal tensor (3e-4) stays in the leg's axes
 
     def with_bodies_scaled(self, factor: float) -> Parameters:
         """All bodies scaled in mass and inertia; the rotor is not one of them."""
@@ -211,13 +210,7 @@ class PinocchioStewart:
             attach(link, par.motor, axes @ (np.array(par.motor_offset) + np.array([0, 0, par.motor_cg])), axes)
             at_nut = pin.SE3(axes, axes @ [0, 0, par.nut_origin])
             nut = model.addJoint(link, pin.JointModelRZ(), at_nut, f"nut{i}")
-            if par.nut_turns:
-                attach(nut, par.nut, np.array([0, 0, par.nut_cg]))
-            else:
-                # mass and transverse inertias ride on the link; only the inertia about K feels the spin
-                across = Body(par.nut.mass, (*par.nut.inertia[:2], 0.0))
-                attach(link, across, axes @ [0, 0, par.nut_origin + par.nut_cg], axes)
-                attach(nut, Body(0.0, (0.0, 0.0, par.nut.inertia[2])), np.zeros(3))
+            attach(nut, par.nut, np.array([0, 0, par.nut_cg]))
             screw = model.addJoint(link, pin.JointModelPZ(), pin.SE3(axes, np.zeros(3)), f"screw{i}")
             attach(screw, par.ball_screw, np.array([0, 0, -par.screw_cg]))
             self._links.append((swing, link))

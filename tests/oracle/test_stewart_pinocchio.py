@@ -44,12 +44,13 @@ HOME = at(0.1262)
 
 
 def random_states(n: int, seed: int = 6) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Poses in the workspace, nut rates (1 rad/s = 0.64 mm/s) and motor torques of a hard run."""
-    rng = np.random.default_rng(seed)
+    """Poses within reach of the actuators, nut rates (1 rad/s = 0.64 mm/s) and motor torques of a hard run."""
+    rng, lengths = np.random.default_rng(seed), PinocchioStewart().lengths
     reach = np.array([0.012, 0.012, 0.012, 0.08, 0.08, 0.12])
-    return [
-        (HOME + reach * rng.uniform(-1, 1, 6), 200 * rng.normal(size=6), 0.02 * rng.normal(size=6)) for _ in range(n)
-    ]
+    poses = (HOME + reach * rng.uniform(-1, 1, 6) for _ in range(50 * n))
+    inside = [pose for pose in poses if lengths(pose).min() > 0.1592 and lengths(pose).max() < 0.1880][:n]
+    assert len(inside) == n
+    return [(pose, 200 * rng.normal(size=6), 0.02 * rng.normal(size=6)) for pose in inside]
 
 
 def b_change(one, other) -> float:
@@ -92,6 +93,8 @@ def test_published_dynamics():
     np.testing.assert_allclose(hold, 0.87012e-3, rtol=1.2e-5)
     legs = PinocchioStewart(replace(THESIS, platform=disc(1e-12)))
     np.testing.assert_allclose(legs.trim_torque(HOME), 0.3575e-3, atol=0.00006e-3)
+    other_side = PinocchioStewart(replace(THESIS, offset_sign=-1.0))  # the printed torque tells the motors' side
+    np.testing.assert_allclose(other_side.trim_torque(HOME), 0.87051e-3, rtol=1e-5)
     M = model.mass_matrix(HOME)
     assert b_change(M, model.mass_matrix(at(0.1062))) == pytest.approx(-1.044, abs=6e-4)  # case 1
     for factor, percent in [(1.025, -0.0037), (1.1, -0.0149)]:  # cases 2a, 2b
