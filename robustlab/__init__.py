@@ -17,6 +17,7 @@ _PUBLIC = {
     "save": "storage",
     # plants from physics
     "plant": "dynamics",
+    "trim": "dynamics",
     "linearise": "dynamics",
     "simulate": "dynamics",
     # uncertainty

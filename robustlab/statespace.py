@@ -74,8 +74,9 @@ def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceM
     if array.ndim != ndim:
         hint = f"write [[...]] for a row, or {name}.reshape(-1, 1) for a column" if ndim == 2 else None
         raise InputError(where, f"{name} has shape {array.shape}", f"{ndim} dimensions", hint)
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
+    finite = np.isfinite(array)
+    if not finite.all():
+        bad = np.argwhere(~finite)
         index = ",".join(str(i) for i in bad[0])
         entry = array[tuple(bad[0])]
         word = "NaN" if np.isnan(entry) else "infinite"
@@ -300,10 +301,14 @@ class StateSpaceModel:
             else:
                 raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace")
         if not isinstance(system, control.StateSpace):
-            raise InputError("from_control", f"{type(system).__name__}", "a control.StateSpace or control.TransferFunction")
+            raise InputError(
+                "from_control", f"{type(system).__name__}", "a control.StateSpace or control.TransferFunction"
+            )
         if system.dt is True or system.dt is None:
             if system.dt is True:
-                raise InputError("from_control", "dt=True (discrete, sample time unknown)", "dt = 0 or a sample time in s")
+                raise InputError(
+                    "from_control", "dt=True (discrete, sample time unknown)", "dt = 0 or a sample time in s"
+                )
             if system.nstates:
                 raise InputError("from_control", "dt=None (timebase unspecified)", "dt = 0 or a sample time in s")
         return cls(
@@ -516,7 +521,9 @@ def _indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) ->
         wanted = [wanted]
     for name in wanted:
         if name not in known:
-            raise InputError(f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
+            raise InputError(
+                f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
+            )
     return [known.index(name) for name in wanted]
 
 

@@ -17,8 +17,10 @@ Březina 2010, eqs 6.1, 6.2, App. A and B (with the misprints of b6, m2 and m3 c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -80,6 +82,11 @@ class Geometry:
     turns: float
 
     @property
+    def radius(self) -> float:
+        """Radius of the platform points, by which angles are made lengths."""
+        return math.hypot(self.platform[0, 0], self.platform[0, 1])
+
+    @cached_property
     def legs(self) -> Array:
         """The rows that the kernels take: b, x*, p, length at home, mount; shape (6, 12)."""
         return np.column_stack([self.base, self.axis, self.platform, self.home_lengths, self.mount])
@@ -121,7 +128,9 @@ def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Ar
     y = w - np.sum(w * axis, axis=1)[:, None] * axis
     reach = np.linalg.norm(y, axis=1, keepdims=True)
     if (reach <= c).any():
-        raise InputError("stewart-platform: c", f"{c:g} m", f"less than {reach.min():.6g} m, the joint's distance at home")
+        raise InputError(
+            "stewart-platform: c", f"{c:g} m", f"less than {reach.min():.6g} m, the joint's distance at home"
+        )
     y = y / reach
     k = w - c * y
     lengths = np.linalg.norm(k, axis=1)

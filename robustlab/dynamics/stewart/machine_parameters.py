@@ -32,7 +32,13 @@ def _body(prefix: str, words: str, mass: float, inertia: tuple[float, float, flo
         Parameter(f"{prefix}_mass", mass, "kg", 0.0, _A, f"mass of the {words}", "nonnegative"),
         *(
             Parameter(
-                f"{prefix}_{axis}", value, "kg m2", 0.0, _A, f"inertia of the {words} about its {axis} axis", "nonnegative"
+                f"{prefix}_{axis}",
+                value,
+                "kg m2",
+                0.0,
+                _A,
+                f"inertia of the {words} about its {axis} axis",
+                "nonnegative",
             )
             for axis, value in axes
         ),
@@ -83,7 +89,13 @@ _BODIES = (
     *_body("motor", "motor body", 0.34, (3.73333e-4, 3.73325e-4, 6.4002e-5)),
     *(Parameter(name, value, "m", 0.0, _A, words, sign) for name, value, words, sign in _ALONG),
     Parameter(
-        "rotor_J", 0.0, "kg m2", 0.0, "left out by the thesis (eqs 7.3, 7.4)", "inertia of the motor's rotor", "nonnegative"
+        "rotor_J",
+        0.0,
+        "kg m2",
+        0.0,
+        "left out by the thesis (eqs 7.3, 7.4)",
+        "inertia of the motor's rotor",
+        "nonnegative",
     ),
 )
 
