@@ -46,8 +46,8 @@ def plant(name: str, /, **parameters: Any) -> Any:
     name
         One of `plant_names`.
     parameters
-        Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``. The Stewart platform also
-        takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``.
+        Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``. The Stewart platform
+        also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``.
 
     Returns
     -------

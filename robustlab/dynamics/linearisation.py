@@ -60,7 +60,9 @@ def linearise(plant: Plant, at: Trim | OperatingPoint | ArrayLike | None = None)
             plant.name,
         )
     if not isinstance(plant, LinearPlant):
-        raise InputError("linearise", f"{type(plant).__name__}", "a plant, as from plant(name)")
+        raise InputError(
+            "linearise", f"{type(plant).__name__}", "a linear plant or a nonlinear one, as from plant(name)"
+        )
     model = plant.state_space()
     if at is None:
         return model

@@ -155,7 +155,7 @@ class NonlinearPlant(Plant):
 
         states = np.empty((len(signal.t), len(x0)))
         states[0] = x0
-        starts = [0, *np.flatnonzero(signal.broken)]
+        starts = [0, *(int(k) for k in np.flatnonzero(signal.broken))]
         for first, last in zip(starts, [*starts[1:], len(signal.t) - 1], strict=True):
             t = signal.t[first : last + 1]
 
@@ -163,9 +163,9 @@ class NonlinearPlant(Plant):
                 k = min(max(int(np.searchsorted(t, time, side="right")) - 1 + first, first), last - 1)
                 return self.derivative(x, signal.at(time, k))
 
-            found = solve_ivp(
-                rates, (t[0], t[-1]), states[first], "DOP853", t_eval=t, rtol=max(rtol, 3e-14), atol=rtol * 1e-2
-            )
+            # The first step is given: at rest the solver would take one that leaves the domain of a mechanism.
+            options = {"rtol": max(rtol, 3e-14), "atol": rtol * 1e-2, "first_step": (t[1] - t[0]) * 1e-2}
+            found = solve_ivp(rates, (t[0], t[-1]), states[first], "DOP853", t_eval=t, **options)
             if not found.success:
                 raise NoTrustworthyNumber(self.name, f"no solution beyond t = {found.t[-1]:.9g} s", None, found.message)
             states[first : last + 1] = found.y.T

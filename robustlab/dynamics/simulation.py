@@ -43,8 +43,8 @@ def simulate(
 
     .. math:: x(t_{k+1}) = e^{A h_k} x(t_k) + \int_0^{h_k} e^{A (h_k - s)} B\, u(t_k + s)\, ds
 
-    evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped. A nonlinear
-    plant is integrated by DOP853 with the local error held at ``rtol``, or in fixed steps.
+    evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped. A
+    nonlinear plant is integrated by DOP853 with the local error held at ``rtol``, or in fixed steps.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def simulate(
     rtol
         Nonlinear plants: relative local error of a step, 1e-8 where left out.
     step
-        Nonlinear plants that offer it: fixed steps (classical Runge-Kutta) of at most this length in s; no error control.
+        Nonlinear plants that offer it: fixed steps (classical Runge-Kutta) of at most this length in s, without error
+        control.
 
     Returns
     -------
@@ -86,7 +87,7 @@ def simulate(
     array([0.      , 0.632121, 0.864665])
     """
     if isinstance(plant_or_model, NonlinearPlant):
-        return _simulate_nonlinear(plant_or_model, t, u, x0, name, hold, rtol, step)
+        return _simulate_nonlinear(plant_or_model, t, u, x0, hold=hold, rtol=rtol, step=step, name=name)
     if isinstance(plant_or_model, Plant) and not hasattr(plant_or_model, "to_model"):
         raise InputError("simulate", f"{plant_or_model.name} is not linear", "a linear plant or a model")
     if rtol is not None or step is not None:
@@ -119,7 +120,15 @@ def simulate(
 
 
 def _simulate_nonlinear(
-    plant: NonlinearPlant, t: Any, u: Any, x0: Any, name: str | None, hold: Any, rtol: float | None, step: float | None
+    plant: NonlinearPlant,
+    t: Any,
+    u: Any,
+    x0: Any,
+    *,
+    hold: Any,
+    rtol: float | None,
+    step: float | None,
+    name: str | None,
 ) -> Record:
     clock = Record(t, name="simulate").t
     signal = input_signal(clock, _inputs(plant.inputs, u, len(clock)), hold)

@@ -1,15 +1,17 @@
 r"""Direct kinematics of the Stewart platform: Newton's method, with a proof that a pose is there.
 
-In the coordinates :math:`x = (T, r_p\,(a_x, a_y, a_z))` the Newton-Kantorovich theorem holds at the end of the iteration:
-with :math:`\beta \ge \|L'(x)^{-1}\|`, :math:`\eta = \beta |L(x) - L^\star|` and a Lipschitz constant gamma of :math:`L'`,
+In the coordinates :math:`x = (T, r_p\,(a_x, a_y, a_z))` the Newton-Kantorovich theorem holds at the end of the
+iteration: with :math:`\beta \ge \|L'(x)^{-1}\|`, :math:`\eta = \beta |L(x) - L^\star|` and a Lipschitz constant
+gamma of :math:`L'`,
 
 .. math:: h = \beta \gamma \eta \le 1/2 \quad\Rightarrow\quad
           \text{one and only one pose with lengths } L^\star \text{ within } \frac{2\eta}{1 + \sqrt{1 - 2h}} .
 
-gamma is known in closed form. The Hessian of a length in its platform point s is :math:`N N^T / L + z z^T \sin\beta / r`,
-of norm at most 1/L (since :math:`r = c + L \sin\beta`). Along a unit direction of x the point moves with
-:math:`|s'| \le 2` and :math:`|s''| \le 3/r_p`, so that :math:`|L_i''| \le 4/L_{min} + 3/r_p` and
-:math:`\gamma = \sqrt 6 (4/L_{min} + 3/r_p)`. The rounding of the computed lengths is added to eta.
+gamma is known in closed form. The Hessian of a length in its platform point s is
+:math:`N N^T / L + z z^T \sin\beta / r`, of norm at most 1/L (since :math:`r = c + L \sin\beta`). Along a unit direction
+of x the point moves with :math:`|s'| \le 2` and :math:`|s''| \le 3/r_p`, so that
+:math:`|L_i''| \le 4/L_{min} + 3/r_p` and :math:`\gamma = \sqrt 6 (4/L_{min} + 3/r_p)`. The rounding of the computed
+lengths is added to the miss.
 
 References
 ----------
@@ -110,17 +112,17 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     if not one and len(seed) != len(target):
         raise InputError("direct_kinematics", f"{len(seed)} starts", f"1 or {len(target)}, one for each row of lengths")
     seeds = np.array(np.broadcast_to(seed, target.shape), order="C")
-    poses, facts = np.empty_like(target), np.empty((len(target), 7))
+    poses, facts = np.empty_like(target), np.empty((len(target), 4))
     kernels().direct_poses(target, seeds, geometry.legs, geometry.c, LIMIT, poses, facts)
-    proved = (facts[:, 0] >= 0) & (facts[:, 2] <= 0.5)
-    return DirectPoses(poses, target, proved, facts[:, 2], facts[:, 3], facts[:, 6], facts[:, 0].astype(np.int64))
+    proved = (facts[:, 0] >= 0) & (facts[:, 1] <= 0.5)
+    return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
 
 
 def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> DirectPoses:
     """All different poses with one set of lengths (6,) that Newton's method reaches from the seeds (n, 6).
 
-    A Stewart platform can be put together in several ways with the same lengths; seeds from a grid over (and beyond) the
-    workspace find those that lie there. Only proved poses are kept; it is no proof that there are no more.
+    A Stewart platform can be put together in several ways with the same lengths; seeds from a grid over (and beyond)
+    the workspace find those that lie there. Only proved poses are kept; it is no proof that there are no more.
 
     Raises
     ------

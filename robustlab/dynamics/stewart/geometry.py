@@ -1,14 +1,14 @@
 r"""Geometry of the Stewart platform, and the numbers that its equations of motion need.
 
-Legs 1..6 go round counter-clockwise. The base points stand in pairs at -30, 90, 210 degrees, the platform points in pairs
-at 30, 150, 270 degrees, so that each leg leans from one pair to the next:
+Legs 1..6 go round counter-clockwise. The base points stand in pairs at -30, 90, 210 degrees, the platform points
+in pairs at 30, 150, 270 degrees, so that each leg leans from one pair to the next:
 
 .. math::
     b_i = r_b (\cos, \sin)(\beta_i), \quad \beta = \{-30 + \alpha_b,\; 90 - \alpha_b,\; 90 + \alpha_b, \dots\}, \qquad
     p_i = r_p (\cos, \sin)(\pi_i), \quad \pi = \{30 - \alpha_p,\; 30 + \alpha_p,\; \dots\}
 
-The universal joint of leg i turns first about the axis :math:`x^*_i = (m_i - b_i)/|m_i - b_i|` through the bearing point
-:math:`m_i = r_m (\cos, \sin)(\beta_i \mp \alpha_m)`, :math:`z = z_m`.
+The universal joint of leg i turns first about the axis :math:`x^*_i = (m_i - b_i)/|m_i - b_i|` through the bearing
+point :math:`m_i = r_m (\cos, \sin)(\beta_i \mp \alpha_m)`, :math:`z = z_m`.
 
 References
 ----------
@@ -146,8 +146,8 @@ def constants(p: Mapping[str, Any]) -> Array:
 
     The parameters may be arrays of one shape (n,), for n machines at once; then the result is (n, 28), else (28,).
     ``m0 m1 m2`` are the sums of m, m zeta, m zeta^2 over link, nut and motor body, zeta their height along the leg;
-    ``x1 x2 xz`` the motor body's m eta, m eta^2, m zeta eta, eta its offset along I. ``leg_I leg_J leg_K`` are the inertias
-    of link, screw and motor body, ``rotor`` is the rotor's, felt as a mass at the screw.
+    ``x1 x2 xz`` the motor body's m eta, m eta^2, m zeta eta, eta its offset along I. ``leg_I leg_J leg_K`` are the
+    inertias of link, screw and motor body, ``rotor`` is the rotor's, felt as a mass at the screw.
     """
     link, nut, motor = p["link_mass"], p["nut_mass"], p["motor_mass"]
     at_link, at_nut, at_motor = p["link_cg"], p["nut_at"] + p["nut_cg"], p["motor_at"] + p["motor_cg"]

@@ -1,3 +1,5 @@
+# pyright: reportMissingParameterType=false
+# (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
 r"""Compiled equations of the Stewart platform.
 
 Each leg is a function of its platform point s alone. With x the first joint axis, y the unit vector from it towards the
@@ -117,7 +119,7 @@ def _rotation(q):
 
 @leaf
 def _arm(rotation, legs, i):
-    """rho = R p of leg i."""
+    """Arm rho = R p of leg i."""
     px, py, pz = legs[i, 6], legs[i, 7], legs[i, 8]
     return (
         rotation[0] * px + rotation[1] * py + rotation[2] * pz,
@@ -128,7 +130,7 @@ def _arm(rotation, legs, i):
 
 @leaf
 def _leg_length(legs, i, c, sx, sy, sz):
-    """a = L cos(beta), L sin(beta), r and L of leg i with its platform point at s."""
+    """Normal part of s - b, L cos(beta), L sin(beta), r and L of leg i with its platform point at s."""
     wx, wy, wz = sx - legs[i, 0], sy - legs[i, 1], sz - legs[i, 2]
     a = wx * legs[i, 3] + wy * legs[i, 4] + wz * legs[i, 5]
     nx, ny, nz = wx - a * legs[i, 3], wy - a * legs[i, 4], wz - a * legs[i, 5]
@@ -232,7 +234,7 @@ def _miss(q, legs, c, target):
 
 @leaf
 def _newton(q, target, legs, c, limit, lengths, jacobian, step):
-    """Damped Newton from q (overwritten); returns (iterations, length of the last step), -1 where it fails.
+    """Damped Newton from q (overwritten); returns the number of steps, -1 where the Jacobian is singular.
 
     A step is halved until the miss shrinks; it ends when the miss no longer does, which is at the rounding of L.
     """
@@ -244,7 +246,7 @@ def _newton(q, target, legs, c, limit, lengths, jacobian, step):
         for i in range(6):
             step[i, 0] = target[i] - lengths[i]
         if not _solve(jacobian, step, 6, 1):
-            return -1, np.inf
+            return -1
         roll, pitch, yaw = _angle_rates(q, step[3, 0], step[4, 0], step[5, 0])
         size = np.sqrt(
             step[0, 0] ** 2 + step[1, 0] ** 2 + step[2, 0] ** 2 + radius**2 * (roll * roll + pitch * pitch + yaw * yaw)
@@ -263,65 +265,62 @@ def _newton(q, target, legs, c, limit, lengths, jacobian, step):
             if share < 1e-6:
                 break
         if not there < miss:
-            return iteration, size
+            return iteration
         miss = there
         for i in range(6):
             q[i] = trial[i]
         if miss < 4e-17:
-            return iteration + 1, size
-    return limit, np.inf
+            return iteration + 1
+    return limit
 
 
 @leaf
 def _certificate(q, target, legs, c, lengths, jacobian, unit):
-    """Newton-Kantorovich at q in the coordinates (T, r_p angles); returns (h, radius, uniqueness, beta, miss).
+    """Newton-Kantorovich at q in the coordinates (T, r_p angles); returns (h, radius, miss).
 
-    The second derivative of a length along a unit direction is at most 4/L + 3/r_p (see `direct_kinematics`). To the
-    first step's bound the rounding of L, at most 1e-15 m a leg, is added.
+    The second derivative of a length along a unit direction is at most 4/L + 3/r_p (see `direct_kinematics`) as long as
+    r > c. To the first step's bound the rounding of L, at most 1e-15 m a leg, is added.
     """
-    radius = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
+    arm = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
     _lengths_and_jacobian(q, legs, c, lengths, jacobian)
+    rotation = _rotation(q)
     shortest, miss = np.inf, 0.0
     for i in range(6):
-        shortest = min(shortest, lengths[i])
+        rho = _arm(rotation, legs, i)
+        shortest = min(shortest, _leg_length(legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2])[4])
         miss += (target[i] - lengths[i]) ** 2
         for j in range(6):
             unit[i, j] = 1.0 if i == j else 0.0
+    miss = np.sqrt(miss)
     if not _solve(jacobian, unit, 6, 6):
-        return np.inf, np.inf, 0.0, np.inf, np.sqrt(miss)
+        return np.inf, np.inf, miss
     beta = 0.0
     for j in range(6):
         roll, pitch, yaw = _angle_rates(q, unit[3, j], unit[4, j], unit[5, j])
         beta += unit[0, j] ** 2 + unit[1, j] ** 2 + unit[2, j] ** 2
-        beta += radius**2 * (roll * roll + pitch * pitch + yaw * yaw)
+        beta += arm**2 * (roll * roll + pitch * pitch + yaw * yaw)
     beta = np.sqrt(beta)
-    miss = np.sqrt(miss)
     first = beta * (miss + 2.5e-15)
+    # The theorem looks no further than 2 first from q, where platform points move by 4 first; L is no less than r - c.
     room = shortest - 4.0 * first
     if not room > 0.0:
-        return np.inf, np.inf, 0.0, beta, miss
-    gamma = np.sqrt(6.0) * (4.0 / room + 3.0 / radius)
-    h = beta * gamma * first
+        return np.inf, np.inf, miss
+    h = beta * np.sqrt(6.0) * (4.0 / room + 3.0 / arm) * first
     if not h <= 0.5:
-        return h, np.inf, 0.0, beta, miss
-    root = np.sqrt(1.0 - 2.0 * h)
-    # the bound on the second derivative holds within 2 first of q, where L stays above room
-    return h, 2.0 * first / (1.0 + root), min((1.0 + root) / (beta * gamma), 2.0 * first), beta, miss
+        return h, np.inf, miss
+    return h, 2.0 * first / (1.0 + np.sqrt(1.0 - 2.0 * h)), miss
 
 
 @entry("void(f8[:,::1], f8[:,::1], f8[:,::1], f8, i8, f8[:,::1], f8[:,::1])")
 def direct_poses(targets, starts, legs, c, limit, poses, facts):
-    """Poses (n, 6) with the lengths (n, 6), each from its start; facts (n, 7): iterations, last step, certificate."""
+    """Poses (n, 6) with the lengths (n, 6), each from its start; facts (n, 4): iterations, h, radius, miss."""
     lengths, jacobian, step, unit = np.empty(6), np.empty((6, 6)), np.empty((6, 1)), np.empty((6, 6))
     for k in range(targets.shape[0]):
         q = poses[k]
         for i in range(6):
             q[i] = starts[k, i]
-        iterations, size = _newton(q, targets[k], legs, c, limit, lengths, jacobian, step)
-        facts[k, 0], facts[k, 1] = iterations, size
-        facts[k, 2], facts[k, 3], facts[k, 4], facts[k, 5], facts[k, 6] = _certificate(
-            q, targets[k], legs, c, lengths, jacobian, unit
-        )
+        facts[k, 0] = _newton(q, targets[k], legs, c, limit, lengths, jacobian, step)
+        facts[k, 1], facts[k, 2], facts[k, 3] = _certificate(q, targets[k], legs, c, lengths, jacobian, unit)
 
 
 # --- dynamics --------------------------------------------------------------------------------------------------------
@@ -510,7 +509,8 @@ def trim_torques(poses, legs, constants, phi, torques):
 def linearisations(poses, twists, torques, legs, constants, stiffness, damping, gain):
     """d(phidd)/d(phi, dphi, torque), each (n, 6, 6), at fixed torques; False at a singular pose.
 
-    With phidd = F(q, V), phi = Phi(q), dphi = J(q) V:  damping = F_V J^-1, stiffness = (F_q - damping (J V)_q) Phi_q^-1.
+    With phidd = F(q, V), phi = Phi(q), dphi = J(q) V:  damping = F_V J^-1,
+    stiffness = (F_q - damping (J V)_q) Phi_q^-1.
     """
     mass, force, jacobian = np.empty((6, 6), np.complex128), np.empty(6, np.complex128), np.empty((6, 6), np.complex128)
     bias, phi = np.empty(6, np.complex128), np.empty(6, np.complex128)

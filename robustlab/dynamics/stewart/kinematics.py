@@ -4,10 +4,11 @@ r"""Inverse kinematics of the Stewart platform, and its Jacobians of velocity an
     L_i = |p_{T,i} - d_i|, \quad p_T = T + R p, \quad d = b + c\,y^*, \qquad
     \dot L = K \cdot v + (\rho \times K) \cdot \omega, \qquad \rho = R p,
 
-    \ddot L = J \dot V + \Big( K \cdot \omega \times (\omega \times \rho) + r \dot\theta^2 \sin\beta + L \dot\beta^2 \Big)
+    \ddot L = J \dot V + K \cdot \omega \times (\omega \times \rho) + r \dot\theta^2 \sin\beta + L \dot\beta^2
 
 with :math:`V = (v, \omega)` the platform's twist in the base frame at the origin T of the platform frame,
-:math:`\dot\theta = z \cdot \dot s / r` and :math:`\dot\beta = N \cdot \dot s / L` (see `robustlab.dynamics.stewart.kernels`).
+:math:`\dot\theta = z \cdot \dot s / r` and :math:`\dot\beta = N \cdot \dot s / L` (see
+`robustlab.dynamics.stewart.kernels`).
 
 A pose is (tx, ty, tz, ax, ay, az) in m and rad, R = Rz(az) Ry(ay) Rx(ax).
 

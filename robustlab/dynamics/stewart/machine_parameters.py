@@ -51,20 +51,22 @@ _GEOMETRY = (
     Parameter("r_p", 0.190, "m", 0.0, _B, "radius of the platform points", "positive"),
     Parameter("alpha_p", math.radians(6.47), "rad", 0.0, _B, "platform points: angle from the middle of their pair"),
     Parameter("r_m", 0.17611, "m", 0.0, _B, "radius of the bearing points", "positive"),
-    Parameter("alpha_m", math.radians(5.52), "rad", 0.0, _B, "bearing points: angle from base point to the pair's middle"),
+    Parameter("alpha_m", math.radians(5.52), "rad", 0.0, _B, "bearing points: angle from their base points"),
     Parameter("z_m", 0.0169, "m", 0.0, _B, "height of the bearing points over the base points"),
-    Parameter("c", 0.010, "m", 0.0, _A, "distance of the universal joint's two axes; 0 is the plain joint", "nonnegative"),
+    Parameter("c", 0.010, "m", 0.0, _A, "distance of the joint's two axes; 0: plain joint", "nonnegative"),
     Parameter("z_home", 0.1262, "m", 0.0, _B, "height of the home pose, where the nut angles are zero", "positive"),
     Parameter("L_min", 0.1590, "m", 0.0, "Březina 2010, section 6.1.1", "shortest actuator", "positive"),
     Parameter(
-        "L_max", 0.1881, "m", 0.0, "Březina 2010, section 6.1.1 (188 mm; z = 0.1462 m needs 188.06)", "longest actuator",
+        "L_max", 0.1881, "m", 0.0, "Březina 2010, section 6.1.1 (188 mm; z = 0.1462 m needs 188.06)",
+        "longest actuator",
         "positive",
     ),
 )  # fmt: skip
 
 _DRIVE = (
     Parameter("lead", 0.004, "m", 0.0, _A, "travel of the screw per turn of the nut", "positive"),
-    Parameter("ratio", 4.8 * 41 / 21, "", 0.0, "Březina 2010, section 6.1.1", "turns of the motor per turn of the nut", "positive"),
+    Parameter("ratio", 4.8 * 41 / 21, "rad/rad", 0.0, "Březina 2010, section 6.1.1", "motor turns per nut turn",
+              "positive"),
     Parameter("gravity", 9.81, "m/s2", 0.0, "standard", "acceleration of gravity, along -z"),
 )  # fmt: skip
 
@@ -104,7 +106,7 @@ _MOTOR = (
     Parameter("L", 0.62e-3, "H", 0.0, _SHEET, "terminal inductance", "positive"),
     Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", "positive"),
     Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", "nonnegative"),
-    Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, f"{_SHEET}; tolerance: section 10.1.1", "viscous friction", "nonnegative"),
+    Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, f"{_SHEET}; cover: section 10.1.1", "viscous friction", "nonnegative"),
 )  # fmt: skip
 
 

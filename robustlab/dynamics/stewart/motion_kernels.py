@@ -1,3 +1,5 @@
+# pyright: reportMissingParameterType=false
+# (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
 """Compiled simulation of the Stewart platform: DOP853 with error control and dense output, and RK4 with a fixed step.
 
 The state is z = (pose, twist) or (pose, twist, currents): in the pose the equations need no direct kinematics. Inputs
@@ -8,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robustlab.dynamics.stewart.dop853_tableau import STAGES_EXTENDED, A, B, C, D, E3, E5
+from robustlab.dynamics.stewart.dop853_tableau import E3, E5, STAGES_EXTENDED, A, B, C, D
 from robustlab.dynamics.stewart.kernels import (
     KB,
     KF,
@@ -30,8 +32,8 @@ DONE, LEFT_WORKSPACE, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 MAX_STEPS = 1_000_000
-# The local error is held at rtol times these, for (T, angles, v, w, currents) in m, rad, m/s, rad/s, A: 10 mm, 0.05 rad of
-# travel, and what is slow at a nut (16 rad/s) and small at a motor.
+# The local error is held at rtol times these, for (T, angles, v, w, currents) in m, rad, m/s, rad/s, A: 10 mm,
+# 0.05 rad of travel, and what is slow at a nut (16 rad/s) and small at a motor.
 SCALE = np.array([1e-2] * 3 + [5e-2] * 3 + [1e-2] * 3 + [5e-2] * 3 + [1e-1] * 6)
 
 
@@ -57,8 +59,9 @@ def _input_between(t, first, following, k, clock, polynomials, u):
 
 
 @leaf
-def _rates(z, u, legs, p, motors, mass, force, jacobian, bias, phi, torque, dz):
+def _rates(z, u, legs, p, motors, work, dz):
     """dz/dt under u: motor torques, or voltages with the motors attached."""
+    _, torque, mass, force, jacobian, bias, phi = work
     q, v = z[:6], z[6:12]
     if motors:
         _terms(q, v, legs, p, mass, force, jacobian, bias, phi)
@@ -105,7 +108,7 @@ def _norm(a, scale):
 
 @leaf
 def _stage(s, z, h, stages, at):
-    """z + h sum_j A[s, j] stages[j] into at."""
+    """Point z + h sum_j A[s, j] stages[j] into at."""
     n = z.shape[0]
     for i in range(n):
         at[i] = 0.0
@@ -155,6 +158,47 @@ def _dense(z, f, share, out):
 _ARRAYS = "f8[::1], f8[::1], f8[:,:,::1], b1[::1], f8[:,::1], f8[::1], b1, f8, f8"
 
 
+@leaf
+def _attempt(z, t, h, piece, following, clock, polynomials, legs, p, motors, rtol, work, stages, at, end, scale):
+    """One step of length h from z at t into end, its 13 stages, and its error (below 1: accepted)."""
+    n, k, u = z.shape[0], piece, work[0]
+    for s in range(1, 12):
+        _stage(s, z, h, stages, at)
+        k = _input_between(t + C[s] * h, piece, following, k, clock, polynomials, u)
+        _rates(at, u, legs, p, motors, work, stages[s])
+    _stage_end(z, h, stages, end)
+    _input_between(t + h, piece, following, k, clock, polynomials, u)
+    _rates(end, u, legs, p, motors, work, stages[12])
+    e5, e3 = 0.0, 0.0
+    for i in range(n):
+        scale[i] = rtol * (SCALE[i] if i < 6 else max(SCALE[i], abs(z[i]), abs(end[i])))
+        error5, error3 = 0.0, 0.0
+        for j in range(13):
+            error5 += E5[j] * stages[j, i]
+            error3 += E3[j] * stages[j, i]
+        e5 += (error5 / scale[i]) ** 2 / n
+        e3 += (error3 / scale[i]) ** 2 / n
+    if e5 == 0.0 and e3 == 0.0:
+        return 0.0
+    return h * e5 / np.sqrt(e5 + 0.01 * e3)
+
+
+@leaf
+def _extend(z, t, h, piece, following, clock, polynomials, legs, p, motors, work, stages, at):
+    """The three more stages that the dense output asks for."""
+    k, u = piece, work[0]
+    for s in range(13, 16):
+        _stage(s, z, h, stages, at)
+        k = _input_between(t + C[s] * h, piece, following, k, clock, polynomials, u)
+        _rates(at, u, legs, p, motors, work, stages[s])
+
+
+@leaf
+def _workspace():
+    """Work arrays of `_rates`: input, torque, mass, force, Jacobian, bias, nut angles."""
+    return np.empty(6), np.empty(6), np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6), np.empty(6)
+
+
 @entry(f"Tuple((i8, f8, i8))({_ARRAYS}, f8, f8[:,::1], f8[:,::1])")
 def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, longest, rtol, z_at, x_at):
     """States z (n, n_z) and x (n, n_x) at the times of the clock (n,); returns (outcome, time reached, evaluations).
@@ -163,11 +207,10 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
     must restart.
     """
     n, last = start.shape[0], clock.shape[0] - 1
-    mass, force, jacobian = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
-    bias, phi, torque, u = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
-    lengths, x = np.empty(6), np.empty(n)
+    work = _workspace()
+    lengths, jacobian, x = np.empty(6), np.empty((6, 6)), np.empty(n)
     stages, f = np.empty((16, n)), np.empty((7, n))
-    z, end, at, scale, error5, error3 = start.copy(), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    z, end, at, scale = start.copy(), np.empty(n), np.empty(n), np.empty(n)
     t, sample, evaluations, h = clock[0], 1, 0, 0.0
     z_at[0] = z
     if not _observe(z, legs, p, lengths, jacobian, shortest, longest, x_at[0]):
@@ -178,9 +221,8 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
         while following < last and not broken[following]:
             following += 1
         stop = clock[following]
-        k = piece
-        _input_within(t, k, clock, polynomials, u)
-        _rates(z, u, legs, p, motors, mass, force, jacobian, bias, phi, torque, stages[0])
+        _input_within(t, piece, clock, polynomials, work[0])
+        _rates(z, work[0], legs, p, motors, work, stages[0])
         evaluations += 1
         if h == 0.0:
             for i in range(n):
@@ -193,24 +235,10 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
             step, ends = h, False
             if t + 1.001 * step >= stop:
                 step, ends = stop - t, True
-            for s in range(1, 12):
-                _stage(s, z, step, stages, at)
-                k = _input_between(t + C[s] * step, piece, following, k, clock, polynomials, u)
-                _rates(at, u, legs, p, motors, mass, force, jacobian, bias, phi, torque, stages[s])
-            _stage_end(z, step, stages, end)
-            k = _input_between(t + step, piece, following, k, clock, polynomials, u)
-            _rates(end, u, legs, p, motors, mass, force, jacobian, bias, phi, torque, stages[12])
+            error = _attempt(
+                z, t, step, piece, following, clock, polynomials, legs, p, motors, rtol, work, stages, at, end, scale
+            )
             evaluations += 12
-            for i in range(n):
-                scale[i] = rtol * (SCALE[i] if i < 6 else max(SCALE[i], abs(z[i])))
-                error5[i], error3[i] = 0.0, 0.0
-                for j in range(13):
-                    error5[i] += E5[j] * stages[j, i]
-                    error3[i] += E3[j] * stages[j, i]
-            e5, e3 = _norm(error5, scale) ** 2, _norm(error3, scale) ** 2
-            error = 0.0
-            if e5 > 0.0 or e3 > 0.0:
-                error = step * e5 / np.sqrt(e5 + 0.01 * e3)
             if not error < 1.0:
                 if not np.isfinite(error):
                     error = 1e12
@@ -220,10 +248,7 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
                 continue
             t_end = stop if ends else t + step
             if sample <= last and clock[sample] < t_end:
-                for s in range(13, 16):
-                    _stage(s, z, step, stages, at)
-                    k = _input_between(t + C[s] * step, piece, following, k, clock, polynomials, u)
-                    _rates(at, u, legs, p, motors, mass, force, jacobian, bias, phi, torque, stages[s])
+                _extend(z, t, step, piece, following, clock, polynomials, legs, p, motors, work, stages, at)
                 evaluations += 3
                 _polynomial(z, end, step, stages, f)
                 while sample <= last and clock[sample] < t_end:
@@ -255,8 +280,7 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
 def integrate_fixed(start, clock, polynomials, broken, legs, p, motors, shortest, longest, step, z_at, x_at):
     """The same by the classical Runge-Kutta method in equal steps of at most ``step`` between two samples."""
     n = start.shape[0]
-    mass, force, jacobian = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
-    bias, phi, torque, u, lengths = np.empty(6), np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    work, lengths, jacobian = _workspace(), np.empty(6), np.empty((6, 6))
     z, at, dz, total = start.copy(), np.empty(n), np.empty(n), np.empty(n)
     evaluations = 0
     z_at[0] = z
@@ -272,8 +296,8 @@ def integrate_fixed(start, clock, polynomials, broken, legs, p, motors, shortest
                 share = 0.0 if s == 0 else (1.0 if s == 3 else 0.5)
                 for i in range(n):
                     at[i] = z[i] if s == 0 else z[i] + share * h * dz[i]
-                _input_within(t + share * h, k, clock, polynomials, u)
-                _rates(at, u, legs, p, motors, mass, force, jacobian, bias, phi, torque, dz)
+                _input_within(t + share * h, k, clock, polynomials, work[0])
+                _rates(at, work[0], legs, p, motors, work, dz)
                 weight = 1.0 if s in (0, 3) else 2.0
                 for i in range(n):
                     total[i] = weight * dz[i] + (0.0 if s == 0 else total[i])

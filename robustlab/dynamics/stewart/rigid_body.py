@@ -43,18 +43,18 @@ def nut_to_twist(plant: StewartPlatform, pose: ArrayLike) -> Array:
     smallest, largest = singularity(plant.geometry, array)
     if not smallest > SINGULAR * largest:
         raise NoTrustworthyNumber(plant.name, f"singular pose: smallest singular value {smallest:.3g}")
-    return np.asarray(np.linalg.inv(_equations(plant, array, np.zeros(6))[2]))
+    return np.asarray(np.linalg.inv(_equations(plant, array, np.zeros(6))[2]), dtype=np.float64)
 
 
 def mass_matrix(plant: StewartPlatform, pose: ArrayLike) -> Array:
     """M in kg m2 at the nuts, shape (6, 6)."""
     inverse = nut_to_twist(plant, pose)
     mass = _equations(plant, real_array_of_one(pose, plant.name), np.zeros(6))[0]
-    return inverse.T @ mass @ inverse
+    return np.asarray(inverse.T @ mass @ inverse, dtype=np.float64)
 
 
 def bias_torque(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -> Array:
-    """b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
+    """Torques b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
     inverse = nut_to_twist(plant, pose)
     array, rates = real_array_of_one(pose, plant.name), real_array("phidot", phidot, 1, plant.name)
     mass, force, _, bias = _equations(plant, array, inverse @ rates)

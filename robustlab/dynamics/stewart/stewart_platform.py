@@ -140,10 +140,10 @@ class StewartPlatform(NonlinearPlant):
     def _motion(self, x: Array) -> tuple[Array, Array]:
         """Pose and twist (1, 6) of a state."""
         g, code = self.geometry, kernels()
-        pose, facts = np.empty((1, 6)), np.empty((1, 7))
+        pose, facts = np.empty((1, 6)), np.empty((1, 4))
         lengths = (g.home_lengths + x[:6] / g.turns)[None]
         code.direct_poses(lengths, np.array(g.home[None]), g.legs, g.c, LIMIT, pose, facts)
-        if not (facts[0, 0] >= 0 and facts[0, 2] <= 0.5):
+        if not (facts[0, 0] >= 0 and facts[0, 1] <= 0.5):
             raise NoTrustworthyNumber(self.name, f"no pose has the nut angles {x[:6].round(3).tolist()}")
         if not x[6:12].any():
             return pose, np.zeros((1, 6))
@@ -158,7 +158,7 @@ class StewartPlatform(NonlinearPlant):
         p = self.values
         return p["Km"] * x[12:] - p["Kf"] * p["ratio"] * x[6:12]
 
-    # --- the contract of a plant ---------------------------------------------------------------------------------------
+    # --- the contract of a plant -------------------------------------------------------------------------------------
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """``f(x, u)``, shape (12,) or (18,)."""
@@ -239,15 +239,15 @@ class StewartPlatform(NonlinearPlant):
         run, accuracy = (code.integrate, rtol) if step is None else (code.integrate_fixed, step)
         low, high = self.geometry.limits
         outcome, time, _ = run(
-            start, np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken, self.geometry.legs, self._numbers[0],
-            self.motors, low - 1e-9, high + 1e-9, accuracy, z, states,
+            start, np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken, self.geometry.legs,
+            self._numbers[0], self.motors, low - 1e-9, high + 1e-9, accuracy, z, states,
         )  # fmt: skip
         if outcome == code.LEFT_WORKSPACE:
             raise NoTrustworthyNumber(
                 self.name,
                 f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
                 None,
-                "the platform falls with its torques held: simulate a shorter time, close a loop, or widen L_min, L_max",
+                "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
             )
         if outcome != code.DONE:
             words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
@@ -277,13 +277,14 @@ def linear_models(
 ) -> LinearModels:
     """Linear models at the poses (n, 6), each at its own values of the named parameters (n,).
 
-    What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are not
-    checked against the workspace.
+    What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are
+    not checked against the workspace.
 
     Raises
     ------
     InputError
-        An unknown parameter, one that shapes the legs (build the plant anew for that), values of the wrong number or sign.
+        An unknown parameter, one that shapes the legs (build the plant anew for that), values of the wrong number
+        or sign.
     NoTrustworthyNumber
         A singular pose.
     """
