@@ -34,6 +34,7 @@ _PLANTS = {
     "servo-axis": "servo_axis",
     "mass-spring-damper": "mass_spring_damper",
     "two-mass": "two_mass",
+    "linear-actuator": "linear_actuator",
     "stewart-platform": "stewart.stewart_platform",
 }
 
