@@ -34,7 +34,7 @@ def main() -> None:
 
     plant = rl.plant("stewart-platform")
     g, rng = plant.geometry, np.random.default_rng(0)
-    pose, trim = g.home + [0.002, 0.0, 0.001, 0.01, 0.0, 0.02], rl.trim(plant)
+    pose, trim = g.home + np.array([0.002, 0.0, 0.001, 0.01, 0.0, 0.02]), rl.trim(plant)
     line(
         "linearise at a pose, with trim and all checks",
         1e3 * median(lambda: rl.linearise(plant, at=pose), 200),

@@ -100,8 +100,8 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
     if len(result) != count:
         raise InputError(where, f"{len(result)} signal names", f"{count}")
     names = [s.name for s in result]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
+    if len(set(names)) < len(names):
+        twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(where, f"signal name {twice[0]!r} is used twice", "unique names")
     return tuple(result)
 

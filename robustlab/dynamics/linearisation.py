@@ -48,17 +48,13 @@ def linearise(plant: Plant, at: Trim | OperatingPoint | ArrayLike | None = None)
     StateSpaceModel(3 states, [u] -> [phi, omega, i], continuous)
     """
     if isinstance(plant, NonlinearPlant):
-        x, u = _point(plant, at)
-        matrices = plant.jacobians(x, u)
-        return StateSpaceModel(
-            *matrices,
-            0.0,
-            plant.inputs,
-            plant.outputs,
-            plant.states,
-            OperatingPoint(x, u, plant.output(x, u)),
-            plant.name,
-        )
+        trimmed = _trimmed(plant, at)
+        if trimmed is None:
+            x, u = _point(plant, at)
+            matrices, point = plant.jacobians(x, u), OperatingPoint(x, u, plant.output(x, u))
+        else:
+            matrices, point = plant.jacobians_at(trimmed), trimmed.operating_point
+        return StateSpaceModel(*matrices, 0.0, plant.inputs, plant.outputs, plant.states, point, plant.name)
     if not isinstance(plant, LinearPlant):
         raise InputError(
             "linearise", f"{type(plant).__name__}", "a linear plant or a nonlinear one, as from plant(name)"
@@ -73,17 +69,26 @@ def linearise(plant: Plant, at: Trim | OperatingPoint | ArrayLike | None = None)
     )
 
 
+def _trimmed(plant: NonlinearPlant, at: Any) -> Trim | None:
+    """The trim that the user gave, or asked for by giving nothing or a pose; None where ``at`` is something else."""
+    if isinstance(at, Trim):
+        if at.plant != plant.name or len(at.x) != len(plant.states) or len(at.u) != len(plant.inputs):
+            raise InputError("linearise: at", f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
+        return at
+    if at is None:
+        return plant.equilibrium()
+    if isinstance(at, (tuple, list)) and len(at) == 2:
+        return None
+    if not isinstance(at, (str, dict, OperatingPoint)) and np.ndim(at) == 1:
+        return plant.equilibrium(pose=at)
+    return None
+
+
 def _point(plant: Plant, at: Any) -> tuple[Any, Any]:
     """State and input of what the user gave as the operating point."""
     if isinstance(at, (Trim, OperatingPoint)):
         return plant.point(at.x, at.u)
     if isinstance(at, (tuple, list)) and len(at) == 2:
         return plant.point(*at)
-    if isinstance(plant, NonlinearPlant):
-        if at is None:
-            trimmed = plant.equilibrium()
-            return trimmed.x, trimmed.u
-        if np.ndim(at) == 1:
-            trimmed = plant.equilibrium(pose=at)
-            return trimmed.x, trimmed.u
-    raise InputError("linearise: at", f"{type(at).__name__}", "(x, u), or None")
+    expected = "a trim, a pose or (x, u)" if isinstance(plant, NonlinearPlant) else "(x, u), or None"
+    raise InputError("linearise: at", f"{type(at).__name__}", expected)

@@ -135,6 +135,10 @@ class NonlinearPlant(Plant):
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Exact A, B, C, D = df/dx, df/du, dh/dx, dh/du at (x, u); no finite differences."""
 
+    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
+        """The same at a trim, which may know more than x and u."""
+        return self.jacobians(trim.x, trim.u)
+
     @abstractmethod
     def equilibrium(self, **where: Any) -> Trim:
         """State and input at which the plant stays; what it may be asked for is the plant's own matter."""

@@ -121,7 +121,7 @@ def test_bad_simulations():
         rl.simulate(PLANT, T, hold, hold="cubic")
     with pytest.raises(rl.InputError, match="at least 6"):
         rl.simulate(PLANT, T[:5], hold[:5], hold="spline")
-    with pytest.raises(rl.InputError, match="12 .*|numbers for"):
+    with pytest.raises(rl.InputError, match="3 numbers for phi_1"):
         rl.simulate(PLANT, T, hold, np.zeros(3))
     for bad in ({"rtol": 0.0}, {"rtol": "small"}, {"step": -1.0}, {"rtol": float("nan")}):
         with pytest.raises(rl.InputError, match="between 0 and 1"):

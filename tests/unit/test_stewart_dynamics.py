@@ -108,7 +108,7 @@ def test_linear_model_is_controllable_and_unstable():
     np.testing.assert_allclose(poles, -poles[::-1], atol=1e-9)
 
 
-# --- laws of mechanics -------------------------------------------------------------------------------------------------
+# --- laws of mechanics ---------------------------------------------------------------
 
 
 def central(f, x, step):
@@ -171,7 +171,7 @@ def test_three_fold_symmetry():
     )
 
 
-# --- derivatives ---------------------------------------------------------------------------------------------------------
+# --- derivatives ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("motors", [False, True])
@@ -184,7 +184,7 @@ def test_linear_model_is_the_derivative(motors):
         x[6:12] = speed * rng.normal(size=6)
         model = rl.linearise(plant, at=(x, u))
         size = np.array([0.05] * 6 + [0.5] * 6 + [0.1] * (6 if motors else 0))
-        A = central(lambda s: plant.derivative(size * s, u), x / size, 1.0) / size
+        A = central(lambda s, size=size: plant.derivative(size * s, u), x / size, 1.0) / size
         B = central(lambda v: plant.derivative(x, v), u, 1e-3)
         for rows in (slice(0, 6), slice(6, 12), slice(12, None)):
             for columns in (slice(0, 6), slice(6, 12), slice(12, None)):
@@ -212,7 +212,7 @@ def test_many_linear_models_are_the_single_ones():
             np.testing.assert_allclose(many.x[k], one.operating_point.x, rtol=1e-12, atol=1e-9)
 
 
-# --- trim and simulation -------------------------------------------------------------------------------------------------
+# --- trim and simulation ---------------------------------------------------------------
 
 
 def test_trim_by_pose_and_by_angles():

@@ -88,7 +88,7 @@ def test_velocity_and_acceleration_jacobians():
         def motion(t, pose=pose, rate=rate, bend=bend):
             return pose + rate * t + 0.5 * bend * t * t
 
-        first, second = along(lambda t: inverse_kinematics(G, motion(t)), 2e-3)  # noqa: B023
+        first, second = along(lambda t: inverse_kinematics(G, motion(t)), 2e-3)
         V = twist(pose, rate)
         acceleration, _ = along(lambda t: twist(motion(t), rate + bend * t), 2e-3)  # noqa: B023
         J = velocity_jacobian(G, pose)

@@ -37,7 +37,7 @@ LEG_I, LEG_J, LEG_K, NUT_I, NUT_J, NUT_K, ROTOR = 16, 17, 18, 19, 20, 21, 22
 R_OHM, L_HENRY, KM, KB, KF = 23, 24, 25, 26, 27
 
 IMAGINARY = 1e-40
-_options = {"error_model": "numpy", "nogil": True}
+_options = {"error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
 leaf = njit(**_options)
 
 
@@ -87,20 +87,19 @@ def _cholesky_solve(a, b):
     """Overwrite b (6,) with a^-1 b for a symmetric positive definite a, of which the lower half is read and lost."""
     for j in range(6):
         for k in range(j):
-            a[j, j] -= a[j, k] * a[j, k] * a[k, k]
-        for i in range(j + 1, 6):
-            total = a[i, j]
-            for k in range(j):
-                total -= a[i, k] * a[j, k] * a[k, k]
-            a[i, j] = total / a[j, j]
+            scaled = a[j, k] * a[k, k]  # a[k, k] holds 1/d_k by now
+            a[j, j] -= a[j, k] * scaled
+            for i in range(j + 1, 6):
+                a[i, j] -= a[i, k] * scaled
+        a[j, j] = 1.0 / a[j, j]
+    # a = L D L^T with the columns of L still times d
     for i in range(6):
         for k in range(i):
             b[i] -= a[i, k] * b[k]
-    for i in range(6):
-        b[i] /= a[i, i]
+        b[i] *= a[i, i]
     for i in range(5, -1, -1):
         for k in range(i + 1, 6):
-            b[i] -= a[k, i] * b[k]
+            b[i] -= a[k, i] * a[i, i] * b[k]
 
 
 # --- geometry --------------------------------------------------------------------------------------------------------
@@ -141,17 +140,18 @@ def _leg_length(legs, i, c, sx, sy, sz):
 
 @leaf
 def _leg_axes(legs, i, c, sx, sy, sz):
-    """y, z, K, N, cos(beta), sin(beta), r, L of leg i with its platform point at s."""
+    """y, z, K, N, cos(beta), sin(beta), r, L, 1/r, 1/L of leg i with its platform point at s."""
     nx, ny, nz, a, reach, r, length = _leg_length(legs, i, c, sx, sy, sz)
     x0, x1, x2 = legs[i, 3], legs[i, 4], legs[i, 5]
-    y0, y1, y2 = nx / r, ny / r, nz / r
-    cb, sb = a / length, reach / length
+    over_r, over_l = 1.0 / r, 1.0 / length  # complex divisions are dear
+    y0, y1, y2 = nx * over_r, ny * over_r, nz * over_r
+    cb, sb = a * over_l, reach * over_l
     return (
         (y0, y1, y2),
         (x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0),
         (cb * x0 + sb * y0, cb * x1 + sb * y1, cb * x2 + sb * y2),
         (cb * y0 - sb * x0, cb * y1 - sb * x1, cb * y2 - sb * x2),
-        cb, sb, r, length,
+        cb, sb, r, length, over_r, over_l,
     )  # fmt: skip
 
 
@@ -190,7 +190,7 @@ def _lengths_and_jacobian(q, legs, c, lengths, jacobian):
     rotation = _rotation(q)
     for i in range(6):
         rho = _arm(rotation, legs, i)
-        _, _, k, _, _, _, _, lengths[i] = _leg_axes(legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2])
+        _, _, k, _, _, _, _, lengths[i], _, _ = _leg_axes(legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2])
         jacobian[i, 0], jacobian[i, 1], jacobian[i, 2] = k
         jacobian[i, 3], jacobian[i, 4], jacobian[i, 5] = _cross(rho, k)
 
@@ -211,10 +211,12 @@ def length_bias(poses, twists, legs, c, bias):
         w = (v[3], v[4], v[5])
         for i in range(6):
             rho = _arm(rotation, legs, i)
-            _, z, k, n, _, sb, r, length = _leg_axes(legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2])
+            _, z, k, n, _, sb, r, length, over_r, over_l = _leg_axes(
+                legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2]
+            )
             turn = _cross(w, rho)
             rate = (v[0] + turn[0], v[1] + turn[1], v[2] + turn[2])
-            swing, tilt = _dot(z, rate) / r, _dot(n, rate) / length
+            swing, tilt = _dot(z, rate) * over_r, _dot(n, rate) * over_l
             bias[j, i] = _dot(k, _cross(w, turn)) + r * swing * swing * sb + length * tilt * tilt
 
 
@@ -329,7 +331,7 @@ def direct_poses(targets, starts, legs, c, limit, poses, facts):
 @leaf
 def _leg_forces(legs, i, p, axes, theta1, beta1, length1, phi, accelerations):
     """Mass matrix of leg i in (theta, beta, L) and its inertia, velocity and gravity forces at these accelerations."""
-    y, z, k, n, cb, sb, _, length = axes
+    y, z, k, n, cb, sb, _, length, _, _ = axes
     c, turns, iz, iy = p[C], p[TURNS], legs[i, MOUNT_Z], legs[i, MOUNT_N]
     along, across = p[X1] * iz, p[X1] * iy  # first moments of the motor body along z and N
     t_zz = p[M2] + p[LEG_I] * iz * iz + (p[LEG_J] + p[X2]) * iy * iy
@@ -420,23 +422,23 @@ def _terms(q, v, legs, p, mass, force, jacobian, bias, phi):
     for i in range(6):
         rho = _arm(rotation, legs, i)
         axes = _leg_axes(legs, i, p[C], q[0] + rho[0], q[1] + rho[1], q[2] + rho[2])
-        _, z, k, n, cb, sb, r, length = axes
+        _, z, k, n, cb, sb, r, length, over_r, over_l = axes
         turn = _cross(w, rho)
         rate, pull = (v[0] + turn[0], v[1] + turn[1], v[2] + turn[2]), _cross(w, turn)
-        theta1, beta1, length1 = _dot(z, rate) / r, _dot(n, rate) / length, _dot(k, rate)
+        theta1, beta1, length1 = _dot(z, rate) * over_r, _dot(n, rate) * over_l, _dot(k, rate)
         swing = r * theta1 * theta1
         r1 = length1 * sb + length * cb * beta1
         accelerations = (
-            (_dot(z, pull) - 2.0 * r1 * theta1) / r,
-            (_dot(n, pull) + swing * cb - 2.0 * length1 * beta1) / length,
+            (_dot(z, pull) - 2.0 * r1 * theta1) * over_r,
+            (_dot(n, pull) + swing * cb - 2.0 * length1 * beta1) * over_l,
             _dot(k, pull) + swing * sb + length * beta1 * beta1,
         )
         phi[i] = turns * (length - legs[i, HOME])
         m11, m12, m13, m22, m33, f1, f2, f3 = _leg_forces(
             legs, i, p, axes, theta1, beta1, length1, phi[i], accelerations
         )
-        g[0, 0], g[0, 1], g[0, 2] = z[0] / r, z[1] / r, z[2] / r
-        g[1, 0], g[1, 1], g[1, 2] = n[0] / length, n[1] / length, n[2] / length
+        g[0, 0], g[0, 1], g[0, 2] = z[0] * over_r, z[1] * over_r, z[2] * over_r
+        g[1, 0], g[1, 1], g[1, 2] = n[0] * over_l, n[1] * over_l, n[2] * over_l
         g[2, 0], g[2, 1], g[2, 2] = k
         for a in range(3):
             g[a, 3], g[a, 4], g[a, 5] = _cross(rho, (g[a, 0], g[a, 1], g[a, 2]))

@@ -26,10 +26,10 @@ from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import Array, NonlinearPlant, Trim
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
 from robustlab.dynamics.stewart.direct_kinematics import LIMIT, direct_kinematics
-from robustlab.dynamics.stewart.geometry import Geometry, check_bodies, constants, geometry
+from robustlab.dynamics.stewart.geometry import CONSTANTS, Geometry, check_bodies, constants, geometry
 from robustlab.dynamics.stewart.kinematics import poses_array
 from robustlab.dynamics.stewart.machine_parameters import machine_parameters
-from robustlab.dynamics.stewart.workspace import check_pose
+from robustlab.dynamics.stewart.workspace import SLACK, check_pose
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import Signal, real_array
 
@@ -187,7 +187,15 @@ class StewartPlatform(NonlinearPlant):
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D at (x, u), at rest or moving; the derivatives are exact to rounding."""
         state, force = self.point(x, u)
-        pose, twist = self._motion(state)
+        return self._jacobians(state, force, *self._motion(state))
+
+    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D at a trim of this plant, whose pose is known."""
+        if trim.pose is None:
+            return self.jacobians(trim.x, trim.u)
+        return self._jacobians(*self.point(trim.x, trim.u), np.array(trim.pose[None]), np.zeros((1, 6)))
+
+    def _jacobians(self, state: Array, force: Array, pose: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
         torque = np.array(self._torque(state, force)[None])
         stiffness, damping, gain = np.empty((1, 6, 6)), np.empty((1, 6, 6)), np.empty((1, 6, 6))
         if not kernels().linearisations(
@@ -240,7 +248,7 @@ class StewartPlatform(NonlinearPlant):
         low, high = self.geometry.limits
         outcome, time, _ = run(
             start, np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken, self.geometry.legs,
-            self._numbers[0], self.motors, low - 1e-9, high + 1e-9, accuracy, z, states,
+            self._numbers[0], self.motors, low - SLACK, high + SLACK, accuracy, z, states,
         )  # fmt: skip
         if outcome == code.LEFT_WORKSPACE:
             raise NoTrustworthyNumber(
@@ -324,7 +332,8 @@ def _assembled(stiffness: Array, damping: Array, gain: Array, numbers: Array, mo
     if not motors:
         b[:, 6:12] = gain
         return a, b
-    ratio, r, inductance, km, kb, kf = (numbers[:, k, None, None] for k in (3, 23, 24, 25, 26, 27))
+    names = ("ratio", "R", "L", "Km", "Kb", "Kf")
+    ratio, r, inductance, km, kb, kf = (numbers[:, CONSTANTS.index(name), None, None] for name in names)
     a[:, 6:12, 6:12] -= gain * kf * ratio
     a[:, 6:12, 12:] = gain * km
     a[:, 12:, 6:12] = -kb * ratio / inductance * one
