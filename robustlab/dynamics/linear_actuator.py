@@ -68,7 +68,7 @@ def linear_actuator(**given: Any) -> LinearPlant:
     --------
     >>> actuator = linear_actuator(m_cart=(2.0, 0.1))
     >>> round(float(actuator.state_space().A[1, 2]))  # rad/s2 per ampere
-    6969
+    6970
     """
     states = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
     return LinearPlant(
