@@ -102,7 +102,7 @@ class Trim:
     pose
         Of a mechanism with a platform, its pose (tx, ty, tz, ax, ay, az); None for other plants.
     status
-        CONVERGED: the residual was evaluated after the solution and is at rounding.
+        CONVERGED: the residual was evaluated after the solution and is at rounding. INACCURATE: it is not.
     """
 
     plant: str

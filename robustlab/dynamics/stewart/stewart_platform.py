@@ -31,11 +31,14 @@ from robustlab.dynamics.stewart.kinematics import poses_array
 from robustlab.dynamics.stewart.machine_parameters import machine_parameters
 from robustlab.dynamics.stewart.workspace import SLACK, check_pose
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
 __all__ = ["LinearModels", "StewartPlatform", "linear_models", "stewart_platform"]
 
 _NUMBERS = range(1, 7)
+# A trim's residual beyond this share of what gravity alone would do is more than rounding.
+ROUNDING = 1e-9
 # Parameters that shape the legs; the others enter the equations of motion through `constants` alone.
 _SHAPE = ("r_b", "alpha_b", "r_p", "alpha_p", "r_m", "alpha_m", "z_m", "c", "z_home", "L_min", "L_max", "lead")
 
@@ -230,7 +233,10 @@ class StewartPlatform(NonlinearPlant):
             p = self.values
             x, u = np.concatenate([x, u / p["Km"]]), p["R"] * u / p["Km"]
         residual = float(np.abs(self._rates(x, u, at[None], np.zeros((1, 6)))).max())
-        return Trim(self.name, x, u, x[:12].copy(), residual, at.copy())
+        # free fall accelerates a nut by about turns * gravity
+        still = residual <= ROUNDING * max(self.geometry.turns * abs(self.values["gravity"]), 1.0)
+        status = Status.CONVERGED if still else Status.INACCURATE
+        return Trim(self.name, x, u, x[:12].copy(), residual, at.copy(), status)
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float | None = None, step: float | None = None) -> Array:
         """States (n, 12) or (n, 18) at the times of the signal; compiled.
