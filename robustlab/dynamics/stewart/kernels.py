@@ -25,6 +25,8 @@ renewed when the file changes and not when another one does.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -37,7 +39,7 @@ LEG_I, LEG_J, LEG_K, NUT_I, NUT_J, NUT_K, ROTOR = 16, 17, 18, 19, 20, 21, 22
 R_OHM, L_HENRY, KM, KB, KF = 23, 24, 25, 26, 27
 
 IMAGINARY = 1e-40
-_options = {"error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
+_options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
 leaf = njit(**_options)
 
 
