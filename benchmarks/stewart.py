@@ -78,7 +78,7 @@ def main() -> None:
 
     many = np.tile(poses, (1000, 1))
     line("inverse kinematics", len(many) / median(lambda: inverse_kinematics(g, many), 5), "poses/s", ">= 1e6")
-    grid = workspace_grid(g, 10)
+    grid = workspace_grid(g, 11)
     lengths = inverse_kinematics(g, grid)
     run = median(lambda: direct_kinematics(g, lengths), 5)
     found = direct_kinematics(g, lengths)

@@ -167,8 +167,12 @@ class NonlinearPlant(Plant):
                 k = min(max(int(np.searchsorted(t, time, side="right")) - 1 + first, first), last - 1)
                 return self.derivative(x, signal.at(time, k))
 
-            # The first step is given: at rest the solver would take one that leaves the domain of a mechanism.
-            options: dict[str, Any] = {"rtol": max(rtol, 3e-14), "atol": rtol * 1e-2, "first_step": (t[1] - t[0]) * 1e-2}
+            # At rest the solver would begin with a step that leaves the domain of a mechanism.
+            options: dict[str, Any] = {
+                "rtol": max(rtol, 3e-14),
+                "atol": rtol * 1e-2,
+                "first_step": (t[1] - t[0]) * 1e-2,
+            }
             found = solve_ivp(rates, (t[0], t[-1]), states[first], "DOP853", t_eval=t, **options)
             if not found.success:
                 raise NoTrustworthyNumber(self.name, f"no solution beyond t = {found.t[-1]:.9g} s", None, found.message)

@@ -34,7 +34,7 @@ def motion_kernels() -> ModuleType:
 
 
 def _load(name: str) -> ModuleType:
-    text = "stewart-platform: compiling the equations of motion (once on this machine, 1-2 minutes) ..."
+    text = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
     timer = threading.Timer(PATIENCE, lambda: print(text, file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()

@@ -93,7 +93,7 @@ def real_array_of_one(pose: ArrayLike, where: str) -> Array:
 def workspace_grid(geometry: Geometry, points: int = 5, reach: ArrayLike = REACH) -> Array:
     """Poses (n, 6) within the workspace, from a grid of points^6 about home with the given half widths in m and rad.
 
-    The default half widths just cover the workspace of the published machine; 10 points give some 10^4 poses.
+    The default half widths just cover the workspace of the published machine; 11 points give 13 240 poses.
     """
     half = real_array_of_one(reach, "workspace_grid: reach")
     axes = [np.linspace(-width, width, points) for width in half]
