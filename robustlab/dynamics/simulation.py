@@ -14,7 +14,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["Hold", "simulate", "transition"]
+__all__ = ["Hold", "sampled_inputs", "simulate", "transition"]
 
 Array = NDArray[np.float64]
 Hold = Literal["zoh", "foh"]
@@ -95,7 +95,7 @@ def simulate(
     model = as_model(plant_or_model, "simulate")
     title = name or getattr(plant_or_model, "name", None) or "simulation"
     clock = Record(t, name="simulate").t
-    force = _inputs(model.inputs, u, len(clock))
+    force = sampled_inputs(model.inputs, u, len(clock))
     start = np.zeros(model.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
     if len(start) != model.n_states:
         states = ", ".join(model.state_names) or "none"
@@ -131,7 +131,7 @@ def _simulate_nonlinear(
     name: str | None,
 ) -> Record:
     clock = Record(t, name="simulate").t
-    signal = input_signal(clock, _inputs(plant.inputs, u, len(clock)), hold)
+    signal = input_signal(clock, sampled_inputs(plant.inputs, u, len(clock)), hold)
     start = np.zeros(len(plant.states)) if x0 is None else real_array("x0", getattr(x0, "x", x0), 1, "simulate")
     start, _ = plant.point(start, np.zeros(len(plant.inputs)))
     options = {key: value for key, value in (("rtol", rtol), ("step", step)) if value is not None}
@@ -230,7 +230,7 @@ def _recursion(phi: Array, kind: NDArray[np.intp], forced: Array, x0: Array) -> 
     return x
 
 
-def _inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | ArrayLike, n: int) -> Array:
+def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | ArrayLike, n: int) -> Array:
     """The inputs' samples as an array of shape (n, n_u) in their order."""
     names, count = tuple(s.name for s in inputs), len(inputs)
     if isinstance(u, Mapping):

@@ -154,7 +154,9 @@ def follow(
 class _Loop:
     """Rates and Jacobian of the 36 states: those of the machine, and of the controller in deviations from its trim."""
 
-    def __init__(self, plant: StewartPlatform, controller: TwoLayerController, angles: Callable[[float], Array]) -> None:
+    def __init__(
+        self, plant: StewartPlatform, controller: TwoLayerController, angles: Callable[[float], Array]
+    ) -> None:
         self.plant, self.angles, self.evaluations = plant, angles, 0
         self.k, self.c, self.trim = controller.state_space(), measured(plant), controller.at
         self.into_u = np.hstack([self.k.D[:, 6:] @ self.c, self.k.C])
