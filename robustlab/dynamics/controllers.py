@@ -42,7 +42,7 @@ from robustlab.dynamics.trimming import trim
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 
-__all__ = ["TorqueGains", "TwoLayerController", "closed_loop", "torque_gains", "two_layer"]
+__all__ = ["TorqueGains", "TwoLayerController", "closed_loop", "measured", "torque_gains", "two_layer"]
 
 # Without a rotor in the machine the lower layer still designs with one, as the thesis does (its eq. 9.3).
 ROTOR = 7.2e-6
@@ -51,7 +51,7 @@ NUMBERS = range(1, 7)
 
 @dataclass(frozen=True)
 class TorqueGains:
-    """Gains of a motor's torque loop: kp in V/(N m s), kd in V/(N m), ki in V/(N m s3... per double integral)."""
+    """Gains of a motor's torque loop: kp in V/(N m s), kd in V/(N m), ki in V/(N m s2)."""
 
     kp: float
     kd: float
@@ -87,8 +87,10 @@ class TwoLayerController:
             gain.setflags(write=False)
 
     def state_space(self) -> StateSpaceModel:
-        """18 states (integrals of the angles' errors, of the torques' errors, sigma); inputs r, phi, phidot, m (6 each);
-        outputs the six voltages."""
+        """Linear model of the controller: 18 states, inputs r, phi, phidot, torque (6 each), outputs the six voltages.
+
+        States: integrals of the angles' errors and of the torques' errors, and sigma.
+        """
         one, none, low = np.eye(6), np.zeros((6, 6)), self.lower
         a = np.block([[none, none, none], [self.Ki, none, none], [none, low.ki * one, none]])
         b = np.block(
@@ -104,12 +106,12 @@ class TwoLayerController:
         return dict(vars(self))
 
 
-def torque_gains(p: float, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
+def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
     """Gains that give the torque of a motor with the free rotor J the triple pole -p.
 
     Examples
     --------
-    >>> round(torque_gains(3000.0, 2.07, 0.62e-3, 0.052, 0.052, 4.8e-5, 7.2e-6).kd, 6)
+    >>> round(torque_gains(3000.0, R=2.07, L=0.62e-3, Km=0.052, Kb=0.052, Kf=4.8e-5, J=7.2e-6).kd, 6)
     67.420513
     """
     b, c, d = -(L * Kf + R * J) / (L * J), -(R * Kf + Kb * Km) / (L * J), Km / L
@@ -146,7 +148,8 @@ def two_layer(
     p, a, one = plant.values, linearise(plant, point).A, np.eye(6)
     gain = a[6:12, 12:] / p["Km"]
     stiffness, damping = a[6:12, :6], a[6:12, 6:12] + gain * p["Kf"] * p["ratio"]  # the motor's own damping is in m
-    upper = np.linalg.solve(gain, np.hstack([3 * p_up**2 * one + stiffness, 3 * p_up * one + damping, p_up**3 * one]))
+    right = np.hstack([3 * p_up**2 * one + stiffness, 3 * p_up * one + damping, p_up**3 * one])
+    upper = np.asarray(np.linalg.solve(gain, right), dtype=np.float64)
     motor = {name: p[name] for name in ("R", "L", "Km", "Kb", "Kf")}
     return TwoLayerController(
         p_up, p_low, upper[:, :6], upper[:, 6:12], upper[:, 12:], torque_gains(p_low, J=rotor_J, **motor), point

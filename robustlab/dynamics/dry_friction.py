@@ -226,7 +226,8 @@ def _places(plant: Any, model: StateSpaceModel, joints: tuple[DryFriction, ...])
         raise InputError("dry friction", "two on one velocity", "one for each velocity, with the sum of the forces")
     unit = np.eye(len(names))[:, places]
     if isinstance(plant, LinearPlant):
-        columns = np.linalg.solve(np.asarray(plant.equations(plant.values).E, dtype=np.float64), unit)
+        mass = np.asarray(plant.equations(plant.values).E, dtype=np.float64)
+        columns = np.asarray(np.linalg.solve(mass, unit), dtype=np.float64)
     else:
         missing = [joint.velocity for joint in joints if joint.inertia is None]
         if missing:
@@ -235,7 +236,7 @@ def _places(plant: Any, model: StateSpaceModel, joints: tuple[DryFriction, ...])
             )
         columns = unit / np.array([joint.inertia for joint in joints])
     inertia = columns[places]
-    if len(places) and not np.linalg.eigvalsh((inertia + inertia.T) / 2).min() > 0:
+    if places and not np.linalg.eigvalsh((inertia + inertia.T) / 2).min() > 0:
         raise InputError("dry friction", "a force that does not push its velocity", "velocities of bodies with inertia")
     return places, columns
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,13 +14,15 @@ from robustlab.dynamics.controllers import TwoLayerController, measured
 from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.stewart.kinematics import nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-from robustlab.dynamics.stewart.workspace import check_pose
+from robustlab.dynamics.stewart.workspace import check_pose, inside
 from robustlab.dynamics.trajectory import SineTrajectory
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.result import Status
 
 __all__ = ["MotorLimits", "TrajectoryFollowing", "follow"]
+
+UNSTABLE = "the loop may be unstable: look at the poles of closed_loop"
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ def follow(
     controller: TwoLayerController,
     trajectory: SineTrajectory,
     t: ArrayLike,
+    *,
     limits: MotorLimits | None = None,
     rtol: float = 1e-7,
 ) -> TrajectoryFollowing:
@@ -137,14 +141,21 @@ def follow(
     """
     clock = Record(t, name="follow").t
     reference = trajectory.pose(clock)
-    for time, pose in zip(clock, reference, strict=True):
-        check_pose(plant.geometry, pose, f"{plant.name}: trajectory at t = {time:.6g} s")
+    within = inside(plant.geometry, reference)
+    if not within.all():
+        k = int(np.argmin(within))
+        check_pose(plant.geometry, reference[k], f"{plant.name}: trajectory at t = {clock[k]:.6g} s")
     loop = _Loop(plant, controller, lambda time: nut_angles(plant.geometry, trajectory.pose(time)))
     states = _integrated(loop, clock, trajectory.breaks, rtol)
     y = states[:, :18] @ measured(plant).T
-    poses = plant.poses(states[:, :6], reference[0])
-    voltage = np.array([loop.voltage(state) for state in states])
     lengths = plant.geometry.home_lengths + states[:, :6] / plant.geometry.turns
+    low, high = plant.geometry.limits
+    beyond = ((lengths < low) | (lengths > high)).any(axis=1)
+    if beyond.any():
+        found = f"an actuator reaches the end of its range at t = {clock[np.argmax(beyond)]:.6g} s"
+        raise NoTrustworthyNumber(plant.name, found, None, UNSTABLE)
+    poses = plant.poses(states[:, :6], reference[0])
+    voltage = loop.trim.u + (states - loop.rest) @ loop.into_u.T
     return TrajectoryFollowing(
         clock, reference, poses, states[:, :6].copy(), y[:, 12:].copy(), voltage, states[:, 12:18].copy(), lengths,
         limits or MotorLimits(), loop.evaluations,
@@ -168,7 +179,10 @@ class _Loop:
 
     def rates(self, time: float, state: Array) -> Array:
         self.evaluations += 1
-        machine = self.plant.derivative(state[:18], self.voltage(state))
+        try:
+            machine = self.plant.derivative(state[:18], self.voltage(state))
+        except NoTrustworthyNumber:  # a trial state that is no pose: not finite makes the integrator try a shorter step
+            machine = np.full(18, np.nan)
         asked = self.angles(time) - self.trim.x[:6]
         return np.concatenate([machine, self.into_k @ (state - self.rest) + self.k.B[:, :6] @ asked])
 
@@ -189,15 +203,13 @@ def _integrated(loop: _Loop, t: Array, breaks: tuple[float, ...], rtol: float) -
     scale = np.concatenate([np.full(6, 1.0), np.full(6, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small[18:], 1.0)])
     edges = [t[0], *sorted({b for b in breaks if t[0] < b < t[-1]}), t[-1]]
     states, state = np.empty((len(t), 36)), loop.rest
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in itertools.pairwise(edges):
         found = solve_ivp(
             loop.rates, (first, last), state, "Radau", jac=loop.jacobian, dense_output=True, rtol=rtol,
             atol=rtol * scale, first_step=1e-6,
         )  # fmt: skip
         if not found.success or found.sol is None:
-            raise NoTrustworthyNumber(
-                loop.plant.name, f"no solution beyond t = {found.t[-1]:.6g} s", None, "look at the poles of closed_loop"
-            )
+            raise NoTrustworthyNumber(loop.plant.name, f"no solution beyond t = {found.t[-1]:.6g} s", None, UNSTABLE)
         within = (t >= first) & (t <= last)
         states[within] = found.sol(t[within]).T
         state = found.y[:, -1]
