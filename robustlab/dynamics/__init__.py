@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.linearisation import linearise
 from robustlab.dynamics.parameters import Parameter, overridden
@@ -15,6 +16,7 @@ from robustlab.errors import InputError, did_you_mean
 
 __all__ = [
     "Descriptor",
+    "DryFriction",
     "LinearPlant",
     "NonlinearPlant",
     "Parameter",
@@ -25,6 +27,7 @@ __all__ = [
     "plant",
     "plant_names",
     "simulate",
+    "simulate_with_friction",
     "trim",
 ]
 

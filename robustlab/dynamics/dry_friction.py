@@ -279,6 +279,7 @@ class _Mode:
         self.guard = np.vstack([guard, guard @ self.matrix])
         self.count = len(guards)
         self.steps: dict[tuple[float, int], Array] = {}
+        self.outlooks: dict[float, Array] = {}
 
     def step(self, h: float, halvings: int) -> Array:
         """exp(M h / 2^halvings)."""
@@ -286,6 +287,17 @@ class _Mode:
         if key not in self.steps:
             self.steps[key] = _exponential(self.matrix * (h / 2.0**halvings))
         return self.steps[key]
+
+    def changes_within(self, z: Array, h: float, halvings: int) -> bool:
+        """Whether a guard fails, or may fail, in any of the 2^halvings pieces of h."""
+        if h not in self.outlooks:
+            piece, rows = self.step(h, halvings), [self.guard]
+            for _ in range(2**halvings):
+                rows.append(rows[-1] @ piece)
+            self.outlooks[h] = np.vstack(rows)
+        values = (self.outlooks[h] @ z).reshape(2**halvings + 1, 2 * self.count)
+        fails = (values[1:, : self.count] < 0).any()
+        return bool(fails or _dips(values[:-1], values[1:], self.count, h / 2.0**halvings).any())
 
 
 class _Motion:
@@ -332,6 +344,9 @@ class _Motion:
             if k + 1 < len(t):
                 h = float(lengths[k])
                 pieces = self.pieces(h)
+                if not mode.changes_within(z, h, pieces):
+                    z = self.held(mode, mode.step(h, 0) @ z)
+                    continue
                 for j in range(2**pieces):
                     self.time = float(t[k]) + j * h / 2**pieces
                     z, mode = self.advance(z, mode, h, pieces)
@@ -347,9 +362,7 @@ class _Motion:
 
     def advance(self, z: Array, mode: _Mode, h: float, halvings: int) -> tuple[Array, _Mode]:
         """State and mode after h / 2^halvings; the piece is halved where a guard fails or may fail in it."""
-        end = mode.step(h, halvings) @ z
-        for j in mode.stuck:
-            end[self.places[j]] = self.surface[j]
+        end = self.held(mode, mode.step(h, halvings) @ z)
         before, after, count = mode.guard @ z, mode.guard @ end, mode.count
         fails = (after[:count] < 0).any()
         if not fails and not _dips(before, after, count, h / 2.0**halvings).any():
@@ -363,6 +376,12 @@ class _Motion:
             return end, mode
         self.time += h / 2.0**HALVINGS
         return end, self.changed(mode, self.settled(end, self._stopped(end, mode)))
+
+    def held(self, mode: _Mode, z: Array) -> Array:
+        """The state z with its sticking joints exactly at their surfaces' velocities."""
+        for j in mode.stuck:
+            z[self.places[j]] = self.surface[j]
+        return z
 
     def _stopped(self, z: Array, mode: _Mode) -> tuple[int, ...]:
         """Puts sliding joints that have reached their surface's velocity exactly on it; returns who still slides."""
@@ -420,7 +439,7 @@ def _equal_lengths(t: Array) -> Array:
 
 def _dips(before: Array, after: Array, count: int, h: float) -> NDArray[np.bool_]:
     """Which guards, positive at both ends, fall first and rise again, with tangents that cross below zero."""
-    g0, g1, slope0, slope1 = before[:count], after[:count], before[count:], after[count:]
+    g0, g1, slope0, slope1 = before[..., :count], after[..., :count], before[..., count:], after[..., count:]
     falls = (slope0 < 0) & (slope1 > 0)
     if not falls.any():
         return falls

@@ -116,7 +116,7 @@ def follow(
     t: ArrayLike,
     *,
     limits: MotorLimits | None = None,
-    rtol: float = 1e-7,
+    rtol: float = 1e-6,
 ) -> TrajectoryFollowing:
     """Nonlinear simulation of the machine under control, at rest at the controller's trim at the first time.
 

@@ -119,3 +119,21 @@ def test_no_friction_is_the_linear_plant():
     found = simulate_with_friction(plant, [], t, u, hold="foh")
     linear = rl.simulate(plant, t, u, hold="foh")
     np.testing.assert_allclose(found.record["phi2"], linear["phi2"], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("excess", [1e-2, 1e-5, -1e-5])
+def test_a_force_that_only_just_exceeds_the_holding_one_between_two_samples_is_seen(excess):
+    k, m, static = 30.0, 1.5, 4.0
+    omega, swing = math.sqrt(k / m), static / k * (1 + excess)
+    plant = rl.plant("mass-spring-damper", m=[1.0, m], c=[0.0, 0.0], k=[0.0, k])
+    t = np.arange(9) * math.pi / omega  # the force is zero at every sample
+    start = {"q1": 0.0, "q2": 0.0, "v1": 0.0, "v2": swing * omega}
+    friction = DryFriction("v1", 0.5 * static, static)
+    found = simulate_with_friction(plant, friction, t, np.zeros((9, 2)), x0=[start[s.name] for s in plant.states])
+    if excess < 0:
+        assert not found.events
+        assert (found.record["v1"] == 0).all()
+    else:
+        first = math.asin(1 / (1 + excess)) / omega
+        assert found.events[0].becomes == 1
+        assert found.events[0].time == pytest.approx(first, abs=1e-9)
