@@ -6,7 +6,43 @@ The table below is the whole public interface.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # the same table for type checkers and editors, which do not run __getattr__
+    from robustlab.dynamics import linearise as linearise
+    from robustlab.dynamics import plant as plant
+    from robustlab.dynamics import simulate as simulate
+    from robustlab.errors import InputError as InputError
+    from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
+    from robustlab.errors import RobustlabError as RobustlabError
+    from robustlab.frequency import frequency_response as frequency_response
+    from robustlab.identification import compare as compare
+    from robustlab.mu_analysis import mu as mu
+    from robustlab.mu_analysis import robust_stability as robust_stability
+    from robustlab.norms import hinf_norm as hinf_norm
+    from robustlab.record import Record as Record
+    from robustlab.result import Status as Status
+    from robustlab.statespace import Signal as Signal
+    from robustlab.statespace import StateSpaceModel as StateSpaceModel
+    from robustlab.storage import load as load
+    from robustlab.storage import save as save
+    from robustlab.structural import controllability as controllability
+    from robustlab.structural import observability as observability
+    from robustlab.synthesis import Controller as Controller
+    from robustlab.synthesis import complementary_weight as complementary_weight
+    from robustlab.synthesis import control_weight as control_weight
+    from robustlab.synthesis import generalized_plant as generalized_plant
+    from robustlab.synthesis import hinf as hinf
+    from robustlab.synthesis import mixsyn as mixsyn
+    from robustlab.synthesis import performance_weight as performance_weight
+    from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
+    from robustlab.uncertainty.blocks import FullBlock as FullBlock
+    from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
+    from robustlab.uncertainty.blocks import RealScalar as RealScalar
+    from robustlab.uncertainty.elementwise import elementwise as elementwise
+    from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+    from robustlab.worst_case_analysis import sample as sample
+    from robustlab.worst_case_analysis import worst_case as worst_case
 
 _PUBLIC = {
     # models
@@ -39,6 +75,10 @@ _PUBLIC = {
     # synthesis
     "hinf": "synthesis",
     "mixsyn": "synthesis",
+    "generalized_plant": "synthesis",
+    "performance_weight": "synthesis",
+    "control_weight": "synthesis",
+    "complementary_weight": "synthesis",
     "Controller": "synthesis",
     # measurements
     "compare": "identification",

@@ -11,7 +11,8 @@
     └── EnvironmentFault    (OSError)       5    disk, permissions, a missing package
         └── DependencyMissing               5    an optional package is not installed
 
-Exit code 0 means done and all requirements met, 1 done but a stated requirement is not met, 70 a bug of ours, 130 Ctrl-C.
+Exit code 0 means done and all requirements met, 1 done but a stated requirement is not met, 70 a bug of ours,
+130 Ctrl-C.
 
 Every message says WHERE, what was FOUND and what was EXPECTED on one line; the hint says what to do next.
 """
@@ -145,16 +146,17 @@ def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
 
 
 def plain_text(text: str) -> str:
-    """``text`` without control and bidirectional-override characters, each shown as an escape.
+    r"""``text`` without control and bidirectional-override characters, each shown as an escape.
 
     Names in files are data from outside: an escape sequence in one must not reach the terminal.
 
     Examples
     --------
-    >>> plain_text("omega\\x1b[31m")
-    'omega\\\\x1b[31m'
+    >>> plain_text("omega\x1b[31m")
+    'omega\\x1b[31m'
     """
     bidi = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f"
     return "".join(
-        ch if (ch.isprintable() and ch not in bidi) or ch == " " else ch.encode("unicode_escape").decode() for ch in text
+        ch if (ch.isprintable() and ch not in bidi) or ch == " " else ch.encode("unicode_escape").decode()
+        for ch in text
     )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.statespace import StateSpaceModel, real_array
+from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 __all__ = ["default_grid", "frequency_response"]
 
@@ -20,8 +22,8 @@ CHUNK = 4_000_000
 def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> Array:
     """Logarithmic grid in rad/s around the model's own dynamics, shape (n,).
 
-    From ``decades`` below the slowest to ``decades`` above the fastest pole; every lightly damped pole's frequency is added,
-    so that its peak is not stepped over. A discrete model's grid ends at the Nyquist frequency pi / dt.
+    From ``decades`` below the slowest to ``decades`` above the fastest pole; every lightly damped pole's frequency is
+    added, so that its peak is not stepped over. A discrete model's grid ends at the Nyquist frequency pi / dt.
     """
     poles = model.poles()
     if model.is_discrete:
@@ -38,13 +40,15 @@ def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> 
     return grid
 
 
-def frequency_response(model: StateSpaceModel, omega: ArrayLike) -> ComplexArray:
+def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     r"""Frequency response, shape (n_omega, n_y, n_u).
 
     .. math:: G(j\omega) = C (j\omega I - A)^{-1} B + D, \qquad G(e^{j\omega dt}) \text{ for } dt > 0
 
     Parameters
     ----------
+    model
+        A `StateSpaceModel` or a python-control object.
     omega
         Frequencies in rad/s, shape (n_omega,); ``inf`` gives D for a continuous model.
 
@@ -53,6 +57,7 @@ def frequency_response(model: StateSpaceModel, omega: ArrayLike) -> ComplexArray
     NoTrustworthyNumber
         A frequency hits a pole exactly.
     """
+    model = as_model(model, "frequency_response")
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     finite = np.isfinite(w)
     real_array("omega", w[finite], 1, "frequency_response")

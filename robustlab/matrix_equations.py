@@ -127,7 +127,8 @@ def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | 
         hamiltonian = np.block([[a1, -b @ ri @ b.T], [-(q - s @ ri @ s.T), -a1.T]])
         if not np.isfinite(hamiltonian).all():
             return None
-        balanced, (scale, _) = matrix_balance(hamiltonian, permute=False, separate=True)
+        with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
+            balanced, (scale, _) = matrix_balance(hamiltonian, permute=False, separate=True)
         _, z, *count = schur(balanced, output="real", sort="lhp")
         if count != [n]:
             return None
@@ -180,6 +181,11 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
             raise InputError("lyapunov", f"{name} is {matrix.shape}", f"{(n, n)}")
     if n == 0:
         return np.zeros((0, 0))
+    poles = np.linalg.eigvals(a)
+    # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
+    gap = np.abs(np.multiply.outer(poles, poles) - 1 if discrete else np.add.outer(poles, poles)).min()
+    if gap <= 10 * np.finfo(float).eps * float(np.abs(poles).max() if not discrete else 1.0):
+        raise NoTrustworthyNumber("lyapunov", "no unique solution: eigenvalues mirror each other")
     with warnings.catch_warnings():
         # Judged by the residual below.
         warnings.simplefilter("ignore", LinAlgWarning)

@@ -1,6 +1,7 @@
 """Where a number came from: versions, hashes, seeds, time.
 
-Every file that robustlab writes carries a provenance, so that a result can be traced to the code, the inputs and the seed that made it.
+Every file that robustlab writes carries a provenance, so that a result can be traced to the code, the inputs and the
+seed that made it.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import hashlib
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -77,7 +78,7 @@ class Provenance:
         cls, created_by: str, inputs: Mapping[str, str] | None = None, seed: int | None = None, note: str = ""
     ) -> Provenance:
         """A provenance with the present time and the installed versions."""
-        created = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        created = datetime.now(UTC).isoformat(timespec="seconds")
         return cls(created_by, created, dict(inputs or {}), seed, library_versions(), note)
 
     def to_json(self) -> dict[str, object]:

@@ -78,7 +78,9 @@ class Record:
             k = int(np.argmax(step <= 0)) + 1
             word = "repeats the stamp before it" if step[k - 1] == 0 else "runs backwards"
             count = int((step <= 0).sum())
-            raise InputError(name, f"t[{k}] = {clock[k]:.9g} s {word} ({count} such samples)", "strictly increasing times")
+            raise InputError(
+                name, f"t[{k}] = {clock[k]:.9g} s {word} ({count} such samples)", "strictly increasing times"
+            )
         ins = _channels(inputs or {}, len(clock), name)
         outs = _channels(outputs or {}, len(clock), name)
         twice = sorted(set(ins) & set(outs))
@@ -88,7 +90,9 @@ class Record:
         for given in (units or {}, meaning or {}):
             for key in given:
                 if key not in known and key != "t":
-                    raise InputError(name, f"a unit or meaning for {key!r}, which is no signal", None, did_you_mean(key, known))
+                    raise InputError(
+                        name, f"a unit or meaning for {key!r}, which is no signal", None, did_you_mean(key, known)
+                    )
         put = object.__setattr__
         put(self, "t", clock)
         put(self, "inputs", ins)
@@ -128,7 +132,9 @@ class Record:
             if name in group:
                 return group[name]
         known = [*self.inputs, *self.outputs]
-        raise InputError(f"{self.name}: {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
+        raise InputError(
+            f"{self.name}: {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
+        )
 
     def between(self, start: float, stop: float) -> Record:
         """The samples with ``start <= t <= stop``; the clock is not shifted."""
@@ -171,6 +177,8 @@ class Record:
 
 
 def _channels(given: Mapping[str, ArrayLike], n: int, where: str) -> dict[str, Array]:
+    if not isinstance(given, Mapping):
+        raise InputError(where, f"signals as a {type(given).__name__}", "a dict of name -> samples")
     channels: dict[str, Array] = {}
     for key, value in given.items():
         if not key or len(key) > MAX_NAME:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 from typing import Any
 
 __all__ = ["Result", "Status", "plain"]
 
 
-class Status(str, Enum):
+class Status(StrEnum):
     """How much a number can be trusted; only CERTIFIED and CONVERGED may end in exit code 0.
 
     CERTIFIED
@@ -43,14 +43,12 @@ class Status(str, Enum):
         """True for CERTIFIED and CONVERGED."""
         return self in (Status.CERTIFIED, Status.CONVERGED)
 
-    def __str__(self) -> str:
-        return self.value
-
 
 def plain(value: Any) -> Any:
     """``value`` as JSON types: arrays become nested lists, complex numbers ``{"re": .., "im": ..}``.
 
-    Infinities and NaN become the strings ``"inf"``, ``"-inf"``, ``"nan"``: JSON has no such numbers, and null would hide them.
+    Infinities and NaN become the strings ``"inf"``, ``"-inf"``, ``"nan"``: JSON has no such numbers, and null would
+    hide them.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""Linear time-invariant models in state space, with named signals and units, and their interconnection.
+r"""Linear time-invariant models in state space, with named signals and units, and their interconnection.
 
-.. math:: \\dot x = A x + B u, \\qquad y = C x + D u  \\qquad (dt = 0), \\qquad  x_{k+1} = A x_k + B u_k \\quad (dt > 0)
+.. math:: \dot x = A x + B u, \qquad y = C x + D u  \qquad (dt = 0), \qquad  x_{k+1} = A x_k + B u_k \quad (dt > 0)
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SignalLike = str | Signal | tuple[str, str]
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Where a model was linearised: states ``x (n_x,)``, inputs ``u (n_u,)``, outputs ``y (n_y,)``, in the model's units."""
+    """Where a model was linearised: ``x (n_x,)``, ``u (n_u,)``, ``y (n_y,)``, in the model's units."""
 
     x: Array
     u: Array
@@ -93,6 +93,8 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
         given = [given]
     result: list[Signal] = []
     for item in given:
+        if not isinstance(item, str) and not (isinstance(item, (tuple, list)) and len(item) == 2):
+            raise InputError(where, f"signal {item!r}", "a name or a (name, unit) pair")
         name, unit = (item, "") if isinstance(item, str) else (str(item[0]), str(item[1]))
         if not name or len(name) > MAX_NAME:
             raise InputError(where, f"signal name of {len(name)} characters", f"1 to {MAX_NAME} characters")
@@ -160,9 +162,12 @@ class StateSpaceModel:
         operating_point: OperatingPoint | None = None,
         where: str = "StateSpaceModel",
     ) -> None:
+        if all(isinstance(m, (list, tuple)) and not m for m in (A, B, C)):  # a static gain: [] has no shape of its own
+            gain = real_array("D", D, 2, where)
+            A, B, C = np.zeros((0, 0)), np.zeros((0, gain.shape[1])), np.zeros((gain.shape[0], 0))
         a, b, c, d = (real_array(name, m, 2, where) for name, m in zip("ABCD", (A, B, C, D), strict=True))
         _check_shapes(a, b, c, d, where)
-        if isinstance(dt, bool) or not np.isfinite(dt) or dt < 0:
+        if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 <= dt < np.inf:
             raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
         put = object.__setattr__  # the dataclass is frozen
         put(self, "A", a)
@@ -291,13 +296,17 @@ class StateSpaceModel:
     def from_control(cls, system: Any) -> StateSpaceModel:
         """From a ``control.StateSpace`` or ``control.TransferFunction``; ``dt=None`` and ``dt=True`` are refused.
 
-        Python-control's ``None`` means "unspecified" and ``True`` "discrete, unknown sample time"; neither can be simulated.
+        Python-control's ``None`` means "unspecified" and ``True`` "discrete, unknown sample time"; neither can be
+        simulated.
         """
         import control
 
         if isinstance(system, control.TransferFunction):
             if system.ninputs == 1 and system.noutputs == 1:
-                system = control.tf2ss(system)
+                try:
+                    system = control.tf2ss(system)
+                except ValueError as error:  # improper: more zeros than poles
+                    raise InputError("from_control", str(error), "no more zeros than poles") from None
             else:
                 raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace")
         if not isinstance(system, control.StateSpace):
@@ -375,11 +384,11 @@ def as_model(system: Any, where: str = "model") -> StateSpaceModel:
 
 
 def append(*models: StateSpaceModel) -> StateSpaceModel:
-    """Block-diagonal collection: inputs and outputs of all models side by side. Names must be unique over all models."""
+    """Block-diagonal collection: inputs and outputs of all models side by side, under unique names."""
     from scipy.linalg import block_diag
 
     dt = _common_dt(models, "append")
-    blocks = [block_diag(*(getattr(m, name) for m in models)) for name in "ABCD"]
+    blocks = [np.asarray(block_diag(*(getattr(m, name) for m in models))) for name in "ABCD"]
     # block_diag gives a (0, k) matrix a row count of 0 but keeps its columns, as it must be.
     n, n_u, n_y = (sum(getattr(m, a) for m in models) for a in ("n_states", "n_inputs", "n_outputs"))
     shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))
@@ -446,7 +455,8 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
 
     .. math:: F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
-    The last ``K.n_outputs`` inputs of P are u, its last ``K.n_inputs`` outputs are y. States of the result: those of P, then of K.
+    The last ``K.n_outputs`` inputs of P are u, its last ``K.n_inputs`` outputs are y. States of the result: those of P,
+    then of K.
 
     Raises
     ------
@@ -493,10 +503,10 @@ def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
     if not wrong:
         return
     hint = None
-    if d.T.shape == (c.shape[0], b.shape[1]):
+    if a.shape == (n, n) and d.shape != d.T.shape == (c.shape[0], b.shape[1]):
         wrong = [f"D is {d.shape}, expected {d.T.shape}"]
         hint = "D looks transposed (column-major file?): use --transpose"
-    elif b.T.shape == (n, n_u) or c.T.shape == (n_y, n):
+    elif b.shape != b.T.shape == (n, n_u) or c.shape != c.T.shape == (n_y, n):
         hint = "B or C looks transposed (column-major file?): use --transpose"
     raise InputError(where, "; ".join(wrong), None, hint)
 

@@ -200,7 +200,7 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
     if point is not None:
         point = OperatingPoint(point.x[keep], point.u, point.y)
     return StateSpaceModel(
-        model.A[np.ix_(keep, keep)],
+        model.A[keep[:, None], keep],
         model.B[keep],
         model.C[:, keep],
         model.D,
@@ -220,11 +220,11 @@ def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralT
     n = model.n_states
     connected = _reach(a != 0, (b != 0).any(axis=1))
     inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
-    scaled, into, rate = _scaled(a[np.ix_(inner, inner)], b[inner])
+    scaled, into, rate = _scaled(a[inner[:, None], inner], b[inner])
     stairs, clear = _rank_decision(scaled, into)
     # Hidden modes: those of the states off the graph, and those of the part that the staircase does not reach.
     names = np.array(model.state_names, dtype=object)
-    modes = [_hidden_mode(m, names[outer], model.is_discrete, kind) for m in _left_modes(a[np.ix_(outer, outer)])]
+    modes = [_hidden_mode(m, names[outer], model.is_discrete, kind) for m in _left_modes(a[outer[:, None], outer])]
     for mode in _left_modes(stairs.a[stairs.rank :, stairs.rank :]):
         in_states = _LeftMode(mode.eigenvalue * rate, mode.rounding * rate, stairs.q[:, stairs.rank :] @ mode.vector)
         modes.append(_hidden_mode(in_states, names[inner], model.is_discrete, kind))
@@ -232,7 +232,7 @@ def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralT
     parts = slice(stairs.rank), slice(stairs.rank, None)
     inside = np.concatenate([np.linalg.eigvals(stairs.a[k, k]).astype(np.complex128) for k in parts])
     inside_margins = _margins(scaled, into, inside)
-    off_graph = np.linalg.eigvals(a[np.ix_(outer, outer)]).astype(np.complex128)
+    off_graph = np.linalg.eigvals(a[outer[:, None], outer]).astype(np.complex128)
     eigenvalues = np.concatenate([inside * rate, off_graph])
     margins = np.concatenate([inside_margins, np.zeros(len(outer))])
     worst = int(np.argmin(margins)) if n else None

@@ -13,9 +13,9 @@ from typing import Annotated, Any
 
 import typer
 
-from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, plain_text
+from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, UsageError, plain_text
 
-__all__ = ["JsonOption", "OutOption", "SeedOption", "emit", "main_guard", "note", "progress", "table"]
+__all__ = ["JsonOption", "OutOption", "SeedOption", "assignments", "emit", "main_guard", "note", "progress", "table"]
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
@@ -41,6 +41,20 @@ def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> N
 def note(text: str) -> None:
     """Print a remark on stderr."""
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
+
+
+def assignments(option: str, texts: list[str] | None) -> dict[str, float]:
+    """``["u=42"]`` as ``{"u": 42.0}``."""
+    values: dict[str, float] = {}
+    for text in texts or []:
+        name, _, value = text.rpartition("=")
+        try:
+            values[name] = float(value)
+        except ValueError:
+            raise UsageError(f"{option} {text}", "no number after =", "NAME=VALUE") from None
+        if not name:
+            raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+    return values
 
 
 def table(rows: list[tuple[str, ...]], header: tuple[str, ...] | None = None) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, emit, note, table
+from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note, table
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def check(
 
     Example: robustlab data check run3.csv --inputs u --outputs q
     """
-    from robustlab.storage.record_check import check_record
+    from robustlab.identification.record_quality import check_record
 
     record = _record(
         file,
@@ -189,7 +189,7 @@ def _plant_or_model(name: str, settings: list[str]) -> Any:
     from robustlab.storage import load
 
     if name in plant_names():
-        return plant(name, **_numbers(settings))
+        return plant(name, **assignments("--set", settings))
     if settings:
         known = ", ".join(plant_names())
         raise UsageError(
@@ -227,17 +227,6 @@ def _record(file: str, *, group: str | None, dt: float | None, **texts: Any) -> 
 
 def _names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _numbers(settings: list[str]) -> dict[str, float]:
-    values: dict[str, float] = {}
-    for text in settings:
-        name, _, value = text.partition("=")
-        try:
-            values[name] = float(value)
-        except ValueError:
-            raise UsageError(f"--set {text}", "no parameter and number", "NAME=VALUE") from None
-    return values
 
 
 def _units(settings: list[str]) -> dict[str, str]:

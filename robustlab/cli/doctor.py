@@ -115,7 +115,7 @@ def _threads() -> str:
     import numpy as np
     from threadpoolctl import threadpool_info
 
-    np.eye(2) @ np.eye(2)
+    np.dot(np.eye(2), np.eye(2))  # loads the BLAS that is asked about
     pools = ", ".join(f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info())
     return f"{os.cpu_count()} cores; threads: {pools or 'one'}"
 

@@ -6,6 +6,7 @@ that, and so ``robustlab --help`` loads neither typer nor any numerical library.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -25,6 +26,10 @@ GROUPS = {
     "report": ("robustlab.cli.report", "Write the report of a finished run again."),
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }
+
+# One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
+# several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 _HEAD = """\
 Usage: robustlab COMMAND [OPTIONS] [ARGS]...
@@ -75,6 +80,8 @@ def run(arguments: Sequence[str]) -> int:
         kind = "option" if name.startswith("-") else "command"
         hint = did_you_mean(name, list(GROUPS)) or "robustlab --help lists the commands"
         raise UsageError("robustlab", f"no such {kind} {name!r}", f"one of {', '.join(GROUPS)}", hint)
+    for variable in _THREADS:
+        os.environ.setdefault(variable, "1")
     app = import_module(GROUPS[name][0]).app
     app.rich_markup_mode = None  # help as plain text: it is also what the documentation shows
     app.pretty_exceptions_enable = False

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit, note, table
+from robustlab.cli.console import JsonOption, assignments, emit, note, table
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def build(
     from robustlab.provenance import Provenance
     from robustlab.storage import save
 
-    parameters = _numbers(settings or [])
+    parameters = assignments("--set", settings)
     made = dynamics.plant(plant, **parameters)
     model = dynamics.linearise(made)
     given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
@@ -55,17 +55,6 @@ def build(
         f"{out}: {model!r}",
         as_json,
     )
-
-
-def _numbers(settings: list[str]) -> dict[str, float]:
-    values = {}
-    for text in settings:
-        name, _, value = text.partition("=")
-        try:
-            values[name] = float(value)
-        except ValueError:
-            raise UsageError(f"--set {text}", "no parameter and number", "NAME=VALUE") from None
-    return values
 
 
 @app.command()

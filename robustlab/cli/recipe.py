@@ -40,9 +40,7 @@ def check(
     files = {name: str(path) for name, path in find_files(loaded).items()}
     steps = [(name, step.do, files.get(name, "")) for name, step in loaded.recipe.step.items()]
     count = len(loaded.recipe.require)
-    text = (
-        f"{table(steps, ('step', 'does', 'reads'))}\n\n{len(steps)} steps, {count} requirements: the recipe can be run"
-    )
+    text = f"{table(steps, ('step', 'does', 'reads'))}\n\ncan be run; steps: {len(steps)}, requirements: {count}"
     result = {"recipe": str(loaded.path), "steps": [list(step) for step in steps], "requirements": count}
     emit("recipe check", result, text, as_json)
 

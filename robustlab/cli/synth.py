@@ -24,7 +24,7 @@ TimeLimitOption = Annotated[float, typer.Option("--time-limit", help="Time limit
 
 
 @app.command()
-def hinf(  # noqa: PLR0917  one parameter per option of the command line
+def hinf(
     file: FileArgument,
     n_meas: Annotated[int | None, typer.Option("--n-meas", help="Number of measurements (the last outputs).")] = None,
     n_con: Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")] = None,
@@ -58,7 +58,7 @@ def hinf(  # noqa: PLR0917  one parameter per option of the command line
 
 
 @app.command()
-def mixsyn(  # noqa: PLR0917  one parameter per option of the command line
+def mixsyn(
     file: FileArgument,
     w1: Annotated[
         str | None, typer.Option("--w1", help='On the error: a number, or "bandwidth=10,error=0.01,peak=2".')
@@ -94,6 +94,8 @@ def mixsyn(  # noqa: PLR0917  one parameter per option of the command line
         _weight("--w2", w2, control_weight),
         _weight("--w3", w3, complementary_weight),
     )
+    if all(weight is None for weight in weights):
+        raise UsageError("synth mixsyn", "no weight", "at least one of --w1, --w2, --w3")
     model = as_model(load(file), file)
     if inputs or outputs:
         model = model.select(_names(inputs) if inputs else None, _names(outputs) if outputs else None)

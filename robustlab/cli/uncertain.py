@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, emit, note, table
+from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, note, table
 from robustlab.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ SHOWN_BLOCKS = 40
 
 
 @app.command()
-def build(  # noqa: PLR0917  one parameter per option of the command line
+def build(
     nominal: Annotated[
         str | None,
         typer.Argument(help="Nominal model; or one file with groups nominal and perturbed.", metavar="[NOMINAL]"),
@@ -107,7 +107,7 @@ def show(file: UncertainArgument, as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def sample(  # noqa: PLR0917  one parameter per option of the command line
+def sample(
     file: UncertainArgument,
     n: Annotated[int, typer.Option("-n", "--samples", help="Number of random samples.")] = 20,
     seed: SeedOption = 0,
@@ -157,20 +157,6 @@ def load_uncertain(file: str) -> UncertainModel:
             file, f"holds a {type(model).__name__}", "an uncertain model", "make one with: robustlab uncertain build"
         )
     return model
-
-
-def assignments(option: str, texts: list[str] | None) -> dict[str, float]:
-    """``["u=42"]`` as ``{"u": 42.0}``."""
-    values: dict[str, float] = {}
-    for text in texts or []:
-        name, _, value = text.rpartition("=")
-        try:
-            values[name] = float(value)
-        except ValueError:
-            raise UsageError(f"{option} {text}", "no number after =", "NAME=VALUE") from None
-        if not name:
-            raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
-    return values
 
 
 def times(dt: float, t_end: float, points: int) -> Any:

@@ -6,13 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, emit, table
+from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, table
 from robustlab.cli.uncertain import (
     EndOption,
     InputOption,
     PointsOption,
     UncertainArgument,
-    assignments,
     load_uncertain,
     times,
 )
@@ -23,7 +22,7 @@ SHOWN_BLOCKS = 40
 
 
 @app.command()
-def worst_case(  # noqa: PLR0917  one parameter per option of the command line
+def worst_case(
     file: UncertainArgument,
     metric: Annotated[
         str, typer.Option("--metric", help="peak-deviation, hinf or spectral-abscissa.")

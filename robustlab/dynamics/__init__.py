@@ -42,7 +42,7 @@ _PLANTS = {
 }
 
 
-def plant(name: str, /, **parameters: Any) -> Any:
+def plant(name: str, **parameters: Any) -> Any:
     """The named plant with its published parameters, or with the given ones in their places.
 
     Parameters

@@ -42,7 +42,7 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     try:
         for name, shape, _kind in whosmat(path):
             _check_size(where, name, math.prod(int(n) for n in shape) * 8, limits)
-        variables = loadmat(path, struct_as_record=False, squeeze_me=False, mat_dtype=True)
+        variables = loadmat(path, struct_as_record=False, squeeze_me=False)
     except InputError:
         raise
     except MemoryError:
@@ -111,7 +111,8 @@ def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
         for name, value in variables.items()
     }
     with Path(path).open("wb") as stream:
-        savemat(stream, content, appendmat=False)
+        # zlib carries a checksum, which version 5 itself has not
+        savemat(stream, content, appendmat=False, do_compression=True)
 
 
 # --- version 7.3 -----------------------------------------------------------------------------------------------------

@@ -274,7 +274,7 @@ def _no_signals(source: _Source, found: str) -> InputError:
         source.where,
         found,
         _list("signals in the group given; groups are", source.groups),
-        f"--group {source.groups[0]}",
+        f"--group {source.groups[0] if len(source.groups) == 1 else 'NAME'}",
     )
 
 

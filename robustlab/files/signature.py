@@ -42,14 +42,7 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     limits = limits or Limits()
     try:
         state = path.stat()
-        if stat.S_ISDIR(state.st_mode):
-            raise InputError(where, "is a directory", "a file")
-        if not stat.S_ISREG(state.st_mode):
-            raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")
-        if state.st_size == 0:
-            raise InputError(where, "empty file (0 bytes)", _FORMATS)
-        if state.st_size > limits.file:
-            raise InputError(where, f"{size_text(state.st_size)}", f"at most {size_text(limits.file)}")
+        _check_state(state, where, limits)
         with path.open("rb") as stream:
             return stream.read(520)
     except InputError:
@@ -60,6 +53,17 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
         raise InputError(where, "no permission to read it", None, f"chmod u+r {where}") from None
     except (OSError, ValueError) as error:  # a name too long, a NUL in the name, a loop of links, a dead network disk
         raise InputError(where, f"cannot be opened ({getattr(error, 'strerror', None) or error})") from None
+
+
+def _check_state(state: os.stat_result, where: str, limits: Limits) -> None:
+    if stat.S_ISDIR(state.st_mode):
+        raise InputError(where, "is a directory", "a file")
+    if not stat.S_ISREG(state.st_mode):
+        raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")
+    if state.st_size == 0:
+        raise InputError(where, "empty file (0 bytes)", _FORMATS)
+    if state.st_size > limits.file:
+        raise InputError(where, f"{size_text(state.st_size)}", f"at most {size_text(limits.file)}")
 
 
 def _missing(path: Path) -> InputError:

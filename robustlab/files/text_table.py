@@ -142,9 +142,7 @@ def _looks_numeric(text: str) -> bool:
     return bool(re.match(r"^[+-]?(\d|[.,]\d|nan$|inf)", first, re.IGNORECASE))
 
 
-def _delimiter(
-    where: str, data: list[tuple[int, str]], header: str | None, *, given: str | None, decimal: str
-) -> str:
+def _delimiter(where: str, data: list[tuple[int, str]], header: str | None, *, given: str | None, decimal: str) -> str:
     if given is not None:
         if given not in (",", ";", "\t", "\\t", WHITESPACE):
             raise InputError(where, f"delimiter {given!r}", "one of ',' ';' tab or ' '")
@@ -154,7 +152,9 @@ def _delimiter(
     sample = [text for _, text in data[:20]]
     # The header says how many cells a line has; where no delimiter fits it, the first line of numbers does.
     for pattern in ([header] if header else []) + sample[:1]:
-        fits = {sign: _share_that_fits(pattern, sample, sign) for sign in (";", "\t", ",", WHITESPACE) if sign != decimal}
+        fits = {
+            sign: _share_that_fits(pattern, sample, sign) for sign in (";", "\t", ",", WHITESPACE) if sign != decimal
+        }
         best = max(fits, key=lambda sign: fits[sign])
         if fits[best] > 0:
             return best

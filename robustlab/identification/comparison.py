@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.evidence import Evidence
 from robustlab.identification.initial_state import InitialState, starting_state
 from robustlab.identification.input_disturbance import InputDisturbance, input_disturbance
 from robustlab.identification.localisation import (
@@ -49,12 +50,12 @@ LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
 
 REFERENCE = (
     "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
-    "(each sample predicted from the samples before it in its window)"
+    "(each sample predicted from the samples of the same output before it in its window)"
 )
 
 
 @dataclass(frozen=True)
-class OutputGap:
+class OutputGap(Evidence):
     r"""Disagreement at one output, in its unit and in percent.
 
     Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
@@ -85,13 +86,9 @@ class OutputGap:
     windowed_rms_percent: float
     windowed_fit: float
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class WindowErrors:
+class WindowErrors(Evidence):
     """Error of one output window by window; all arrays have shape (n_windows,).
 
     Attributes
@@ -115,13 +112,9 @@ class WindowErrors:
     worst: int
     worst_free: int
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class ResidualTests:
+class ResidualTests(Evidence):
     """Tests of one output's recursive residual (see `robustlab.identification.windowed_simulation`).
 
     Attributes
@@ -138,13 +131,9 @@ class ResidualTests:
     whiteness: Whiteness
     inputs: Mapping[str, InputCorrelation]
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Evidence):
     """Result of `compare`.
 
     Attributes
@@ -235,7 +224,7 @@ class Comparison:
 
 
 def compare(
-    plant_or_model: Any,
+    plant: Any,
     record: Record,
     *,
     window: float | None = None,
@@ -248,7 +237,7 @@ def compare(
 
     Parameters
     ----------
-    plant_or_model
+    plant
         A linear `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record.
         Inputs are held between samples.
     record
@@ -288,7 +277,7 @@ def compare(
     >>> round(gap.peak, 3), round(gap.peak_percent, 2)
     (0.1, 9.09)
     """
-    response = response_of(plant_or_model, record)
+    response = response_of(plant, record)
     record = response.with_units(record)
     whole = response.stretch(record)
     length = _window_length(response, record, window)
@@ -306,7 +295,7 @@ def compare(
     piece = max(length // PIECES_PER_WINDOW, min(length, SHORTEST_WINDOW))
     return Comparison(
         status=Status.CONVERGED,
-        model=_name(plant_or_model),
+        model=_name(plant),
         record=record.name,
         motion=motion,
         initial_state=initial,

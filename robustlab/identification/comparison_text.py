@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 __all__ = ["summary"]
 
+ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything
+
 
 def summary(c: Comparison) -> str:
     """A dozen lines: sizes of the gap, where it lives, what the residual tests say, warnings."""
@@ -86,6 +88,8 @@ def _disturbance_lines(c: Comparison) -> list[str]:
 def _residual_lines(c: Comparison, name: str) -> list[str]:
     r = c.residual[name]
     w = r.whiteness
+    if r.rms <= ROUNDING * c.outputs[name].range:
+        return [f"  residual   zero to rounding (rms {r.rms:.1g} {c.outputs[name].unit})"]
     past = (
         f"  residual   {_verdict(w.p_value, 'white', 'not white')} (Ljung-Box {w.statistic:.4g}, {w.dof} lags, "
         f"p {_p(w.p_value)}); {100 * w.predictable_share:.1f} % of its variance is predictable from its past"

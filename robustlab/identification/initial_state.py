@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.identification.evidence import Evidence
 from robustlab.identification.response import Response, Stretch
 
 __all__ = ["InitialState", "StateFit", "fit_state", "starting_state", "weighted_least_squares"]
@@ -46,7 +47,7 @@ class StateFit:
 
 
 @dataclass(frozen=True)
-class InitialState:
+class InitialState(Evidence):
     """The state from which the whole record is simulated.
 
     Attributes

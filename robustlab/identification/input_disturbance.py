@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.identification.evidence import Evidence
 from robustlab.identification.initial_state import weighted_least_squares
 from robustlab.identification.localisation import REST, Motion
 from robustlab.identification.response import Response, Stretch
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class InputDisturbance:
+class InputDisturbance(Evidence):
     """Constant addition to one input that reproduces each piece of the record best; arrays have shape (n_pieces,).
 
     Attributes
@@ -55,10 +56,6 @@ class InputDisturbance:
     forward: float
     backward: float
     explained_share: float
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
 
 
 def input_disturbance(response: Response, name: str, whole: Stretch, length: int, motion: Motion) -> InputDisturbance:

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.identification.evidence import Evidence
 from robustlab.record import Record
 
 __all__ = ["Bin", "Motion", "Spectrum", "bins", "motion_of", "position_edges", "spectrum", "speed_edges", "time_shares"]
@@ -25,7 +26,7 @@ REST = 0.02  # speeds below this share of the largest count as rest
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(Evidence):
     """Measured speed and position along the record, against which errors are sorted.
 
     Attributes
@@ -49,7 +50,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Bin:
+class Bin(Evidence):
     """Error of one output over the samples whose speed (or position) lies in ``[low, high)``.
 
     Attributes
@@ -71,13 +72,9 @@ class Bin:
     rms: float
     share: float
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class Spectrum:
+class Spectrum(Evidence):
     r"""Power spectral densities by Welch's method, and the coherence of the inputs with the error.
 
     Hann window, half overlap, mean kept (a constant error is an error at frequency 0).
@@ -120,10 +117,6 @@ class Spectrum:
             "error_share": self.error_share,
             "relative_error": self.relative_error,
         }
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
 
 
 def time_shares(error: ArrayLike, edges: ArrayLike) -> Array:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.identification.evidence import Evidence
+
 __all__ = ["InputCorrelation", "Whiteness", "autocorrelation", "input_correlation", "whiteness"]
 
 Array = NDArray[np.float64]
@@ -23,7 +25,7 @@ NOT_EXCITED = 1e-10
 
 
 @dataclass(frozen=True)
-class Whiteness:
+class Whiteness(Evidence):
     r"""Autocorrelation of a residual and the Ljung-Box test.
 
     .. math:: Q = N (N + 2) \sum_{k=1}^{m} \frac{r_k^2}{N_k}, \qquad Q \sim \chi^2_m \text{ for a white residual}
@@ -54,13 +56,9 @@ class Whiteness:
     predictable_share: float
     samples: int
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class InputCorrelation:
+class InputCorrelation(Evidence):
     r"""Cross-correlation of one input with a residual, and the test of their independence.
 
     .. math:: r_k = \frac{\sum_t e_{t+k} \tilde u_t}{\sqrt{\sum e^2 \sum \tilde u^2}}, \qquad
@@ -97,10 +95,6 @@ class InputCorrelation:
     p_value: float
     explained_share: float
     samples: int
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))
 
 
 def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:

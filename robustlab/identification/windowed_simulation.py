@@ -5,8 +5,9 @@ record is cut into windows, and in each the initial state is fitted by least squ
 left is the part of the error that no initial state explains.
 
 The windowed error itself is not white even for a perfect model, because the fit uses up n_x directions in each
-window. The *recursive residual* has no such flaw: sample k is predicted with the initial state fitted to the samples
-of its window before k,
+window, and because the fit must weigh outputs of unknown noise against each other. The *recursive residual* has no
+such flaw: sample k of an output is predicted with the initial state fitted to the samples of this output in its window
+before k,
 
 .. math:: w_k = \frac{y_k - y_{u,k} - s_k^T \hat x_{k-1}}{\sqrt{1 + s_k^T P_{k-1} s_k}}, \qquad
           P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1}.
@@ -68,8 +69,8 @@ def window_edges(n: int, length: int) -> NDArray[np.int_]:
 
     Examples
     --------
-    >>> window_edges(100, 40).tolist(), window_edges(110, 40).tolist()
-    ([0, 40, 100], [0, 40, 80, 110])
+    >>> window_edges(99, 40).tolist(), window_edges(110, 40).tolist()
+    ([0, 40, 99], [0, 40, 80, 110])
     """
     edges = list(range(0, n, length))
     if len(edges) > 1 and n - edges[-1] < length / 2:
@@ -96,36 +97,38 @@ def windowed_simulation(response: Response, whole: Stretch, length: int) -> Wind
         simulated[part], states[k] = fit.y, fit.x0
         error[:size, :, k] = y[part] - fit.y
         if shared is None:
-            residual[part] = recursive_residual(free, error[:size, :, k : k + 1], whole.weight)[:, :, 0]
+            for j in range(y.shape[1]):
+                residual[part, j] = recursive_residual(free[:, j], error[:size, j, k : k + 1])[:, 0]
     if shared is not None:
-        padded = recursive_residual(shared, error, whole.weight)
-        for k, (first, last) in enumerate(pairwise(edges)):
-            residual[first:last] = padded[: last - first, :, k]
+        for j in range(y.shape[1]):
+            padded = recursive_residual(shared[:, j], error[:, j])
+            residual[:, j] = np.concatenate([padded[:size, k] for k, size in enumerate(np.diff(edges))])
     return WindowedSimulation(edges, simulated, states, residual)
 
 
-def recursive_residual(free: Array, error: Array, weight: Array) -> Array:
-    """Recursive residual of windows that share one free response, shape (n, n_y, n_windows).
+def recursive_residual(free: Array, error: Array) -> Array:
+    """Recursive residual of one output in windows that share one free response, shape (n, n_windows).
 
     Parameters
     ----------
     free
-        Free response, shape (n, n_y, n_x).
+        Free response of this output, shape (n, n_x).
     error
-        Measured minus simulated outputs from any one initial state, shape (n, n_y, n_windows); the residual does not
-        depend on which. A window that ends earlier than the others ends in NaN.
-    weight
-        One over the relative size of the noise at each output, shape (n_y,).
+        Measured minus simulated output from any one initial state, shape (n, n_windows); the residual is the same for
+        all. A window that ends earlier than the others ends in NaN.
+
+    Returns
+    -------
+    numpy.ndarray
+        NaN at the samples that only fix the state.
     """
-    n, n_y, n_x = free.shape
-    rows = (free * weight[:, None]).reshape(n * n_y, n_x)
-    target = (error * weight[:, None]).reshape(n * n_y, -1)
-    size = np.linalg.norm(rows, axis=0)
+    n, n_x = free.shape
+    size = np.linalg.norm(free, axis=0)
     floor = NO_INFORMATION * np.where(size > 0, size, 1.0)
-    result = np.empty_like(target)
-    R, z = np.zeros((n_x, n_x)), np.zeros((n_x, target.shape[1]))
-    for k in range(len(rows)):
-        row, value = rows[k].copy(), target[k]
+    result = np.empty_like(error)
+    R, z = np.zeros((n_x, n_x)), np.zeros((n_x, error.shape[1]))
+    for k in range(n):
+        row, value = free[k].copy(), error[k]
         for i in range(n_x):
             if abs(row[i]) <= floor[i]:
                 continue
@@ -137,4 +140,4 @@ def recursive_residual(free: Array, error: Array, weight: Array) -> Array:
             R[i, i:], row[i:] = c * R[i, i:] + s * row[i:], c * row[i:] - s * R[i, i:]
             z[i], value = c * z[i] + s * value, c * value - s * z[i]
         result[k] = value
-    return result.reshape(n, n_y, -1) / weight[:, None]
+    return result

@@ -95,6 +95,9 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
     """
     structure = as_blocks(blocks)
     stack, single = matrix_stack(M, structure)
+    # Scaling by powers of two is exact, and keeps the squares of the entries inside the range of floating point.
+    scale = np.exp2(-_exponents(stack))
+    stack = stack * scale[:, None, None]
     uppers = upper_bounds(stack, structure)
     lowers = [lower_bound(m, structure, seed) for m in stack]
     q, p = structure_size(structure)
@@ -108,12 +111,13 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
     sure = np.isfinite(upper).all()
     attained = ((lower > 0) | (upper == 0)).all()
     status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
+    size = scale[:, None, None]
     parts: dict[str, Any] = {
-        "lower": lower,
-        "upper": upper,
-        "delta": _stacked([zero if d is None else d for _, d in lowers], (q, p)),
+        "lower": lower / scale,
+        "upper": upper / scale,
+        "delta": _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size,
         "D": _stacked([b.Dw for b in uppers], (q, q)),
-        "G": _stacked([b.G for b in uppers], (q, p)),
+        "G": _stacked([b.G for b in uppers], (q, p)) / size,
         "D_z": _stacked([b.Dz for b in uppers], (p, p)),
     }
     if single:
@@ -146,6 +150,12 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
         )
     stack = array.astype(np.complex128)
     return (stack[None] if single else stack), single
+
+
+def _exponents(stack: ComplexArray) -> NDArray[np.float64]:
+    """Power of two of the largest entry of each matrix, shape (k,); 0 for a zero matrix."""
+    largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
+    return np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000)
 
 
 def _stacked(parts: list[ComplexArray], shape: tuple[int, int]) -> ComplexArray:

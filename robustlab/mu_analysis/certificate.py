@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from robustlab.mu_analysis.scalings import hermitian
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices
 
-__all__ = ["certified_level", "delta_norm", "level", "positive_definite", "project", "proves", "singularity"]
+__all__ = ["EPS", "certified_level", "delta_norm", "level", "positive_definite", "project", "proves", "singularity"]
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 EPS = float(np.finfo(float).eps)
@@ -88,8 +88,10 @@ def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: Comp
         return beta
     if proves(M, Dw, Dz, G, beta):
         return beta
-    reference = max(beta, EPS * float(np.abs(M).max()))
-    return next((b for b in (beta + i * reference for i in INFLATIONS) if proves(M, Dw, Dz, G, b)), float("inf"))
+    # The size of M comes in where beta is next to nothing beside it.
+    size = float(np.abs(M).max())
+    steps = sorted(i * reference for i in INFLATIONS for reference in (beta, EPS * size, size))
+    return next((beta + s for s in steps if proves(M, Dw, Dz, G, beta + s)), float("inf"))
 
 
 def singularity(M: ComplexArray, delta: ComplexArray) -> float:

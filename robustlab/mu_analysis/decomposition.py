@@ -46,8 +46,13 @@ class Component:
 def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
     """Frobenius norm of each block ``M_ij`` (outputs of block i, inputs of block j), shape (n_blocks, n_blocks)."""
     slices = block_slices(blocks)
-    largest = max(float(np.abs(M).max(initial=0.0)), 1e-300)
-    return largest * np.array([[np.linalg.norm(M[z, w] / largest) for w, _ in slices] for _, z in slices])
+    return np.array([[_norm(M[z, w]) for w, _ in slices] for _, z in slices])
+
+
+def _norm(part: ComplexArray) -> float:
+    """Frobenius norm, scaled by the largest entry: the squares of a small coupling must not vanish."""
+    largest = float(np.abs(part).max(initial=0.0))
+    return largest * float(np.linalg.norm(part / largest)) if largest else 0.0
 
 
 def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:
@@ -65,7 +70,7 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     count, labels = connected_components(norms > 0, directed=True, connection="strong")
     groups = [np.flatnonzero(labels == c) for c in range(count)]
     # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
-    drives = np.array([[bool((norms[np.ix_(i, j)] > 0).any()) for j in groups] for i in groups])
+    drives = np.array([[bool((norms[i[:, None], j] > 0).any()) for j in groups] for i in groups])
     np.fill_diagonal(drives, False)
     depth = np.zeros(count, dtype=int)
     for _ in range(count):
@@ -77,12 +82,12 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     result = []
     for c in np.argsort(depth, kind="stable"):
         members = groups[c]
-        exponents = _osborne(norms[np.ix_(members, members)])
+        exponents = _osborne(norms[members[:, None], members])
         part = [blocks[i] for i in members]
         w, z = expand(part, exponents)
         rows = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
         cols = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
-        matrix = M[np.ix_(rows, cols)] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
+        matrix = M[rows[:, None], cols] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
         result.append(Component(tuple(int(i) for i in members), int(depth[c]), exponents, matrix))
     return result
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.mu_analysis.certificate import delta_norm, project, singularity
+from robustlab.mu_analysis.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.decomposition import Component, components, expand
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
@@ -30,6 +30,8 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # Relative smallest singular value below which I - M Delta counts as singular.
 SINGULAR = 1e-11
+# A Delta counts as attaining its bound where an exactly singular one lies within this share of its norm.
+NEARBY = 1e-8
 
 
 def lower_bound(
@@ -49,16 +51,50 @@ def lower_bound(
         if not component.matrix.any():
             continue
         part = [blocks[i] for i in component.members]
-        candidates = [(delta_norm(part, c), c) for c in _candidates(component.matrix, part, seed, restarts, steps)]
+        # The steps below are sized for a matrix of order one.
+        size = float(np.exp2(np.rint(np.log2(np.abs(component.matrix).max()))))
+        found = [c / size for c in _candidates(component.matrix / size, part, seed, restarts, steps)]
+        candidates = [(delta_norm(part, c), c) for c in found]
         for norm, candidate in sorted(candidates, key=lambda pair: pair[0]):
             if not 0 < norm < np.inf:
                 continue
             if 1 / norm <= best[0]:
                 break
             delta = _embed(candidate, blocks, component)
-            if singularity(component.matrix, candidate) <= SINGULAR and singularity(M, delta) <= 1e3 * SINGULAR:
+            close = singularity(component.matrix, candidate) <= SINGULAR and singularity(M, delta) <= 1e3 * SINGULAR
+            if close and _singular_nearby(component.matrix, part, candidate):
                 best = (1 / delta_norm(blocks, delta), delta)
     return best
+
+
+def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
+    r"""Whether a Delta of the structure within ``NEARBY`` of this one makes ``I - M Delta`` singular to first order.
+
+    A small singular value alone does not say so: that of ``I - M Delta`` for a nilpotent M falls like
+    ``1 / ||Delta||``, and no Delta at all makes it zero.
+    """
+    loop = np.eye(len(M)) - M @ delta
+    # Rows and columns may carry any scaling; with the largest entries at one, singular values keep their digits.
+    rows, cols = np.ones(len(loop)), np.ones(len(loop))
+    for _ in range(3):
+        rows /= _power_of_two(np.abs(loop * rows[:, None] * cols).max(axis=1))
+        cols /= _power_of_two(np.abs(loop * rows[:, None] * cols).max(axis=0))
+    u, sigma, vh = np.linalg.svd(loop * rows[:, None] * cols)
+    y, x, smallest = rows * u[:, -1], cols * np.conj(vh[-1]), sigma[-1]
+    rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
+    if smallest <= rounding:
+        return True
+    row = (np.conj(y) @ M)[None] / smallest
+    gains = block_gains(blocks, row, x[None])
+    real = np.array([isinstance(b, RealScalar) for b in blocks])
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = smallest_step(gains, real)
+        reached = (np.where(real, gains * step, np.abs(gains * step))).sum()
+    return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= NEARBY * delta_norm(blocks, delta))
+
+
+def _power_of_two(size: Array) -> Array:
+    return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))
 
 
 def _candidates(M: ComplexArray, blocks: list[Block], seed: int, restarts: int, steps: int) -> list[ComplexArray]:
@@ -73,6 +109,8 @@ def _candidates(M: ComplexArray, blocks: list[Block], seed: int, restarts: int, 
     found = _minimum_norm_steps(M, blocks, x, y, steps=steps, rng=rng)
     if not any(isinstance(b, RealScalar) for b in blocks):
         found.extend(_power_iteration(M, blocks, rng, restarts, 2 * steps))
+    if all(isinstance(b, RealScalar) for b in blocks):
+        found.extend(_vertex_rays(M, blocks, rng, 2 * restarts))
     return found
 
 
@@ -109,6 +147,19 @@ def _minimum_norm_steps(
         y = _unit(np.einsum("kji,kj->ki", np.conj(inverse), y), y)
         if step >= steps - 2:
             found.extend(_completed(M, blocks, d) for d in delta)
+    return found
+
+
+def _vertex_rays(M: ComplexArray, blocks: list[Block], rng: np.random.Generator, count: int) -> list[ComplexArray]:
+    """Along the ray through a vertex V of the box, ``I - t M V`` is singular where 1 / t is an eigenvalue of M V."""
+    found = []
+    for k in range(count):
+        signs = np.ones(len(blocks)) if k == 0 else rng.choice([-1.0, 1.0], len(blocks))
+        vertex = np.diag(np.repeat(signs, [b.rows for b in blocks])).astype(complex)
+        eigenvalues = np.linalg.eigvals(M @ vertex)
+        real = eigenvalues.real[np.abs(eigenvalues.imag) <= 1e-9 * np.abs(eigenvalues)]
+        if len(real) and np.abs(real).max() > 0:
+            found.append(vertex / real[np.abs(real).argmax()])
     return found
 
 
@@ -287,5 +338,5 @@ def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -
     result = np.zeros((q, p), dtype=complex)
     w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
     z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
-    result[np.ix_(w, z)] = scaled
+    result[w[:, None], z] = scaled
     return result

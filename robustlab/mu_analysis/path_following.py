@@ -50,7 +50,7 @@ def minimise(
     """
     scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
     path = _Path(M / scale[:, None, None], space)
-    goal = np.full(len(M), -np.inf) if target is None else np.minimum(target / scale, 1e3) ** 2
+    goal = np.full(len(M), -np.inf) if target is None else (np.minimum(target, 1e3 * scale) / scale) ** 2
     active = np.arange(len(M))
     for _ in range(max_steps):
         if not len(active):

@@ -90,7 +90,7 @@ def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> complex:
     if not np.any(a.imag):
         a = a.real
     poles = np.linalg.eigvals(a)
-    return complex(poles[poles.real.argmax()])
+    return complex(poles[poles.real.argmax()]) if len(poles) else complex(-np.inf)
 
 
 def _first_crossing(model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray) -> Destabilising | None:

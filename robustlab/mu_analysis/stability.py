@@ -149,7 +149,7 @@ def _check_nominal(uncertain: UncertainModel) -> None:
         "robust_stability",
         f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)",
         "a stable nominal model",
-        "close the loop first: UncertainModel.close(K)",
+        "close the loop first (UncertainModel.close), or drop an integrator that feeds nothing back",
     )
 
 
@@ -200,7 +200,7 @@ def _cover(
     for members in parts:
         w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
         z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
-        part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[np.ix_(z, w)])
+        part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[z[:, None], w])
         covers.append(cover_axis(part, [blocks[i] for i in members], peak, first=first, until=until, accuracy=accuracy))
     whole = AxisCover(open=[])
     for cover in covers:
@@ -267,9 +267,9 @@ def _margin(
 
 
 def _pole(uncertain: UncertainModel, worst: Destabilising | None) -> complex | None:
-    if worst is None or not uncertain.M.is_discrete or not np.isfinite(worst.pole):
+    if worst is None or not uncertain.M.is_discrete:
         return worst.pole if worst else None
-    return (1 + worst.pole) / (1 - worst.pole)
+    return (1 + worst.pole) / (1 - worst.pole) if np.isfinite(worst.pole) else -1.0 + 0j
 
 
 def _frequency(uncertain: UncertainModel, worst: Destabilising | None) -> float | None:

@@ -107,7 +107,10 @@ def _by_ab13md(m: ComplexArray, blocks: list[Block]) -> UpperBound | None:
 
 def _by_path(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
     space = ScalingSpace(blocks)
-    Dw, Dz, G = space.matrices(minimise(M, space, tol))
+    # The path is sized for matrices of order one; powers of two scale exactly, and G like M.
+    size = np.exp2(np.rint(np.log2(np.maximum(np.abs(M).max(axis=(1, 2)), 1e-300))))[:, None, None]
+    Dw, Dz, G = space.matrices(minimise(M / size, space, tol))
+    G = G * size
     eye, zero = space.matrices(space.identity[None])[:2], np.zeros_like(G[0])
     result = []
     for m, w, z, g in zip(M, Dw, Dz, G, strict=True):
@@ -157,9 +160,9 @@ def _place(
     w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
     z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
     Dw, Dz, G = into
-    Dw[np.ix_(w, w)] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
-    Dz[np.ix_(z, z)] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
-    G[np.ix_(w, z)] = weight * bound.G * e_w[:, None] * e_z[None, :]
+    Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
+    Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
+    G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
 
 
 def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:

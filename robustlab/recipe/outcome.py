@@ -8,10 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robustlab.errors import InputError
 from robustlab.result import Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from robustlab.record import Record
+    from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["Fact", "Outcome", "Workspace", "quantity"]
 
@@ -90,6 +94,24 @@ class Workspace:
     inputs: dict[str, str] = field(default_factory=dict)
     figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
     step: str = ""
+
+    def uncertain(self, name: str) -> UncertainModel:
+        """The uncertain model that an earlier step gave; a loaded file may hold something else."""
+        from robustlab.uncertainty.lft import UncertainModel
+
+        value = self.values[name]
+        if not isinstance(value, UncertainModel):
+            raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "an UncertainModel")
+        return value
+
+    def record(self, name: str) -> Record:
+        """The record that an earlier step gave; a loaded file may hold something else."""
+        from robustlab.record import Record
+
+        value = self.values[name]
+        if not isinstance(value, Record):
+            raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "a Record")
+        return value
 
     def draw(self, figure: Figure, name: str, caption: str) -> None:
         """Save a figure of the present step as SVG and PNG."""

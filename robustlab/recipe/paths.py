@@ -51,7 +51,9 @@ def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path
             raise InputError(where, f"{path} is not a regular file", "a file")
     siblings = sorted({p.name for c in candidates if c.parent.is_dir() for p in c.parent.iterdir()})
     step = where.rpartition("step.")[2]
-    hint = did_you_mean(Path(given).name, siblings) or f"point to a copy with --set {step}=FILE"
+    hint = " or ".join(
+        filter(None, (did_you_mean(Path(given).name, siblings), f"point to a copy with --set {step}=FILE"))
+    )
     looked = ", ".join(str(path.parent) for path in candidates)
     raise InputError(where, f"{given}: no such file (looked in {looked})", None, hint, tuple(about.splitlines()))
 

@@ -29,14 +29,15 @@ from robustlab.errors import (
     InputError,
     NoTrustworthyNumber,
     RobustlabError,
+    UsageError,
 )
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.outcome import Outcome, Workspace
 from robustlab.recipe.paths import find_files
-from robustlab.recipe.requirements import judge
-from robustlab.recipe.schema import StepBase
+from robustlab.recipe.requirements import judge, look_up
+from robustlab.recipe.schema import Recipe, StepBase
 from robustlab.report.html import render
 from robustlab.report.junit import junit_xml
 from robustlab.result import Status, plain
@@ -67,6 +68,16 @@ class RunResult:
         return int(self.data["exit_code"])
 
 
+def _workplace(target: Path, out: str | Path) -> Path:
+    """A hidden folder beside ``target``, where the results lie until the run is through."""
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
+
+
 def run_recipe(
     loaded: LoadedRecipe, out: str | Path, report: Callable[[str, str], None] = lambda _name, _kind: None
 ) -> RunResult:
@@ -91,13 +102,12 @@ def run_recipe(
     started = time.monotonic()
     sources = find_files(loaded)
     target = Path(out).resolve()
-    target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists() and not target.is_dir():
         raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
-    folder = Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
+    folder = _workplace(target, out)
     try:
         workspace = Workspace(folder, sources, loaded.recipe.seed)
-        workspace.inputs = {path.name: file_sha256(path) for path in sources.values()}
+        workspace.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in sources.items()}
         steps = _run_steps(loaded, workspace, report)
         data = _result(loaded, workspace, steps, time.monotonic() - started)
         _write(folder / "result.json", json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False))
@@ -139,12 +149,21 @@ def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str
         else:
             workspace.values[name] = outcome.value
             entry = _done(name, step, outcome, workspace.figures.get(name, []))
+            _check_paths(loaded.recipe, name, entry["numbers"])
         done.append({**entry, "seconds": round(time.monotonic() - begun, 3)})
     return done
 
 
+def _check_paths(recipe: Recipe, name: str, numbers: Mapping[str, Any]) -> None:
+    """Refuse a requirement on a number that the step does not have, as soon as the step is done."""
+    for requirement in recipe.require:
+        if requirement.that.split(".")[0] == name:
+            look_up(requirement.that, {name: numbers})
+
+
 def _at_step(error: RobustlabError, recipe: str, name: str) -> RobustlabError:
-    return type(error)(f"{recipe}: step.{name}: {error.where}", error.found, error.expected, error.hint, error.more)
+    kind = InputError if isinstance(error, UsageError) else type(error)  # what is off is the recipe, not the command
+    return kind(f"{recipe}: step.{name}: {error.where}", error.found, error.expected, error.hint, error.more)
 
 
 def _done(name: str, step: StepBase, outcome: Outcome, figures: list[tuple[str, str]]) -> dict[str, Any]:

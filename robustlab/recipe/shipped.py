@@ -30,7 +30,7 @@ def recipe_path(given: str) -> Path:
         Neither a file nor a shipped name.
     """
     path = Path(given)
-    if path.exists() or path.suffix or len(path.parts) > 1:
+    if path.is_file() or path.suffix or len(path.parts) > 1:
         return path  # a path: `load_recipe` says what is wrong with it
     if given in shipped_recipes():
         return _folder() / f"{given}.toml"

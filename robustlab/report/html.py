@@ -11,11 +11,15 @@ import base64
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robustlab.errors import InputError, plain_text
 from robustlab.result import Status
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 __all__ = ["Verdict", "render", "verdict"]
 
@@ -82,19 +86,11 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
     InputError
         A figure that the result names is not there, or the result lacks a part.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined, UndefinedError
+    from jinja2 import UndefinedError
 
-    environment = Environment(
-        loader=PackageLoader("robustlab.report", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["pretty"] = _pretty
     try:
         readable = _readable(result)
-        return environment.get_template("page.html.j2").render(
+        return _template().render(
             r=readable,
             verdict=verdict(readable),
             found=_found,
@@ -106,6 +102,18 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
         raise InputError(
             f"{folder}/result.json", f"a part is missing or has another form ({error})", "the result of a run"
         ) from None
+
+
+@cache
+def _template() -> Template:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("robustlab.report", "")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["pretty"] = _pretty
+    return environment.get_template("page.html.j2")
 
 
 def _readable(value: Any) -> Any:

@@ -83,7 +83,8 @@ def worst_case_figure(t: Array, nominal: Array, worst: Array, output: tuple[str,
 def _enlarge(axes: Any, t: Array, curves: Sequence[Array], values: Sequence[float]) -> None:
     last = t >= t[0] + SETTLED * (t[-1] - t[0])
     seen = np.concatenate([*(curve[last] for curve in curves), np.asarray(values, dtype=float)])
-    low, high = float(seen.min()), float(seen.max())
+    seen = seen[np.isfinite(seen)]
+    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
     margin = 0.12 * (high - low) or 0.05 * max(abs(high), 1e-12)
     axes.set_xlim(t[last][0], t[-1])
     axes.set_ylim(low - margin, high + margin)

@@ -128,9 +128,7 @@ def _synthesize(
     disagree = max(reached) / min(reached) - 1 if len(reached) == 2 and min(reached) > 0 else float("nan")
     chosen = best
     if gamma_rel > 1:
-        for search in searches:
-            if search.best is not None:
-                search.soften(best, gamma_rel * best.gamma)
+        next(search for search in searches if search.best is best).soften(best, gamma_rel * best.gamma)
         chosen = _sanest([c for search in searches for c in search.candidates], best, gamma_rel)
     return _finished(
         plant=plant,

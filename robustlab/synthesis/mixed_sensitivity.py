@@ -131,7 +131,13 @@ def _weight(weight: Any, n: int, name: str, dt: float) -> StateSpaceModel:
     """The weight as a stable model with n inputs, in the plant's time."""
     where = f"mixsyn: {name}"
     if isinstance(weight, (int, float, list, tuple, np.ndarray, np.number)):
-        gain = np.atleast_2d(np.asarray(weight, dtype=float))
+        try:
+            gain = np.atleast_2d(np.asarray(weight, dtype=float))
+        except (TypeError, ValueError):
+            hint = "several weights side by side are one model: robustlab.statespace.append(W, W)"
+            raise InputError(
+                where, f"a {type(weight).__name__} that is no matrix", "a model or numbers", hint
+            ) from None
         weight = StateSpaceModel(
             np.zeros((0, 0)), np.zeros((0, gain.shape[1])), np.zeros((gain.shape[0], 0)), gain, where=where
         )

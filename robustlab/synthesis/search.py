@@ -36,7 +36,7 @@ SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
 SELF_SCALED_STEPS = 14
 IMPROVEMENT = 5e-4
 REGULAR = 1e-6
-SOFTENING_ROUNDS, SOFTENING_STEPS = 3, 8
+SOFTENING_ROUNDS, SOFTENING_STEPS = 3, 6
 
 
 class Deadline:
@@ -179,12 +179,12 @@ class Search:
                 k += 1
 
     def soften(self, start: Candidate, gamma: float) -> None:
-        """Look for saner controllers, with slower poles and a loop without needlessly slow modes, up to this verified gamma.
+        """Look for saner controllers up to this verified gamma: slower poles, and no needlessly slow modes of the loop.
 
-        The added channels are made as large as the test at this gamma allows. Once with all of them relative to the gains
-        of the loop; and once after half of the slack has gone into an x disturbance and penalty of fixed size, because a
-        mode that w does not excite (an integrator of the plant, behind a reference) otherwise stays in the loop as slow as
-        it is.
+        The added channels are made as large as the test at this gamma allows. Once with all of them relative to the
+        gains of the loop; and once after half of the slack has gone into an x disturbance and penalty of fixed size,
+        because a mode that w does not excite (an integrator of the plant, behind a reference) otherwise stays in the
+        loop as slow as it is.
         """
         self._slowest_poles(start, gamma, 0.0)
         half = 0.5 * (start.gamma + gamma)
@@ -222,7 +222,7 @@ class Search:
             start = softest
 
     def _found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
-        """The central controller of this regularisation at gamma, where it exists and its verified gamma is not larger."""
+        """The central controller of this regularisation at gamma, where it exists and verifies at most gamma."""
         try:
             problem = TwoRiccatiProblem(weights.apply(self.plant))
         except NoTrustworthyNumber:
@@ -236,7 +236,7 @@ class Search:
         if gains is None:
             return None
         gamma = loop.gamma * self.scaling.gain
-        u, y, x_out, x_in = (np.minimum(gamma / np.maximum(g, 1e-300), cap / share) for g in gains)
+        u, y, x_out, x_in = (gamma / np.maximum(g, gamma * share / cap) for g in gains)
         return Regularisation(
             share * u / np.sqrt(len(u)),
             share * y / np.sqrt(len(y)),

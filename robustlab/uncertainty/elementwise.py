@@ -388,8 +388,9 @@ def _check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> None:
 
 def _check_signals(kind: str, prefix: str, first: Sequence[Signal], second: Sequence[Signal]) -> None:
     names, others = [s.name for s in first], [s.name for s in second]
-    unnamed = [f"{prefix}{i + 1}" for i in range(len(first))]
-    if names != others and unnamed not in (names, others):
+    # What our own models and python-control's are called when nobody named their signals.
+    unnamed = ([f"{prefix}{i + 1}" for i in range(len(first))], [f"{prefix}[{i}]" for i in range(len(first))])
+    if names != others and names not in unnamed and others not in unnamed:
         hint = f"bring them into one order with select({kind}=...)" if sorted(names) == sorted(others) else None
         raise InputError(
             "elementwise", f"perturbed {kind} are {', '.join(others)}", f"{', '.join(names)} to match nominal", hint

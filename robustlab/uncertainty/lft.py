@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import (
@@ -27,7 +27,7 @@ from robustlab.uncertainty.blocks import (
     structure_size,
 )
 
-__all__ = ["UncertainModel", "generalized_plant", "upper_lft"]
+__all__ = ["UncertainModel", "upper_lft"]
 
 # I - M11 Delta with a condition number above this has no digits left that could be trusted.
 ILL_POSED = 1e12
@@ -228,58 +228,6 @@ class UncertainModel:
         kinds = [type(b).__name__ for b in self.blocks]
         count = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds)) or "no uncertainty"
         return f"UncertainModel({self.M.n_states} states, Delta {self.delta_shape[0]} x {self.delta_shape[1]}: {count})"
-
-
-def generalized_plant(
-    uncertain: UncertainModel, controls: Sequence[str], measurements: Sequence[str]
-) -> StateSpaceModel:
-    r"""The plant for synthesis: Delta channels first, then what acts and counts, then what the controller has in hand.
-
-    .. math:: \begin{bmatrix} z_\Delta \\ z \\ y \end{bmatrix} =
-              P \begin{bmatrix} w_\Delta \\ w \\ u \end{bmatrix}, \qquad w_\Delta = \Delta z_\Delta, \quad u = K y
-
-    Parameters
-    ----------
-    controls
-        Names of the inputs ``u`` that the controller drives, in its order; every other input is exogenous (``w``).
-    measurements
-        Names of the outputs ``y`` that the controller reads, in its order; every other output is a performance output
-        (``z``).
-
-    Returns
-    -------
-    StateSpaceModel
-        P with inputs ``[w_Delta, w, u]`` and outputs ``[z_Delta, z, y]``. It is M with its signals sorted: the direct
-        channels of E and the nominal D (the block that is missing in print in eq. 10.15) are in its D.
-
-    Raises
-    ------
-    InputError
-        A name that is no input or output of the set, or one that is named twice.
-
-    References
-    ----------
-    Březina 2010, equation 10.15.
-    """
-    q, p = uncertain.delta_shape
-    m = uncertain.M
-    controls = [controls] if isinstance(controls, str) else list(controls)
-    measurements = [measurements] if isinstance(measurements, str) else list(measurements)
-    for kind, wanted, known in (
-        ("control", controls, m.input_names[q:]),
-        ("measurement", measurements, m.output_names[p:]),
-    ):
-        for name in wanted:
-            if name not in known:
-                raise InputError(
-                    f"{kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
-                )
-    exogenous = [name for name in m.input_names[q:] if name not in controls]
-    performance = [name for name in m.output_names[p:] if name not in measurements]
-    return m.select(
-        [*m.input_names[:q], *exogenous, *controls],
-        [*m.output_names[:p], *performance, *measurements],
-    )
 
 
 def _block_json(block: Block) -> dict[str, object]:

@@ -86,7 +86,7 @@ def reduce_blocks(
 
 def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) -> tuple[Array, int] | None:
     """The constant matrix with a smaller block at these rows and columns, and its new size; None where it stays."""
-    n11 = constant[np.ix_(rows, cols)]
+    n11 = constant[rows[:, None], cols]
     n12 = np.delete(constant[rows], cols, axis=1)
     n21 = np.delete(constant[:, cols], rows, axis=0)
     # Units of the outside must not decide what counts as zero: its signals are scaled to norm one.
@@ -106,13 +106,13 @@ def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) ->
         np.delete(np.arange(constant.shape[0]), rows[size:]),
         np.delete(np.arange(constant.shape[1]), cols[size:]),
     )
-    result = constant[np.ix_(keep_rows, keep_cols)]
+    result = constant[keep_rows[:, None], keep_cols]
     inside_rows, inside_cols = rows[:size], cols[:size]
     outside_rows = np.delete(np.arange(result.shape[0]), inside_rows)
     outside_cols = np.delete(np.arange(result.shape[1]), inside_cols)
-    result[np.ix_(inside_rows, inside_cols)] = a
-    result[np.ix_(inside_rows, outside_cols)] = b * into
-    result[np.ix_(outside_rows, inside_cols)] = c * out[:, None]
+    result[inside_rows[:, None], inside_cols] = a
+    result[inside_rows[:, None], outside_cols] = b * into
+    result[outside_rows[:, None], inside_cols] = c * out[:, None]
     return result, size
 
 

@@ -190,15 +190,17 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
         Frequencies in rad/s, shape (n_omega,); mirrored for complex members, whose gain is not even in frequency.
     """
     k, n, n_u = ensemble.B.shape
+    if n == 0:
+        return np.where(ensemble.ill_posed, np.inf, _largest_singular_value(ensemble.D)), np.zeros(k)
     value, where = np.full(k, np.inf), np.full(k, np.nan)
     stable = np.flatnonzero(ensemble.spectral_abscissa() < 0)
     top = np.pi / ensemble.dt if ensemble.dt else np.inf
-    poles = np.linalg.eigvals(ensemble.A) if n else np.zeros((k, 0), complex)
+    poles = np.linalg.eigvals(ensemble.A).astype(complex)
     if ensemble.dt:
         poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / ensemble.dt
     both_sides = np.iscomplexobj(ensemble.A)
     base = np.concatenate([[0.0], grid, -grid]) if both_sides else np.append(0.0, grid)
-    for piece in chunks(len(stable), (len(base) + 2 * n) * max(n, 1) * max(n, n_u, 1)):
+    for piece in chunks(len(stable), (len(base) + 2 * n) * n * max(n, n_u)):
         index = stable[piece]
         own = np.hstack([np.imag(poles[index]), np.abs(poles[index])])
         omega = np.hstack([np.broadcast_to(base, (len(index), len(base))), own if both_sides else np.abs(own)])

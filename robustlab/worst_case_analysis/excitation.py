@@ -119,5 +119,7 @@ def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
     decay = -rate[rate < -1e-9 * size]
     duration = 8.0 / float(decay.min()) if len(decay) else (8.0 * 2 * np.pi / size if size else 1.0)
     if model.is_discrete:
-        return np.arange(max(2, min(round(duration / model.dt) + 1, 5000))) * model.dt
-    return np.arange(n) * (duration / (n - 1))
+        n, step = max(2, min(round(duration / model.dt) + 1, 5000)), model.dt
+    else:
+        step = duration / (n - 1)
+    return real_array("t", step * np.arange(n), 1, where)

@@ -177,6 +177,8 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
     >>> [delta["pole"] for delta in sample(lag, 0, vertices="all").deltas]
     [-1.0, 1.0]
     """
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("sample", type(uncertain).__name__, "an UncertainModel")
     for name, count in (("n", n), ("vertices", 0 if vertices == "all" else vertices), ("seed", seed)):
         if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 0:
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
@@ -206,11 +208,12 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
     if k > MAX_LISTED:
         # Equal draws are rare among so many vertices; where they happen, fewer different ones come back.
-        drawn = 2.0 * rng.integers(0, 2, (number, k)) - 1.0
-        return drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
+        drawn = rng.integers(0, 2, (number, k))
+        bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
+        return real_array("vertices", 2 * bits - 1, 2)
     order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
     bits = (order[:, None] >> np.arange(k)[::-1]) & 1
-    return np.asarray(2.0 * bits - 1.0, dtype=np.float64)
+    return real_array("vertices", 2 * bits - 1, 2)
 
 
 def _random_delta(blocks: Sequence[Block], rng: np.random.Generator, boundary: bool = False) -> dict[str, Any]:
@@ -272,7 +275,8 @@ def _respond(
     everything = np.concatenate([y, nominal[None]])
     finite = bool(np.isfinite(everything).all())
     lost = np.isnan(everything)
-    deviation = np.nan_to_num(np.abs(y - nominal), nan=np.inf, posinf=np.inf).max(axis=1)
+    with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model outgrow double precision
+        deviation = np.nan_to_num(np.abs(y - nominal), nan=np.inf, posinf=np.inf).max(axis=1)
     return Responses(
         drive.t,
         drive.u,

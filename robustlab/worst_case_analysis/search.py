@@ -142,6 +142,8 @@ def worst_case(
         The nominal model has no finite gain.
     """
     deadline = time.monotonic() + time_limit
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("worst_case", type(uncertain).__name__, "an UncertainModel")
     judge = _metric(uncertain, metric, output=output, input=input, t=t, u=u, hold=hold)
     if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
         raise InputError("worst_case", f"n is {n!r}", "a whole number of points, at least 1")

@@ -300,7 +300,11 @@ CASES = [
     ("3 signature only", only_a_signature, r"p.h5: damaged or truncated HDF5 file of 20 bytes .*\nhint: copy .*"),
     ("4 bit rot", rotten_values, r"p.h5: /A: checksum mismatch\nhint: .*"),
     ("4 content hash", changed_afterwards, r"p.h5: /: checksum mismatch \(content_sha256\).*\nhint: .*--no-verify"),
-    ("4 hash attribute", hash_renamed, r"p.h5: unexpected attribute 'content_sha257'\nhint: did you mean content_sha256\?"),
+    (
+        "4 hash attribute",
+        hash_renamed,
+        r"p.h5: unexpected attribute 'content_sha257'\nhint: did you mean content_sha256\?",
+    ),
     ("6 soft link", soft_link, r"p.h5: /A: soft link to '/hidden' is not allowed"),
     ("6 external link", external_link, r"p.h5: /A: external link to 'other.h5' '/A' is not allowed"),
     ("6 mid-path", external_link_mid_path, r"p.h5: /nominal: external link to 'other.h5' '/nominal' is not allowed"),
@@ -312,14 +316,22 @@ CASES = [
     ("7 chunk", giant_chunk, r"p.h5: /A: chunks of 3.2 GB in memory, limit 256 MiB"),
     ("7 bomb", bomb, r"p.h5: /A: declares 200 MB in 40000 stored bytes: made to grow when it is read"),
     ("7 unwritten", never_written, r"p.h5: /A: declares 3 x 3, but no values are stored"),
-    ("8 filter", unknown_filter, r"p.h5: /A: filter 32015.* is not known here; plugins are not loaded\nhint: h5repack .*"),
+    (
+        "8 filter",
+        unknown_filter,
+        r"p.h5: /A: filter 32015.* is not known here; plugins are not loaded\nhint: h5repack .*",
+    ),
     (
         "9 misspelt",
         misspelt,
         r"p.h5: missing /nominal\n.*p.h5: unexpected /nomnal \(did you mean /nominal\?\)\n.*p.h5: missing /perturbed/B",
     ),
     ("9 lower case", lower_case, r"p.h5: missing /A\n.*p.h5: unexpected /a \(did you mean /A\?\)"),
-    ("9 kind", wrong_kind, r"p.h5: attribute kind is 'statespace', expected one of .*\nhint: did you mean state-space\?"),
+    (
+        "9 kind",
+        wrong_kind,
+        r"p.h5: attribute kind is 'statespace', expected one of .*\nhint: did you mean state-space\?",
+    ),
     ("10 newer", newer, r"p.h5: written by schema 2.0, this robustlab reads <= 1.x; upgrade\nhint: .*"),
     ("11 text", text_matrix, r"p.h5: /A has dtype text, expected real numbers"),
     ("12 NaN", nan, r"p.h5: /nominal/A\[3,5\] is NaN \(2 of 144 entries\)"),
@@ -446,7 +458,9 @@ def test_row_1_no_permission(tmp_path, capfd):
     assert_refused(code, err, r"p.h5: no permission to read it\nhint: chmod.*", tmp_path)
 
 
-@pytest.mark.parametrize("make", [truncated, external_storage, giant, misspelt, text_as_h5], ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "make", [truncated, external_storage, giant, misspelt, text_as_h5], ids=lambda make: make.__name__
+)
 def test_the_same_through_the_real_command(make, tmp_path):
     path = make(tmp_path)
     command = [sys.executable, "-m", "robustlab.cli.main", "model", "convert", path.name, "out.h5"]

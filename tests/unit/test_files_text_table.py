@@ -50,7 +50,9 @@ def test_no_header_and_numpys_own_files(tmp_path):
 
 
 def test_units_in_the_header(tmp_path):
-    (tmp_path / "r.csv").write_text("t [ms];torque (N m);phi [°];omega\n0;1;2;3\n1;1;2;3\n2;1;2;4\n", encoding="latin-1")
+    (tmp_path / "r.csv").write_text(
+        "t [ms];torque (N m);phi [°];omega\n0;1;2;3\n1;1;2;3\n2;1;2;4\n", encoding="latin-1"
+    )
     record = Record.read(tmp_path / "r.csv", inputs=["torque"])
     assert record.units == {"torque": "N m", "phi": "°", "omega": ""}
     np.testing.assert_allclose(record.t, [0, 1e-3, 2e-3], rtol=1e-15)

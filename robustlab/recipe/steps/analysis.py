@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import HinfNormStep, RobustStabilityStep, SampleStep, WorstCaseStep
 
@@ -16,47 +16,49 @@ __all__ = ["hinf_norm", "robust_stability", "sample", "worst_case"]
 def sample(step: SampleStep, work: Workspace) -> Outcome:
     """Responses of seeded members and of vertices, with their envelope; nothing is proved about members not drawn."""
     import robustlab as rl
-    from robustlab.report.response_figures import response_figure
 
-    model = work.values[step.of]
+    model = work.uncertain(step.of)
     t, u = _step_input(model, step.input, step.t_end, step.points)
+    for reference in step.reference:
+        _known(reference.output, [s.name for s in model.outputs], "reference: output")
     seed = work.seed if step.seed is None else step.seed
     responses = rl.sample(model, step.n, seed, vertices=step.vertices).respond(t, u)
-    known = [s.name for s in model.outputs]
-    for reference in step.reference:
-        if reference.output not in known:
-            where = f"reference: output {reference.output!r}"
-            raise InputError(
-                where, "no such output", f"one of {', '.join(known)}", did_you_mean(reference.output, known)
-            )
+    if not responses.status.trustworthy:
+        raise NoTrustworthyNumber(f"sample {step.of}", "responses outgrow every number", hint="a smaller t_end")
     numbers: dict[str, Any] = {}
     facts: list[Fact] = []
-    for k, (name, unit) in enumerate(model.outputs):
-        y, nominal, lower, upper = (
-            responses.y[:, :, k],
-            responses.nominal[:, k],
-            responses.lower[:, k],
-            responses.upper[:, k],
-        )
-        final = {"nominal": float(nominal[-1]), "lower": float(lower[-1]), "upper": float(upper[-1])}
-        deviation = float(abs(y - nominal).max(initial=0.0))
-        references = [(r.value, r.text) for r in step.reference if r.output == name]
-        covers = [final["lower"] <= value <= final["upper"] for value, _ in references]
-        numbers[name] = {"final": final, "peak_deviation": deviation, "covers": covers}
-        span = f"{quantity(final['lower'])} … {quantity(final['upper'], unit)}"
-        facts.append(Fact(f"{name} at the end", f"{span} (nominal {quantity(final['nominal'], unit)})"))
-        facts += [
-            Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}")
-            for (value, text), inside in zip(references, covers, strict=True)
-        ]
-        figure = response_figure(t, y, nominal, (lower, upper), output=(name, unit), references=references)
-        members = f"{step.n} random members and {step.vertices} vertices of Δ"
-        caption = f"{name} after a step of {_amplitudes(step.input, model)}: {members}."
-        work.draw(figure, name, caption)
-    count = int(responses.y.shape[0])
+    for k, (name, _) in enumerate(model.outputs):
+        numbers[name], found = _sampled_output(step, work, responses, k)
+        facts += found
+    count = len(responses.y)
     summary = f"{count} members of {step.of} simulated ({step.n} random, seed {seed}; the rest vertices of Δ)."
-    note = "Sampled, not proved: members that were not drawn may lie outside this envelope."
-    return Outcome(None, summary, {"outputs": numbers, "members": count}, tuple(facts), notes=(note,))
+    notes = ["Sampled, not proved: members that were not drawn may lie outside this envelope."]
+    if responses.unstable:
+        notes.insert(0, f"{len(responses.unstable)} of these {count} members are unstable.")
+    numbers = {"outputs": numbers, "members": count, "unstable": len(responses.unstable)}
+    return Outcome(None, summary, numbers, tuple(facts), notes=tuple(notes))
+
+
+def _sampled_output(step: SampleStep, work: Workspace, responses: Any, k: int) -> tuple[dict[str, Any], list[Fact]]:
+    """Numbers, facts and figure of the k-th output."""
+    from robustlab.report.response_figures import response_figure
+
+    model = work.uncertain(step.of)
+    name, unit = model.outputs[k]
+    y, nominal = responses.y[:, :, k], responses.nominal[:, k]
+    lower, upper = responses.lower[:, k], responses.upper[:, k]
+    final = {"nominal": float(nominal[-1]), "lower": float(lower[-1]), "upper": float(upper[-1])}
+    references = [(r.value, r.text) for r in step.reference if r.output == name]
+    covers = [final["lower"] <= value <= final["upper"] for value, _ in references]
+    span = f"{quantity(final['lower'])} … {quantity(final['upper'], unit)}"
+    facts = [Fact(f"{name} at the end", f"{span} (nominal {quantity(final['nominal'], unit)})")]
+    for (value, text), inside in zip(references, covers, strict=True):
+        facts.append(Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}"))
+    figure = response_figure(responses.t, y, nominal, (lower, upper), output=(name, unit), references=references)
+    members = f"{step.n} random members and {step.vertices} vertices of Δ"
+    work.draw(figure, name, f"{name} after a step of {_amplitudes(step.input, model)}: {members}.")
+    deviation = float(abs(y - nominal).max(initial=0.0))
+    return {"final": final, "peak_deviation": deviation, "covers": covers}, facts
 
 
 def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
@@ -64,15 +66,17 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
     import robustlab as rl
     from robustlab.report.response_figures import worst_case_figure
 
-    model = work.values[step.of]
+    model = work.uncertain(step.of)
     options: dict[str, Any] = {"seed": work.seed if step.seed is None else step.seed}
     if step.n is not None:
         options["n"] = step.n
+    if step.output is not None:
+        options["output"] = step.output
     t = u = None
     if step.metric == "peak-deviation":
         assert step.t_end is not None
         t, u = _step_input(model, step.input, step.t_end, step.points)
-        options |= {"t": t, "u": u, "output": step.output}
+        options |= {"t": t, "u": u}
     found = rl.worst_case(model, step.metric, **options)
     work.keep(found)
     numbers = {
@@ -116,7 +120,7 @@ def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
     import robustlab as rl
     from robustlab.report.mu_figures import mu_figure
 
-    margin = rl.robust_stability(work.values[step.of], seed=work.seed)
+    margin = rl.robust_stability(work.uncertain(step.of), seed=work.seed)
     work.keep(margin)
     numbers = {"lower": margin.lower, "upper": margin.upper, "frequency": margin.frequency, "delta": margin.delta}
     attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"
@@ -130,7 +134,8 @@ def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
     figure = mu_figure(margin.omega, margin.mu_lower, margin.mu_upper, margin.intervals, margin.frequency)
     work.draw(figure, "mu", "Bounds of μ over frequency. The proved margin is the inverse of the highest shaded level.")
     stable = "proved stable for every Δ of the set" if margin.lower > 1 else "not proved stable over the whole set"
-    return Outcome(None, f"{step.of}: {stable}.", numbers, tuple(facts), margin.status, margin.notes)
+    scale = "A margin of 1 means the set as stated; at 2 every range could be twice as wide."
+    return Outcome(None, f"{step.of}: {stable}.", numbers, tuple(facts), margin.status, (scale, *margin.notes))
 
 
 def _step_input(model: Any, amplitudes: Mapping[str, float], t_end: float, points: int) -> tuple[Any, Any]:
@@ -139,10 +144,14 @@ def _step_input(model: Any, amplitudes: Mapping[str, float], t_end: float, point
 
     known = [s.name for s in model.inputs]
     for name in amplitudes:
-        if name not in known:
-            raise InputError(f"input.{name}", "no such input", f"one of {', '.join(known)}", did_you_mean(name, known))
+        _known(name, known, "input")
     t = np.linspace(0.0, t_end, points)
     return t, np.tile([amplitudes.get(name, 0.0) for name in known], (points, 1))
+
+
+def _known(name: str, known: list[str], where: str) -> None:
+    if name not in known:
+        raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
 
 
 def _respond(model: Any, t: Any, u: Any) -> Any:

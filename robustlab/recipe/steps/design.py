@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from robustlab.errors import InputError
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import CloseLoopStep, HinfStep, MixsynStep
 
@@ -58,6 +59,13 @@ def tracking_loop(system: Any, controller: Any) -> Any:
     from robustlab.uncertainty.lft import UncertainModel
 
     base = system if isinstance(system, UncertainModel) else UncertainModel(as_model(system), [])
+    K = as_model(controller, "controller")
+    sizes = (len(base.outputs), len(base.inputs))
+    if (K.n_inputs, K.n_outputs) != sizes:
+        found = f"{K.n_inputs} inputs and {K.n_outputs} outputs"
+        raise InputError(
+            "controller", found, f"{sizes[0]} and {sizes[1]}: an input per output of the model, and vice versa"
+        )
     m, (q, p) = base.M, base.delta_shape
     n, n_u, n_y = m.n_states, m.n_inputs - q, m.n_outputs - p
     c_y, d_yw, d_yu = m.C[p:], m.D[p:, :q], m.D[p:, q:]
@@ -78,7 +86,7 @@ def tracking_loop(system: Any, controller: Any) -> Any:
         m.states,
         where="tracking loop",
     )
-    return UncertainModel(plant, base.blocks).close(as_model(controller))
+    return UncertainModel(plant, base.blocks).close(K)
 
 
 def _designed(found: Any, summary: str, work: Workspace) -> Outcome:

@@ -33,7 +33,7 @@ def compare(step: CompareStep, work: Workspace) -> Outcome:
     from robustlab.report.comparison_figures import comparison_figures
 
     options = {name: getattr(step, name) for name in ("window", "start", "lags", "speed", "position")}
-    model, measured = work.values[step.of], work.values[step.record]
+    model, measured = work.values[step.of], work.record(step.record)
     found = rl.compare(model, measured, **{name: value for name, value in options.items() if value is not None})
     work.keep(found)
     facts: list[Fact] = []

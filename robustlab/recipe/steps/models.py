@@ -61,18 +61,22 @@ def linearise(step: LineariseStep, work: Workspace) -> Outcome:
 
 def load(step: LoadStep, work: Workspace) -> Outcome:
     """An object from an HDF5 file, checked by the reader."""
-    import robustlab as rl
+    from robustlab.statespace import StateSpaceModel
+    from robustlab.storage import read
 
     path = work.sources[work.step] if step.saved is None else work.values[step.saved]
-    found = rl.load(path)
+    loaded = read(path)
+    found: Any = loaded.object
     kind = type(found).__name__
     model = found.to_model() if hasattr(found, "to_model") else found
-    is_model = isinstance(model, rl.StateSpaceModel)
+    is_model = isinstance(model, StateSpaceModel)
+    proof = "its checksums and content hash are right" if loaded.verified else "it carries no content hash to check"
     return Outcome(
         found,
-        f"{kind} read from {path.name}; its checksums and content hash are right.",
-        {"kind": kind, **(_model_numbers(model) if is_model else {})},
+        f"{kind} read from {path.name}; {proof}.",
+        {"kind": kind, "verified": loaded.verified, **(_model_numbers(model) if is_model else {})},
         _model_facts(model) if is_model else (),
+        notes=loaded.warnings,
     )
 
 

@@ -1,0 +1,85 @@
+"""``robustlab data compare``: result on stdout, files where asked, exit codes."""
+
+import json
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.cli.console import main_guard
+from robustlab.cli.data import app
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        code = main_guard(lambda: app([str(a) for a in arguments], standalone_mode=False))
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def record_file(tmp_path):
+    t = np.arange(800) * 1e-2
+    u = np.repeat(np.random.default_rng(0).standard_normal(16), 50)
+    truth = rl.simulate(rl.plant("servo-axis", M=110.0), t, u)
+    path = tmp_path / "run3.h5"
+    rl.save(path, rl.Record(t, truth.inputs, {"q": truth["q"]}, {"u": "V", "q": "m"}, "run3"))
+    return path
+
+
+def test_plant_by_name_and_parameters(run, record_file):
+    code, out, _ = run("compare", "servo-axis", record_file, "--window", "0.5", "--json")
+    result = json.loads(out)
+    assert (code, result["command"], result["status"]) == (0, "data compare", "converged")
+    assert result["window"] == pytest.approx(0.5)
+    assert "simulated" not in result
+    assert result["outputs"]["q"]["rms_percent"] > 0.1
+    code, out, _ = run("compare", "servo-axis", record_file, "--set", "M=110", "--json")
+    assert json.loads(out)["outputs"]["q"]["rms_percent"] < 1e-6
+
+
+def test_text_figures_and_result_file(run, record_file, tmp_path):
+    out_file, folder = tmp_path / "gap.h5", tmp_path / "figures"
+    code, out, err = run("compare", "servo-axis", record_file, "--figures", folder, "--out", out_file)
+    assert code == 0
+    assert "free run" in out
+    assert "percent of the measured range" in out
+    assert sorted(p.name for p in folder.glob("*.svg")) == [
+        "residual-q.svg",
+        "spectrum-q.svg",
+        "speed-q.svg",
+        "time-q.svg",
+    ]
+    assert str(out_file) in err
+    stored = rl.load(out_file)
+    assert stored.status is rl.Status.CONVERGED
+    assert len(stored.data["simulated"]["q"]) == 800
+
+
+def test_model_from_a_file(run, record_file, tmp_path):
+    rl.save(tmp_path / "axis.h5", rl.linearise(rl.plant("servo-axis", M=110.0)))
+    code, out, _ = run("compare", tmp_path / "axis.h5", record_file, "--json")
+    assert code == 0
+    assert json.loads(out)["outputs"]["q"]["fit"] > 99.99
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (("nothing.h5",), 3, "nothing.h5"),
+        (("servo-axs", "--set", "M=1"), 2, "did you mean servo-axis"),
+        (("servo-axis", "--set", "M"), 2, "NAME=VALUE"),
+        (("servo-axis", "--set", "Mass=1"), 3, "Mass"),
+        (("servo-axis", "--unit", "u=A"), 3, "recorded in A, expected V"),
+        (("servo-axis", "--inputs", "q", "--outputs", "u"), 3, "no input 'u'"),
+        (("servo-axis", "--window", "1000"), 3, "window"),
+        (("dc-motor",), 3, "phi"),
+    ],
+)
+def test_faults(run, record_file, arguments, code, says):
+    found, out, err = run("compare", arguments[0], record_file, *arguments[1:])
+    assert (found, out) == (code, "")
+    assert says in err

@@ -1,0 +1,86 @@
+"""``robustlab mu``."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.cli.console import main_guard
+from robustlab.cli.mu import app
+
+
+def call(*arguments: str) -> int:
+    return main_guard(lambda: app(list(arguments), standalone_mode=False))
+
+
+@pytest.fixture
+def model_file(tmp_path):
+    M = rl.StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    path = tmp_path / "lag.h5"
+    rl.save(path, rl.UncertainModel(M, [rl.RealScalar("pole", parameter=rl.ParameterRange(1.0, 0.2, "1/s"))]))
+    return str(path)
+
+
+def test_prints_margin_delta_and_parameter(model_file, capsys):
+    assert call(model_file, "--intervals") == 0
+    out = capsys.readouterr().out
+    assert "certified" in out
+    assert "pole   -5" in out
+    assert "1/s" in out
+    assert "proved intervals" in out
+
+
+def test_json_is_one_object(model_file, capsys):
+    assert call(model_file, "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["schema"] == "robustlab.result/1"
+    assert data["command"] == "mu"
+    assert data["upper"] == pytest.approx(5.0)
+    assert data["lower"] == pytest.approx(5.0, rel=3e-3)
+
+
+def test_result_file_and_figure(model_file, tmp_path, capsys):
+    out, figure = tmp_path / "margin.h5", tmp_path / "margin.svg"
+    assert call(model_file, "--out", str(out), "--figure", str(figure)) == 0
+    capsys.readouterr()
+    stored = rl.load(out)
+    assert stored.type == "Margin"
+    assert stored.status is rl.Status.CERTIFIED
+    assert stored.data["upper"] == pytest.approx(5.0)
+    assert figure.read_text(encoding="utf-8").lstrip().startswith("<?xml")
+
+
+def test_no_time_ends_in_exit_code_4(model_file, capsys):
+    assert call(model_file, "--timeout", "1e-9") == 4
+    captured = capsys.readouterr()
+    assert "timeout" in captured.out
+    assert "grid only" in captured.out
+
+
+def test_a_model_without_uncertainty_is_bad_input(tmp_path, capsys):
+    path = tmp_path / "plain.h5"
+    rl.save(path, rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    assert call(str(path)) == 3
+    assert "an uncertain model" in capsys.readouterr().err
+
+
+def test_unstable_nominal_is_exit_code_4(tmp_path, capsys):
+    path = tmp_path / "unstable.h5"
+    M = rl.StateSpaceModel([[1.2]], [[1.0]], [[1.0]], [[0.0]])
+    rl.save(path, rl.UncertainModel(M, [rl.RealScalar("a")]))
+    assert call(str(path)) == 4
+    assert "nominal closed loop unstable (pole 1.2+0j)" in capsys.readouterr().err
+
+
+def test_missing_file_is_exit_code_3(tmp_path, capsys):
+    assert call(str(tmp_path / "absent.h5")) == 3
+    assert "absent.h5" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", [["--accuracy", "0"], ["--timeout", "-1"], ["--accuracy", "nan"]])
+def test_options_out_of_range(model_file, option, capsys):
+    assert call(model_file, *option) == 3
+    assert "accuracy" in capsys.readouterr().err

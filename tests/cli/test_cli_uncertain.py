@@ -1,0 +1,147 @@
+"""``robustlab uncertain``: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from robustlab.cli.console import main_guard
+from robustlab.cli.uncertain import app
+from robustlab.statespace import StateSpaceModel
+from robustlab.storage import load, save
+
+RE35 = {"R": 2.07, "L": 0.62e-3, "Km": 0.052, "Kb": 0.052, "Kf": 4.8e-5, "J": 7.2e-6}
+
+
+def call(capsys, *arguments):
+    code = main_guard(lambda: app(args=list(arguments), standalone_mode=False))
+    done = capsys.readouterr()
+    return code, done.out, done.err
+
+
+def model(pole=-1.0, units=("rad", "rad")):
+    return StateSpaceModel([[pole, 1.0], [0.0, -2.0]], [[0.0], [1.0]], np.eye(2), np.zeros((2, 1)), inputs=["u"],
+                           outputs=[("a", units[0]), ("b", units[1])], states=["a", "b"])  # fmt: skip
+
+
+@pytest.fixture
+def files(tmp_path):
+    first, second = str(tmp_path / "nominal.h5"), str(tmp_path / "perturbed.h5")
+    save(first, model())
+    save(second, model(-1.4))
+    return first, second, str(tmp_path / "uncertain.h5")
+
+
+@pytest.fixture
+def motor(tmp_path, capsys):
+    path = str(tmp_path / "motor.h5")
+    assert call(capsys, "build", "--plant", "dc-motor", "--tolerance", "Kf=0.35", "--out", path)[0] == 0
+    return path
+
+
+def test_build_from_two_files(files, capsys):
+    first, second, out = files
+    code, text, err = call(capsys, "build", first, second, "--structure", "elements", "--out", out)
+    assert (code, err) == (0, "")
+    assert "A[a,a]" in text
+    made = load(out)
+    assert made.evaluate({"A[a,a]": 1.0}).A[0, 0] == pytest.approx(-1.4, rel=1e-15)
+    assert made.nominal.A[0, 0] == -1.0
+
+
+def test_build_says_json(files, capsys):
+    code, text, _ = call(capsys, "build", *files[:2], "--structure", "single", "--json")
+    data = json.loads(text)
+    assert code == 0
+    assert (data["schema"], data["command"], data["delta_shape"]) == ("robustlab.result/1", "uncertain build", [1, 1])
+    assert data["residual"]["largest"] <= 1e-12
+
+
+def test_equal_models_are_noted(files, capsys):
+    code, text, err = call(capsys, "build", files[0], files[0], "--out", files[2])
+    assert (code, err) == (0, "no uncertainty: mu = 0\n")
+    assert "no uncertainty" in text
+    assert call(capsys, "show", files[2])[0] == 0
+    assert call(capsys, "sample", files[2], "-n", "2")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        ((), 2, "no models"),
+        (("a.h5", "--plant", "dc-motor"), 2, "both files and a plant"),
+        (("--plant", "dc-motor", "--tolerance", "Kg=0.1"), 2, "no such parameter of dc-motor"),
+        (("--plant", "dc-motor", "--tolerance", "Kf"), 2, "NAME=VALUE"),
+        (("missing.h5", "gone.h5"), 3, "no such file"),
+    ],
+)
+def test_build_refuses(arguments, code, text, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found, out, err = call(capsys, "build", *arguments)
+    assert (found, out) == (code, "")
+    assert text in err
+
+
+def test_models_that_do_not_fit(files, tmp_path, capsys):
+    other = str(tmp_path / "deg.h5")
+    save(other, model(units=("deg", "rad")))
+    code, out, err = call(capsys, "build", files[0], other)
+    assert (code, out) == (3, "")
+    assert "deg" in err
+    code, _, err = call(capsys, "build", *files[:2], "--structure", "columms")
+    assert code == 3
+    assert "did you mean columns?" in err
+
+
+def test_show(motor, capsys):
+    code, text, _ = call(capsys, "show", motor)
+    assert code == 0
+    assert "3.12e-05 .. 6.48e-05" in text
+    data = json.loads(call(capsys, "show", motor, "--json")[1])
+    assert data["blocks"][0]["name"] == "Kf"
+    assert data["blocks"][0]["parameter"]["radius"] == pytest.approx(0.35 * RE35["Kf"])
+
+
+def test_show_of_another_kind(files, capsys):
+    code, out, err = call(capsys, "show", files[0])
+    assert (code, out) == (3, "")
+    assert "holds a StateSpaceModel" in err
+
+
+def test_sample_the_motor(motor, capsys, tmp_path):
+    arguments = ["sample", motor, "-n", "20", "--seed", "1", "--vertices", "all", "--input", "u=42", "--t-end", "0.1"]
+    code, text, err = call(capsys, *arguments)
+    assert (code, err) == (0, "")
+    row = next(line for line in text.splitlines() if line.startswith("omega")).split()
+    assert [float(v) for v in row[2:5]] == pytest.approx([779.065, 769.519, 788.851], abs=1e-3)
+    code, text, _ = call(capsys, *arguments, "--json", "--figure", str(tmp_path / "figures"))
+    data = json.loads(text)
+    assert (data["status"], len(data["deltas"]), data["vertices"]) == ("converged", 22, 2)
+    assert "sampled" in data["label"]
+    assert (tmp_path / "figures" / "envelope.svg").read_text(encoding="utf-8").startswith("<?xml")
+    assert call(capsys, *arguments)[1] == call(capsys, *arguments)[1]
+
+
+def test_unstable_samples_are_noted(tmp_path, capsys):
+    first, second, out = (str(tmp_path / name) for name in ("a.h5", "b.h5", "u.h5"))
+    save(first, model())
+    save(second, model(0.5))
+    assert call(capsys, "build", first, second, "-o", out)[0] == 0
+    code, _, err = call(capsys, "sample", out, "-n", "0", "--vertices", "all", "--t-end", "1")
+    assert code == 0
+    assert "1 of 2 samples are unstable: 1" in err
+    code, text, _ = call(capsys, "sample", out, "-n", "0", "--vertices", "all", "--t-end", "1e6")
+    assert code == 4
+    assert "inaccurate" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [(("--vertices", "some"), 2), (("-n", "0"), 3), (("--t-end", "-1"), 2), (("--input", "v=1"), 3)],
+)
+def test_sample_refuses(motor, options, code, capsys):
+    found, out, err = call(capsys, "sample", motor, *options)
+    assert (found, out) == (code, "")
+    assert err.startswith("error: ")

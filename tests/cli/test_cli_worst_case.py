@@ -1,0 +1,66 @@
+"""``robustlab worst-case``: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from robustlab.cli.console import main_guard
+from robustlab.cli.uncertain import app as uncertain
+from robustlab.cli.worst_case import app
+from robustlab.storage import load
+
+
+def call(capsys, *arguments):
+    code = main_guard(lambda: app(args=list(arguments), standalone_mode=False))
+    done = capsys.readouterr()
+    return code, done.out, done.err
+
+
+@pytest.fixture(scope="module")
+def motor(tmp_path_factory):
+    path = str(tmp_path_factory.mktemp("motor") / "motor.h5")
+    arguments = ["build", "--plant", "dc-motor", "--tolerance", "Kf=0.35", "--out", path]
+    assert main_guard(lambda: uncertain(args=arguments, standalone_mode=False)) == 0
+    return path
+
+
+def test_peak_deviation(motor, capsys):
+    code, text, err = call(capsys, motor, "--output", "omega", "--input", "u=42", "--t-end", "0.1")
+    assert (code, err) == (0, "")
+    assert text.startswith("peak-deviation: 9.78578")
+    assert "lower bound" in text
+    assert "3.12e-05 N m s/rad" in text
+
+
+def test_json_and_file(motor, tmp_path, capsys):
+    out = str(tmp_path / "worst.h5")
+    code, text, _ = call(capsys, motor, "--metric", "hinf", "--output", "omega", "--json", "--out", out)
+    data = json.loads(text)
+    assert code == 0
+    assert (data["status"], data["delta"]) == ("converged", {"Kf": -1.0})
+    # The gain of a motor is largest at standstill of the input: Km / (R Kf + Km Kb) with Kf at its lowest.
+    assert data["value"] == pytest.approx(0.052 / (2.07 * 0.65 * 4.8e-5 + 0.052**2), rel=1e-6)
+    assert load(out).data["value"] == pytest.approx(data["value"])
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "text"),
+    [
+        ((), 2, "3 outputs and none named"),
+        (("--metric", "peek-deviation"), 2, "did you mean peak-deviation?"),
+        (("--metric", "hinf", "--output", "speed"), 3, "no such signal"),
+        (("--metric", "hinf"), 4, "not asymptotically stable"),
+    ],
+)
+def test_refusals(motor, options, code, text, capsys):
+    found, out, err = call(capsys, motor, *options)
+    assert (found, out) == (code, "")
+    assert text in err
+
+
+def test_time_limit_ends_in_four(motor, capsys):
+    code, text, _ = call(capsys, motor, "--metric", "hinf", "--output", "omega", "--time-limit", "0")
+    assert code == 4
+    assert "status: timeout" in text

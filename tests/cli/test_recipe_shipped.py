@@ -1,0 +1,89 @@
+"""The shipped recipes do what they promise: first-light, motor-models, and emps where its record is at hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.recipe.load import load_recipe
+from robustlab.recipe.run import run_recipe
+from robustlab.recipe.shipped import recipe_path
+
+ROOT = Path(__file__).parents[2]
+EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps.h5"
+
+
+@pytest.fixture(scope="module")
+def first_light(tmp_path_factory):
+    return run_recipe(load_recipe(recipe_path("first-light")), tmp_path_factory.mktemp("first-light"))
+
+
+def numbers(result, step):
+    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
+
+
+def test_first_light_meets_its_requirements(first_light):
+    assert [q["text"] for q in first_light.data["requirements"] if not q["met"]] == []
+    assert [s["name"] for s in first_light.data["steps"] if not s["trustworthy"]] == []
+    assert first_light.exit_code == 0
+
+
+def test_first_light_has_the_thesis_numbers(first_light):
+    """THESIS items 8-12: published figures, and closed forms of the steady state."""
+    assert numbers(first_light, "no_load")["outputs"]["omega"] == pytest.approx(779.1, abs=0.05)
+    final = numbers(first_light, "cover")["outputs"]["omega"]["final"]
+    assert [final["lower"], final["upper"]] == pytest.approx([769.52, 788.85], abs=0.05)
+    assert numbers(first_light, "structure")["controllability"]["rank"] == 2
+
+
+def test_the_worst_member_is_the_corner_that_physics_names(first_light):
+    """A faster motor: low resistance, friction, inertia and back-EMF, strong torque."""
+    delta = numbers(first_light, "six_worst")["delta"]
+    assert [delta[name] for name in ("R", "Kb", "Kf", "J", "Km")] == [-1, -1, -1, -1, 1]
+
+
+def test_the_margin_is_proved_and_its_delta_destabilises(first_light):
+    margin = numbers(first_light, "margin")
+    assert 1 < margin["lower"] <= margin["upper"]
+    evidence = rl.load(first_light.folder / "evidence/margin.h5")
+    assert evidence.status is rl.Status.CERTIFIED
+    assert max(abs(value) for value in margin["delta"].values()) == pytest.approx(margin["upper"], rel=1e-6)
+
+
+def test_first_light_writes_everything_beside_the_report(first_light):
+    assert all((first_light.folder / name).is_file() for name in first_light.data["files"])
+    assert len(list((first_light.folder / "figures").glob("*.svg"))) >= 10
+    page = (first_light.folder / "report.html").read_text(encoding="utf-8")
+    assert "All 9 requirements are met" in page
+    assert page.count("<figure>") == len(list((first_light.folder / "figures").glob("*.svg")))
+
+
+def test_the_record_of_the_demo_says_that_it_is_simulated(first_light):
+    (record,) = [s for s in first_light.data["steps"] if s["name"] == "record"]
+    assert "Simulated, not measured" in record["notes"][0]
+
+
+def test_the_committed_models_are_those_of_their_recipe(tmp_path):
+    result = run_recipe(load_recipe(recipe_path("motor-models")), tmp_path / "out")
+    assert result.exit_code == 0
+    for name in ("motor_nominal.h5", "motor_perturbed.h5"):
+        made, committed = rl.load(result.folder / name), rl.load(ROOT / "models" / name)
+        assert made.output_names == committed.output_names
+        for matrix in "ABCD":
+            np.testing.assert_array_equal(getattr(made, matrix), getattr(committed, matrix))
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not EMPS.is_file(), reason="the measured record is not at hand")
+def test_emps_states_the_known_disagreement(tmp_path):
+    result = run_recipe(load_recipe(recipe_path("emps"), [f"record.path={EMPS}"]), tmp_path / "out")
+    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
+    assert result.exit_code == 0
+    gap = numbers(result, "gap")["outputs"]["q"]
+    assert gap["rms_percent"] > 10  # the free run of a frictionless model drifts away
+    saved = json.loads((result.folder / "result.json").read_text(encoding="utf-8"))
+    assert saved["provenance"]["inputs"]["record: emps.h5"]

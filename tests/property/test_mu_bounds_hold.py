@@ -1,0 +1,100 @@
+"""What holds for every matrix: order of the bounds, evidence that re-checks, invariances, no successful attack."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.mu_analysis.certificate import delta_norm, proves
+from robustlab.mu_analysis.lower import smallest_step
+from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, block_slices, structure_size
+
+ROWS = st.sampled_from([[-1, 0], [1, 0], [-2, 0], [2, 0], [1, 2], [2, 1], [2, 2]])
+
+
+@st.composite
+def problems(draw):
+    """A structure of up to four blocks and a matrix of any rank, sparse or not, over several decades."""
+    blocks = as_blocks(draw(st.lists(ROWS, min_size=1, max_size=4)))
+    rng = np.random.default_rng(draw(st.integers(0, 10**6)))
+    q, p = structure_size(blocks)
+    M = rng.standard_normal((p, q)) + 1j * rng.standard_normal((p, q))
+    if draw(st.booleans()):
+        M = M.real.astype(complex)
+    if draw(st.booleans()):
+        rank = int(rng.integers(1, min(p, q) + 1))
+        M = M[:, :rank] @ (rng.standard_normal((rank, q)) + 0j)
+    if draw(st.booleans()):
+        M = M * (rng.random((p, q)) < 0.5)
+    return M * 10.0 ** draw(st.integers(-8, 8)), blocks, rng
+
+
+def random_delta(blocks, rng):
+    q, p = structure_size(blocks)
+    delta = np.zeros((q, p), dtype=complex)
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        if isinstance(block, FullBlock):
+            part = rng.standard_normal((block.rows, block.cols)) + 1j * rng.standard_normal((block.rows, block.cols))
+            delta[w, z] = part / np.linalg.norm(part, 2)
+        else:
+            real = isinstance(block, RealScalar)
+            value = rng.choice([-1.0, 1.0]) if real else np.exp(1j * rng.uniform(0, 2 * np.pi))
+            delta[w, z] = value * np.eye(block.repeats)
+    return delta
+
+
+@given(problems())
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_bounds_and_their_evidence(problem):
+    M, blocks, rng = problem
+    bounds = rl.mu(M, blocks)
+    assert 0 <= bounds.lower <= bounds.upper
+    assert np.isfinite(bounds.upper)
+    if bounds.upper > 0:
+        assert proves(M, bounds.D, bounds.D_z, bounds.G, bounds.upper)
+    if bounds.lower > 0:
+        values = np.linalg.svd(np.eye(len(M)) - M @ bounds.delta, compute_uv=False)
+        assert values[-1] <= 1e-8 * (1 + values[0])
+        assert abs(delta_norm(blocks, bounds.delta) * bounds.lower - 1) <= 1e-8
+    # No Delta inside the proved ball makes the loop singular: det(I - M t Delta) keeps its distance along random rays.
+    if bounds.upper > 0:
+        for _ in range(5):
+            eigenvalues = np.linalg.eigvals(M @ random_delta(blocks, rng))
+            real = np.abs(eigenvalues.imag) <= 1e-9 * np.abs(eigenvalues)
+            assert np.abs(eigenvalues[real]).max(initial=0.0) <= bounds.upper * (1 + 1e-9)
+
+
+@given(st.integers(0, 10**6), st.integers(2, 5))
+@settings(max_examples=15, deadline=None, derandomize=True)
+def test_invariant_under_scaling_that_commutes(seed, n):
+    rng = np.random.default_rng(seed)
+    M = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
+    blocks = [[int(rng.choice([-1, 1])), 0] for _ in range(n)]
+    d = 10.0 ** rng.uniform(-4, 4, n)
+    one, other = rl.mu(M, blocks), rl.mu(M * d[:, None] / d[None, :], blocks)
+    assert abs(one.upper - other.upper) <= 1e-5 * max(one.upper, 1e-3 * np.abs(M).max())
+
+
+@given(st.integers(0, 10**6), st.integers(1, 5), st.integers(0, 3))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_smallest_step_is_the_smallest(seed, n_real, n_complex):
+    """The primal point is feasible, and the dual over a fine grid of phases proves that none is smaller."""
+    rng = np.random.default_rng(seed)
+    n = n_real + n_complex
+    a = rng.standard_normal((1, n)) + 1j * rng.standard_normal((1, n))
+    real = np.arange(n) < n_real
+    if n == 1:
+        return  # one real number cannot solve a complex equation
+    d = smallest_step(a, real)
+    assert abs((a * d).sum() - 1) < 1e-9
+    assert not d[:, real].imag.any()
+    # The dual has kinks where a turned number becomes imaginary: they belong to the grid.
+    kinks = (np.pi / 2 - np.angle(a[0]) + np.pi / 2) % np.pi - np.pi / 2
+    theta = np.concatenate([np.linspace(-np.pi / 2, np.pi / 2, 20001), kinks])
+    turned = np.exp(1j * theta)[:, None] * a
+    strength = np.abs(turned.real[:, real]).sum(axis=1) + np.abs(a[:, ~real]).sum()
+    dual = (np.cos(theta) / strength).max()
+    assert np.abs(d).max() >= dual * (1 - 1e-9)
+    assert np.abs(d).max() <= dual * (1 + 1e-3)

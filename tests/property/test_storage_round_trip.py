@@ -1,0 +1,193 @@
+"""Whatever is saved comes back; whatever is done to a file's bytes, loading gives a good object or an InputError."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import robustlab as rl
+from robustlab.errors import InputError
+from robustlab.files.tree import link_name, signal_name
+from robustlab.result import Result, Status
+from robustlab.statespace import OperatingPoint
+from robustlab.storage import read
+
+SETTINGS = settings(max_examples=25, deadline=None, derandomize=True)
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
+TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=12)
+NAMES = TEXTS.filter(bool)
+SIZES = st.integers(0, 4)
+
+
+def there_and_back(obj):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.h5"
+        rl.save(path, obj)
+        loaded = read(path, isolate=False)
+        assert loaded.verified
+        return loaded.object
+
+
+@st.composite
+def models(draw, n_inputs=SIZES, n_outputs=SIZES):
+    n, m, p = draw(SIZES), draw(n_inputs), draw(n_outputs)
+    matrices = [draw(arrays(float, shape, elements=NUMBERS)) for shape in ((n, n), (n, m), (p, n), (p, m))]
+    signals = [
+        draw(st.lists(st.tuples(NAMES, TEXTS), min_size=k, max_size=k, unique_by=lambda s: s[0])) for k in (m, p, n)
+    ]
+    point = OperatingPoint(np.ones(n), np.zeros(m), np.full(p, 0.1)) if draw(st.booleans()) else None
+    dt = draw(st.sampled_from([0.0, 1e-3, 2.0]))
+    return rl.StateSpaceModel(*matrices, dt, *signals, operating_point=point)
+
+
+def assert_same_model(a, b):
+    for name in "ABCD":
+        first, second = getattr(a, name), getattr(b, name)
+        assert first.shape == second.shape
+        assert first.tobytes() == second.tobytes()  # bit for bit, signs of zeros included
+    assert (a.dt, a.inputs, a.outputs, a.states) == (b.dt, b.inputs, b.outputs, b.states)
+    assert (a.operating_point is None) == (b.operating_point is None)
+    if a.operating_point is not None:
+        for name in "xuy":
+            np.testing.assert_array_equal(getattr(a.operating_point, name), getattr(b.operating_point, name))
+
+
+@SETTINGS
+@given(models())
+def test_models(model):
+    assert_same_model(there_and_back(model), model)
+
+
+@st.composite
+def uncertain_models(draw):
+    blocks = []
+    for name in draw(st.lists(NAMES, max_size=3, unique=True)):
+        kind, rows = draw(st.sampled_from(["real", "range", "complex", "full"])), draw(st.integers(1, 3))
+        if kind == "full":
+            blocks.append(rl.FullBlock(name, rows, draw(st.integers(1, 3))))
+        elif kind == "complex":
+            blocks.append(rl.ComplexScalar(name, rows))
+        else:
+            span = rl.ParameterRange(draw(NUMBERS), draw(NUMBERS), draw(TEXTS)) if kind == "range" else None
+            blocks.append(rl.RealScalar(name, rows, span))
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    m = draw(models(st.just(q + draw(SIZES)), st.just(p + draw(SIZES))))
+    return rl.UncertainModel(
+        m, blocks, OperatingPoint(np.ones(m.n_states), np.ones(m.n_inputs - q), np.ones(m.n_outputs - p))
+    )
+
+
+@SETTINGS
+@given(uncertain_models())
+def test_uncertain_models(uncertain):
+    back = there_and_back(uncertain)
+    assert back.blocks == uncertain.blocks
+    assert_same_model(back.M, uncertain.M)
+    np.testing.assert_array_equal(back.operating_point.u, uncertain.operating_point.u)
+
+
+@SETTINGS
+@given(models(), st.none() | st.floats(0, 1e6) | st.just(np.inf), st.sampled_from(list(Status)), TEXTS)
+def test_controllers(model, gamma, status, method):
+    back = there_and_back(rl.Controller(model, gamma, status, method))
+    assert (back.gamma, back.status, back.method) == (gamma, status, method)
+    assert_same_model(back.K, model)
+
+
+@SETTINGS
+@given(st.data())
+def test_records(data):
+    n = data.draw(st.integers(2, 30))
+    names = data.draw(st.lists(NAMES, min_size=1, max_size=4, unique=True))
+    channels = {name: data.draw(arrays(float, n, elements=NUMBERS)) for name in names}
+    cut = data.draw(st.integers(0, len(names)))
+    ins, outs = ({k: channels[k] for k in part} for part in (names[:cut], names[cut:]))
+    record = rl.Record(
+        np.arange(n) * 0.1, ins, outs, {names[0]: data.draw(TEXTS)}, data.draw(NAMES), {names[-1]: data.draw(NAMES)}
+    )
+    back = there_and_back(record)
+    assert (list(back.inputs), list(back.outputs)) == (list(ins), list(outs))
+    for name in names:
+        assert back[name].tobytes() == record[name].tobytes()
+    assert (dict(back.units), dict(back.meaning), back.name) == (dict(record.units), dict(record.meaning), record.name)
+
+
+LEAVES = (
+    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | NUMBERS | TEXTS | st.complex_numbers(allow_nan=False)
+)
+VALUES = st.recursive(
+    LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner, max_size=3), max_leaves=8
+)
+
+
+def plain(value):
+    """Arrays as lists, to compare: lists of numbers come back as arrays."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, list) else value
+
+
+@SETTINGS
+@given(st.dictionaries(TEXTS.filter(lambda key: key not in ("type", "status")), VALUES, max_size=4))
+def test_results(data):
+    back = there_and_back(Result("Margin", Status.CONVERGED, data))
+    assert (back.type, back.status) == ("Margin", Status.CONVERGED)
+    assert plain(dict(back.data)) == data
+
+
+@given(TEXTS)
+def test_link_names(name):
+    link = link_name(name)
+    assert link
+    assert "/" not in link
+    assert not link.startswith(".")
+    assert signal_name(link) == name
+
+
+@pytest.fixture(scope="module")
+def good_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("good") / "p.h5"
+    rng = np.random.default_rng(0)
+    matrices = [rng.normal(size=shape) for shape in ((3, 3), (3, 2), (4, 3), (4, 2))]
+    model = rl.StateSpaceModel(*matrices, inputs=[("u", "V"), ("d", "N m")])
+    rl.save(path, model)
+    return path, model
+
+
+def spoil(raw, seed):
+    """Flip bytes, cut, swap or repeat a piece, by the seed."""
+    rng = np.random.default_rng(seed)
+    data = bytearray(raw)
+    if seed % 4 == 3:
+        return bytes(data[: rng.integers(1, len(data))])
+    if seed % 4 == 2:
+        i, j, n = (int(k) for k in (*rng.integers(0, len(data) - 64, 2), rng.integers(1, 64)))
+        data[i : i + n] = data[j : j + n]
+        return bytes(data)
+    for _ in range(1 if seed % 4 == 0 else 20):
+        data[rng.integers(0, len(data))] = rng.integers(0, 256)
+    return bytes(data)
+
+
+def test_spoiled_files_give_the_model_or_an_input_error(good_file, tmp_path):
+    """In the reader process, as users run it: whatever crashes or hangs there is an InputError here."""
+    path, model = good_file
+    outcomes = {"same": 0, "refused": 0}
+    for seed in range(24):
+        spoiled = tmp_path / "s.h5"
+        spoiled.write_bytes(spoil(path.read_bytes(), seed))
+        try:
+            loaded = read(spoiled)
+        except InputError:
+            outcomes["refused"] += 1
+        else:
+            # A byte in unused space, or in what the hash leaves out; the content is as it was.
+            assert_same_model(loaded.object, model)
+            outcomes["same"] += 1
+    assert outcomes["refused"] >= 8, outcomes

@@ -1,0 +1,166 @@
+"""Upper LFTs: state space against the formula in the frequency domain, and the reduction of repeated blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import block_diag
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar, delta_matrix, delta_values
+from robustlab.uncertainty.elementwise import elementwise
+from robustlab.uncertainty.lft import UncertainModel, upper_lft
+
+SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
+OMEGA = np.array([0.0, 0.4, 2.0, 30.0])
+seeds = st.integers(0, 100_000)
+
+
+def random_m(seed, n, q, p, n_u=2, n_y=1, dt=0.0):
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((n, n)) - 3 * np.eye(n)
+    return StateSpaceModel(
+        a,
+        rng.standard_normal((n, q + n_u)),
+        rng.standard_normal((p + n_y, n)),
+        0.2 * rng.standard_normal((p + n_y, q + n_u)),
+        dt,
+    )
+
+
+def formula(m, delta, omega):
+    q, p = delta.shape
+    g = frequency_response(m, omega)
+    m11, m12, m21, m22 = g[:, :p, :q], g[:, :p, q:], g[:, p:, :q], g[:, p:, q:]
+    return m22 + m21 @ delta @ np.linalg.inv(np.eye(p) - m11 @ delta) @ m12
+
+
+@SETTINGS
+@given(seeds, st.integers(0, 4), st.integers(0, 3), st.integers(0, 3), st.sampled_from([0.0, 0.1]))
+def test_upper_lft_is_its_formula(seed, n, q, p, dt):
+    m = random_m(seed, n, q, p, dt=dt)
+    delta = 0.5 * np.random.default_rng(seed + 1).standard_normal((q, p))
+    wanted = formula(m, delta, OMEGA)
+    found = frequency_response(upper_lft(m, delta), OMEGA)
+    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-7 * max(1.0, np.abs(wanted).max()))
+
+
+@SETTINGS
+@given(seeds, st.integers(0, 3))
+def test_evaluate_and_response_agree_and_complex_deltas_respond(seed, n):
+    rng = np.random.default_rng(seed)
+    blocks = [RealScalar("r", 2), ComplexScalar("c"), FullBlock("f", 2, 1)]
+    model = UncertainModel(random_m(seed, n, 5, 4), blocks)
+    real = {"r": 0.7, "c": -0.3, "f": 0.4 * rng.standard_normal((2, 1))}
+    np.testing.assert_allclose(
+        model.response(OMEGA, real), frequency_response(model.evaluate(real), OMEGA), rtol=1e-7, atol=1e-8
+    )
+    values = {**real, "c": 0.5j}
+    np.testing.assert_allclose(model.response(OMEGA, values), formula(model.M, delta_matrix(blocks, values), OMEGA))
+    with pytest.raises(InputError, match="complex Delta"):
+        model.evaluate(values)
+    back = delta_values(blocks, delta_matrix(blocks, values))
+    assert (back["r"], back["c"]) == (0.7, 0.5j)
+    np.testing.assert_array_equal(back["f"], real["f"])
+
+
+def test_ill_posed_deltas_are_named():
+    m = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[0.5, 1.0], [1.0, 0.0]])
+    model = UncertainModel(m, [RealScalar("k")])
+    np.testing.assert_allclose(model.evaluate({"k": 1.0}).D, [[2.0]])
+    with pytest.raises(NoTrustworthyNumber, match="ill-posed"):
+        model.evaluate({"k": 2.0})
+
+
+def test_too_few_channels():
+    with pytest.raises(InputError, match="channels come first"):
+        UncertainModel(random_m(0, 2, 1, 1, 1, 1), [RealScalar("k", 3)])
+    with pytest.raises(InputError, match="used twice"):
+        UncertainModel(random_m(0, 2, 2, 2), [RealScalar("k"), RealScalar("k")])
+
+
+# --- reduction -------------------------------------------------------------------------------------------------------
+
+
+def hidden(seed, kept, extra, n=3):
+    """A model whose two scalar blocks need ``kept`` repetitions but carry ``extra`` more, mixed by a random basis."""
+    rng = np.random.default_rng(seed)
+    total = [k + e for k, e in zip(kept, extra, strict=True)]
+    q = sum(total)
+    d11, into = 0.2 * rng.standard_normal((q, q)), rng.standard_normal((q, n + 2))
+    first = 0
+    for k, size in zip(kept, total, strict=True):
+        dead = np.arange(first + k, first + size)  # reached by nothing outside the dead part
+        others = np.setdiff1d(np.arange(q), dead)
+        into[dead] = 0.0
+        d11[np.ix_(dead, others)] = 0.0
+        first += size
+    basis = block_diag(*(rng.standard_normal((s, s)) + 2 * np.eye(s) for s in total))
+    d11, into = basis @ d11 @ np.linalg.inv(basis), basis @ into
+    out = rng.standard_normal((n + 2, q)) @ np.linalg.inv(basis)
+    m = StateSpaceModel(
+        rng.standard_normal((n, n)) - 3 * np.eye(n),
+        np.hstack([out[:n], rng.standard_normal((n, 2))]),
+        np.vstack([into[:, :n], rng.standard_normal((2, n))]),
+        np.block([[d11, into[:, n:]], [out[n:], np.zeros((2, 2))]]),
+    )
+    return UncertainModel(m, [RealScalar("a", total[0]), ComplexScalar("b", total[1])])
+
+
+@SETTINGS
+@given(seeds, st.tuples(st.integers(1, 3), st.integers(1, 3)), st.tuples(st.integers(0, 3), st.integers(0, 3)))
+def test_unreachable_repetitions_go_and_nothing_changes(seed, kept, extra):
+    model = hidden(seed, kept, extra)
+    small = model.reduce()
+    assert tuple(b.repeats for b in small.blocks) == kept
+    for values in ({"a": 0.8, "b": 0.3 - 0.4j}, {"a": -1.0, "b": 0.0}):
+        before, after = model.response(OMEGA, values), small.response(OMEGA, values)
+        np.testing.assert_allclose(after, before, rtol=1e-8, atol=1e-8 * np.abs(before).max())
+
+
+def test_thesis_repetition_shrinks_to_the_rank():
+    """One parameter through M12 = I, M21 = A_D (12 repetitions) has the rank of A_D."""
+    rng = np.random.default_rng(4)
+    n = 12
+    a = rng.standard_normal((n, n))
+    change = rng.standard_normal((n, 2)) @ rng.standard_normal((2, n))
+    m = StateSpaceModel(
+        a, np.hstack([change, np.ones((n, 1))]), np.vstack([np.eye(n), np.ones((1, n))]), np.zeros((n + 1, n + 1))
+    )
+    small = UncertainModel(m, [RealScalar("k", n)]).reduce()
+    assert small.blocks == (RealScalar("k", 2),)
+    np.testing.assert_allclose(small.evaluate({"k": 1.0}).A, a + change, atol=1e-12)
+
+
+def test_minimal_blocks_stay_and_dead_ones_vanish():
+    rng = np.random.default_rng(5)
+    first = StateSpaceModel(rng.standard_normal((4, 4)), np.ones((4, 1)), np.ones((1, 4)), [[0.0]])
+    second = StateSpaceModel(rng.standard_normal((4, 4)), np.ones((4, 1)), np.ones((1, 4)), [[0.0]])
+    model = elementwise(first, second, "single")
+    assert model.reduce().blocks == model.blocks
+    m = StateSpaceModel([[-1.0]], [[0.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    dead = UncertainModel(m, [RealScalar("k")]).reduce()
+    assert dead.blocks == ()
+    np.testing.assert_array_equal(dead.evaluate({}).A, [[-1.0]])
+    with pytest.raises(InputError):
+        dead.evaluate({"k": 0.5})
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_units_do_not_decide_what_goes(scale):
+    model = hidden(7, (2, 1), (1, 2))
+    m = model.M
+    s = np.diag([scale, 1.0, 1.0])
+    t = np.linalg.inv(s)
+    scaled = StateSpaceModel(s @ m.A @ t, s @ m.B, m.C @ t, m.D)
+    assert [b.repeats for b in UncertainModel(scaled, model.blocks).reduce().blocks] == [2, 1]
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1.0, -1e-3])
+def test_reduction_tolerances_that_are_none(tolerance):
+    with pytest.raises(InputError):
+        hidden(7, (1, 1), (0, 0)).reduce(tolerance)

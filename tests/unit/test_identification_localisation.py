@@ -1,0 +1,119 @@
+"""Localisation: shares against Parseval and known bands, bins against direct sums."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robustlab.identification.localisation import (
+    bins,
+    motion_of,
+    position_edges,
+    spectrum,
+    speed_edges,
+    time_shares,
+)
+from robustlab.identification.record_quality import clipped_runs
+from robustlab.record import Record
+
+
+def test_density_integrates_to_the_mean_square():
+    t = np.arange(20_000) * 1e-3
+    error = np.random.default_rng(0).standard_normal(len(t)) + 3.0 * np.sin(2 * np.pi * 50 * t)
+    s = spectrum(t, {}, error, np.zeros_like(t))
+    assert (s.error.sum() * (s.frequency[1] - s.frequency[0])) == pytest.approx(np.mean(error**2), rel=0.02)
+    assert s.error_share.sum() == pytest.approx(1.0)
+    assert s.bands[0] == 0.0
+    assert s.bands[-1] == pytest.approx(500.0)
+
+
+def test_an_error_in_one_band_is_found_there():
+    t = np.arange(8000) * 1e-3
+    measured = np.sin(2 * np.pi * 2 * t)
+    error = 0.1 * np.sin(2 * np.pi * 60 * t) + 0.01 * np.sin(2 * np.pi * 2 * t)
+    s = spectrum(t, {}, measured, measured - error)
+    k = np.searchsorted(s.bands, 60.0) - 1
+    assert s.error_share[k] == pytest.approx(0.01 / (0.01 + 0.0001), abs=0.005)
+    low = np.searchsorted(s.bands, 2.0) - 1
+    assert s.relative_error[low] == pytest.approx(0.01, rel=0.02)
+
+
+def test_coherence_is_one_for_an_error_made_by_the_input_and_low_otherwise():
+    rng = np.random.default_rng(1)
+    t = np.arange(40_000) * 1e-2
+    u, w = rng.standard_normal(len(t)), rng.standard_normal(len(t))
+    s = spectrum(t, {"u": u, "w": w}, 0.3 * u, np.zeros_like(t))
+    assert s.coherence["u"].min() > 0.999
+    assert np.mean(s.coherence["w"] <= s.coherence_level) == pytest.approx(0.99, abs=0.01)
+
+
+def test_spectrum_of_an_uneven_clock_and_of_two_samples():
+    rng = np.random.default_rng(2)
+    t = np.cumsum(0.01 * (1 + 0.2 * rng.uniform(-1, 1, 4000)))
+    s = spectrum(t, {}, np.sin(2 * np.pi * 3 * t), np.zeros_like(t))
+    assert s.frequency[s.error.argmax()] == pytest.approx(3.0, abs=0.1)
+    short = spectrum(np.array([0.0, 1.0]), {}, np.array([1.0, -1.0]), np.zeros(2))
+    assert short.error_share.sum() == pytest.approx(1.0)
+
+
+def test_no_error_has_no_share():
+    zero = np.zeros(100)
+    s = spectrum(np.arange(100.0), {"u": zero}, zero, zero)
+    assert s.error_share.sum() == 0.0
+    assert s.relative_error.sum() == 0.0
+    assert s.coherence["u"].max() == 0.0
+    assert time_shares(zero, [0, 50, 100]).tolist() == [0.0, 0.0]
+
+
+samples = st.lists(st.floats(-1e3, 1e3).filter(lambda x: x == 0 or abs(x) > 1e-3), min_size=4, max_size=60)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(samples, st.integers(1, 20))
+def test_shares_of_windows_and_bins_sum_to_one(values, length):
+    error = np.array(values)
+    shares = time_shares(error, [*range(0, len(error), length), len(error)])
+    expected = 1.0 if error.any() else 0.0
+    assert shares.sum() == pytest.approx(expected)
+    speed = np.roll(error, 1)
+    for edges in (speed_edges(speed), position_edges(speed)):
+        found = bins(speed, error, edges)
+        assert sum(b.share for b in found) == pytest.approx(expected)
+        assert sum(b.samples for b in found) == len(error)
+        assert sum(b.samples * b.rms**2 for b in found) == pytest.approx((error**2).sum())
+        assert sum(b.samples * b.mean for b in found) == pytest.approx(error.sum(), abs=1e-6)
+
+
+def test_bins_tell_the_direction():
+    speed = np.array([-1.0, -0.9, 0.0, 0.005, 0.5, 1.0])
+    found = bins(speed, np.array([-2.0, -2.0, 0.0, 0.0, 3.0, 3.0]), speed_edges(speed))
+    rest = len(found) // 2
+    assert found[rest].samples == 2
+    assert {b.mean for b in found[:rest] if b.samples} == {-2.0}
+    assert {b.mean for b in found[rest + 1 :] if b.samples} == {3.0}
+
+
+def test_speed_is_the_measured_one_else_the_derivative_of_the_position():
+    t = np.arange(500) * 0.01
+    q = Record(t, outputs={"q": np.sin(t), "c": t}, units={"q": "m"})
+    found = motion_of(q, None, None, 100)
+    assert found.speed_source.startswith("derivative of q")
+    assert found.speed_unit == "m/s"
+    np.testing.assert_allclose(found.speed, np.cos(t), atol=1e-4)
+    both = Record(t, outputs={"q": np.sin(t), "v": np.cos(t)}, units={"q": "rad", "v": "rad/s"})
+    assert motion_of(both, None, None, 100).speed_source == "v"
+    assert motion_of(both, "q", None, 100).speed_source == "q"
+    assert motion_of(Record(t, outputs={"c": t}), None, None, 100).speed is None
+    assert motion_of(Record(t[:3], outputs={"q": t[:3]}, units={"q": "m"}), None, None, 3).speed is None
+
+
+def test_clipping_is_told_from_rest_and_from_two_levels():
+    t = np.arange(2000) * 0.01
+    clipped = clipped_runs(np.clip(np.sin(t), -2, 0.8))
+    assert sum(last - first for first, last in clipped) == (np.sin(t) >= 0.8).sum()
+    assert clipped_runs(np.sin(t)) == []
+    smooth = np.where(t < 5, 0.5 - 0.5 * np.cos(np.pi * np.minimum(t, 5) / 5), 1.0)  # comes to rest and stays
+    assert clipped_runs(np.round(smooth, 6)) == []
+    assert clipped_runs(np.sign(np.sin(t))) == []
+    waits = np.maximum(np.arange(2000) - 500, 0) * 0.01  # stands before it starts at full slope
+    assert clipped_runs(waits) == []

@@ -1,0 +1,85 @@
+"""Riccati and Lyapunov equations, judged by their residuals and by closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from robustlab import matrix_equations
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.matrix_equations import care, lyapunov
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 12])
+@pytest.mark.parametrize("indefinite", [False, True])
+def test_care_residual_and_stability(n, indefinite):
+    rng = np.random.default_rng(n)
+    A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, 3)), rng.standard_normal((2, n))
+    R = np.diag([1.0, 2.0, -1e4 if indefinite else 0.5])
+    S = 0.1 * rng.standard_normal((n, 3))
+    Q = C.T @ C + 0.5 * np.eye(n)
+    found = care(A, B, Q, R, S)
+    left = A.T @ found.X + found.X @ A + Q - (found.X @ B + S) @ np.linalg.solve(R, B.T @ found.X + S.T)
+    assert np.linalg.norm(left) <= 1e-8 * (np.linalg.norm(found.X) * np.linalg.norm(A) + np.linalg.norm(Q))
+    assert np.linalg.eigvals(A + B @ found.gain).real.max() < 0
+    np.testing.assert_allclose(found.X, found.X.T)
+
+
+def test_both_solvers_agree():
+    rng = np.random.default_rng(7)
+    A, B = rng.standard_normal((6, 6)), rng.standard_normal((6, 2))
+    parts = (A, B, np.eye(6), np.eye(2), np.zeros((6, 2)))
+    one, two = matrix_equations._ordered_schur(*parts), matrix_equations._extended_pencil(*parts)
+    np.testing.assert_allclose(one, two, rtol=1e-8)
+    np.testing.assert_allclose(one, scipy.linalg.solve_continuous_are(A, B, np.eye(6), np.eye(2)), rtol=1e-8)
+
+
+def test_care_scalar_closed_form():
+    a, b, q, r = 0.7, 2.0, 3.0, 0.5
+    expected = (a + np.sqrt(a * a + q * b * b / r)) * r / (b * b)
+    assert care([[a]], [[b]], [[q]], [[r]]).X[0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_care_without_a_stabilising_solution_says_so():
+    with pytest.raises(NoTrustworthyNumber, match="care"):
+        care([[1.0]], [[0.0]], [[1.0]], [[1.0]])  # unstable and uncontrollable
+    with pytest.raises(NoTrustworthyNumber):
+        care([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [0.0]], np.zeros((2, 2)), [[1.0]])  # eigenvalues on the axis
+
+
+def test_care_without_states():
+    assert care(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((0, 0)), np.eye(2)).X.shape == (0, 0)
+
+
+@pytest.mark.parametrize("wrong", ["B", "Q", "R", "S"])
+def test_care_one_wrong_shape_at_a_time(wrong):
+    parts = {"A": np.eye(2), "B": np.ones((2, 1)), "Q": np.eye(2), "R": np.eye(1), "S": np.zeros((2, 1))}
+    parts[wrong] = np.ones((3, 2))
+    with pytest.raises(InputError, match="care"):
+        care(**parts)
+
+
+def test_nan_never_reaches_the_solver():
+    with pytest.raises(InputError, match="NaN"):
+        care([[np.nan]], [[1.0]], [[1.0]], [[1.0]])
+    with pytest.raises(InputError, match="NaN"):
+        lyapunov([[np.nan]], [[1.0]])
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("n", [0, 1, 6])
+def test_lyapunov_residual(n, discrete):
+    rng = np.random.default_rng(n)
+    A = rng.standard_normal((n, n)) * 0.2 - (0 if discrete else 1) * np.eye(n)
+    Q = np.eye(n)
+    X = lyapunov(A, Q, discrete)
+    left = A @ X @ A.T - X + Q if discrete else A @ X + X @ A.T + Q
+    assert np.abs(left).max(initial=0.0) < 1e-10
+
+
+def test_lyapunov_without_a_unique_solution():
+    with pytest.raises(NoTrustworthyNumber):
+        lyapunov([[0.0]], [[1.0]])
+    with pytest.raises(NoTrustworthyNumber):
+        lyapunov(np.diag([1.0, -1.0]), np.ones((2, 2)))

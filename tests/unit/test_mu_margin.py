@@ -1,0 +1,215 @@
+"""Robust stability over the whole axis: published margins, closed forms, edges, refusals."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.mu_analysis.intervals import extend
+from robustlab.mu_analysis.upper import upper_bounds
+from robustlab.result import plain
+from robustlab.statespace import series
+
+
+def lag(radius: float, dt: float = 0.0) -> rl.UncertainModel:
+    """x' = -(1 + radius delta) x + u (or x+ = 0.5 (1 + radius delta) x + u)."""
+    a = 0.5 if dt else -1.0
+    M = rl.StateSpaceModel([[a]], [[a * radius, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), dt)
+    return rl.UncertainModel(M, [rl.RealScalar("pole", parameter=rl.ParameterRange(1.0, radius, "1/s"))])
+
+
+@pytest.fixture(scope="module")
+def two_mass() -> rl.UncertainModel:
+    """m1, m2, k = 1 +- 20 %; u on m1, y = x2; C = 100 ((s + 1) / (0.001 s + 1))^3 (MathWorks' robstab example)."""
+    A = np.array([[0, 1, 0, 0], [-1, 0, 1, 0], [0, 0, 0, 1], [1, 0, -1, 0.0]])
+    B = np.array([[0, 0, 0, 0], [-0.2, 0, -0.2, 1], [0, 0, 0, 0], [0, -0.2, 0.2, 0]])
+    C = np.array([A[1], A[3], [1, 0, -1, 0], [0, 0, 1, 0]])
+    D = np.array([B[1], B[3], np.zeros(4), np.zeros(4)])
+    lead = rl.StateSpaceModel([[-1000.0]], [[1.0]], [[-999000.0]], [[1000.0]])
+    K = series(series(lead, lead), lead)
+    K = rl.StateSpaceModel(K.A, K.B, -100 * K.C, -100 * K.D)
+    blocks = [
+        rl.RealScalar(name, parameter=rl.ParameterRange(1.0, 0.2, unit))
+        for name, unit in (("m1", "kg"), ("m2", "kg"), ("k", "N/m"))
+    ]
+    return rl.UncertainModel(rl.StateSpaceModel(A, B, C, D), blocks).close(K)
+
+
+@pytest.fixture(scope="module")
+def two_mass_margin(two_mass):
+    return rl.robust_stability(two_mass)
+
+
+def test_two_mass_margin_as_published(two_mass_margin):
+    margin = two_mass_margin
+    assert margin.upper == pytest.approx(2.88636, abs=1e-5)
+    assert margin.frequency == pytest.approx(575.03, abs=0.01)
+    assert 0.997 * margin.upper <= margin.lower <= margin.upper
+    assert margin.status is rl.Status.CERTIFIED
+
+
+def test_two_mass_delta_destabilises(two_mass, two_mass_margin):
+    margin = two_mass_margin
+    assert max(abs(v) for v in margin.delta.values()) == pytest.approx(margin.upper)
+    perturbed = two_mass.evaluate(margin.delta)
+    assert perturbed.spectral_abscissa() >= -1e-6
+    assert abs(perturbed.poles().imag[perturbed.poles().real.argmax()]) == pytest.approx(margin.frequency, rel=1e-6)
+    assert margin.physical["m1"] == (pytest.approx(1 + 0.2 * margin.delta["m1"]), "kg")
+
+
+def test_two_mass_no_attack_inside_the_proved_margin(two_mass, two_mass_margin):
+    rng = np.random.default_rng(0)
+    size = two_mass_margin.lower
+    for delta in [*np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T, *rng.uniform(-1, 1, (60, 3))]:
+        values = dict(zip(("m1", "m2", "k"), size * delta, strict=True))
+        assert two_mass.evaluate(values).spectral_abscissa() < 0
+
+
+def test_two_mass_intervals_cover_the_axis(two_mass, two_mass_margin):
+    reached = 0.0
+    for low, high, bound in sorted(two_mass_margin.intervals):
+        assert low <= reached
+        assert bound <= 1 / two_mass_margin.lower * (1 + 1e-12)
+        reached = max(reached, high)
+    assert reached == np.inf
+    # mu itself, from below, at frequencies the proof never looked at
+    omega = np.geomspace(1e-2, 1e5, 40)
+    response = rl.frequency_response(two_mass.delta_channels, omega)
+    assert (rl.mu(response, two_mass.blocks).lower <= 1 / two_mass_margin.lower).all()
+
+
+def test_inequality_holds_inside_a_proved_interval(two_mass):
+    model = two_mass.delta_channels
+    (bound,) = upper_bounds(rl.frequency_response(model, [300.0]), two_mass.blocks)
+    beta = 1.2 * bound.beta
+    piece = extend(model, bound, beta, 300.0)
+    assert piece is not None
+    assert piece.low < 300.0 < piece.high
+    samples = np.concatenate([np.linspace(piece.low, min(piece.high, 1e5), 400), [piece.low]])
+    factor = np.linalg.inv(np.linalg.cholesky(bound.Dw))
+    worst = []
+    for M in rl.frequency_response(model, samples):
+        gm = bound.G @ M
+        value = M.conj().T @ bound.Dz @ M + 1j * (gm - gm.conj().T)
+        worst.append(np.linalg.eigvalsh(factor @ value @ factor.conj().T)[-1])
+    assert max(worst) <= beta**2
+    # the interval ends where the inequality does, not long before
+    outside = rl.frequency_response(model, [piece.high * 1.001])[0]
+    gm = bound.G @ outside
+    value = outside.conj().T @ bound.Dz @ outside + 1j * (gm - gm.conj().T)
+    assert np.linalg.eigvalsh(factor @ value @ factor.conj().T)[-1] > beta**2 * (1 - 1e-2)
+
+
+def test_beta_that_does_not_hold_is_not_extended(two_mass):
+    model = two_mass.delta_channels
+    (bound,) = upper_bounds(rl.frequency_response(model, [575.0]), two_mass.blocks)
+    assert extend(model, bound, 0.9 * bound.beta, 575.0) is None
+
+
+def test_first_order_lag_crosses_at_zero():
+    # pole -(1 + 0.2 delta): zero at delta = -5
+    margin = rl.robust_stability(lag(0.2))
+    assert margin.upper == pytest.approx(5.0, rel=1e-9)
+    assert margin.lower == pytest.approx(5.0, rel=3e-3)
+    assert margin.delta["pole"] == pytest.approx(-5.0, rel=1e-9)
+    assert margin.frequency == pytest.approx(0.0, abs=1e-9)
+    assert margin.physical["pole"] == (pytest.approx(0.0, abs=1e-9), "1/s")
+
+
+def test_asymmetric_time_constant_has_400_percent():
+    # 1 / (tau s + 1), tau in [0.75, 1.5] around 1; only tau <= 0 destabilises, 4 times the lower radius away.
+    # v = x', tau v = u - x: v = -x + u - 0.25 w, w = delta v; the loop is ill-posed at tau = 0.
+    M = rl.StateSpaceModel([[-1.0]], [[-0.25, 1.0]], [[-1.0], [1.0]], [[-0.25, 1.0], [0.0, 0.0]])
+    margin = rl.robust_stability(rl.UncertainModel(M, [rl.RealScalar("tau")]))
+    assert margin.upper == pytest.approx(4.0, rel=1e-9)
+    assert margin.lower == pytest.approx(4.0, rel=3e-3)
+    assert margin.delta["tau"] == pytest.approx(-4.0, rel=1e-9)
+    assert margin.frequency == np.inf
+
+
+def test_discrete_lag_on_the_unit_circle():
+    # z = 0.5 (1 + 0.2 delta): 1 at delta = 5, -1 at delta = -15
+    margin = rl.robust_stability(lag(0.2, dt=0.1))
+    assert margin.upper == pytest.approx(5.0, rel=1e-9)
+    assert margin.lower == pytest.approx(5.0, rel=3e-3)
+    assert margin.pole == pytest.approx(1.0)
+    assert max(high for _, high, _ in margin.intervals) == pytest.approx(np.pi / 0.1)
+
+
+def test_complex_uncertainty_is_the_h_infinity_norm():
+    # one full block: mu(M(jw)) = sigma_max, so the margin is 1 / ||M||_inf
+    zeta, radius = 0.05, 0.1
+    M = rl.StateSpaceModel([[0, 1], [-1, -2 * zeta]], [[0.0], [1.0]], [[radius, 0]], [[0.0]])
+    margin = rl.robust_stability(rl.UncertainModel(M, [rl.FullBlock("dynamics", 1, 1)]))
+    peak = radius / (2 * zeta * np.sqrt(1 - zeta**2))
+    assert margin.upper == pytest.approx(1 / peak, rel=1e-6)
+    assert margin.lower == pytest.approx(1 / peak, rel=3e-3)
+    assert margin.frequency == pytest.approx(np.sqrt(1 - 2 * zeta**2), rel=1e-3)
+
+
+def test_static_model_is_judged_by_its_well_posedness():
+    M = rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.diag([0.5, -0.25]))
+    margin = rl.robust_stability(rl.UncertainModel(M, [rl.RealScalar("a"), rl.RealScalar("b")]))
+    assert margin.upper == pytest.approx(2.0)
+    assert margin.lower == pytest.approx(2.0, rel=3e-3)
+
+
+def test_no_uncertainty_is_an_infinite_margin():
+    margin = rl.robust_stability(rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), []))
+    assert margin.lower == margin.upper == np.inf
+    assert margin.notes == ("no uncertainty: mu = 0",)
+    assert margin.status is rl.Status.CERTIFIED
+    assert margin.frequency is None
+
+
+def test_uncertainty_without_feedback_is_an_infinite_margin():
+    # delta multiplies the input: it never enters the loop
+    M = rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[0.0], [1.0]], [[0.0, 1.0], [0.0, 0.0]])
+    margin = rl.robust_stability(rl.UncertainModel(M, [rl.RealScalar("gain")]))
+    assert margin.lower == margin.upper == np.inf
+    assert margin.status is rl.Status.CERTIFIED
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_unstable_nominal_model_is_refused_with_its_pole(dt):
+    a = 1.2
+    M = rl.StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]], dt)
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"nominal closed loop unstable \(pole 1.2\+0j\)"):
+        rl.robust_stability(rl.UncertainModel(M, [rl.RealScalar("a")]))
+
+
+def test_integrator_is_not_stable():
+    M = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
+        rl.robust_stability(rl.UncertainModel(M, [rl.RealScalar("a")]))
+
+
+def test_no_time_means_no_proof(two_mass):
+    margin = rl.robust_stability(two_mass, omega=[1.0, 575.0], time_limit=0.0)
+    assert margin.status is rl.Status.TIMEOUT
+    assert margin.lower == 0.0
+    assert margin.open
+    assert margin.upper == pytest.approx(2.88636, abs=1e-5)
+    assert any("grid only" in text for text in margin.notes)
+    assert margin.omega.tolist() == [1.0, 575.0]
+
+
+@pytest.mark.parametrize("omega", [[-1.0], [np.nan], [[1.0, 2.0]]])
+def test_bad_frequencies(omega):
+    with pytest.raises(rl.InputError):
+        rl.robust_stability(lag(0.2), omega=omega)
+
+
+def test_a_plain_model_is_refused():
+    with pytest.raises(rl.InputError, match="UncertainModel"):
+        rl.robust_stability(lag(0.2).M)
+
+
+def test_margin_becomes_plain_json(two_mass_margin):
+    data = json.loads(json.dumps(plain(two_mass_margin), allow_nan=False))
+    assert data["type"] == "Margin"
+    assert data["status"] == "certified"
+    assert set(data["delta"]) == {"m1", "m2", "k"}

@@ -1,0 +1,135 @@
+"""H-infinity and H2 norms against closed forms, and at the edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, h2_norm, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+
+
+def resonance(zeta: float, omega: float = 1.0, gain: float = 1.0) -> StateSpaceModel:
+    """gain * omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
+    return StateSpaceModel([[0, 1], [-(omega**2), -2 * zeta * omega]], [[0], [1]], [[gain * omega**2, 0]], [[0]])
+
+
+@pytest.mark.parametrize("zeta", [0.5, 1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("omega", [1e-3, 1.0, 1e5])
+def test_peak_of_a_resonance(zeta, omega):
+    norm = hinf_norm(resonance(zeta, omega))
+    assert norm.status is Status.CERTIFIED
+    assert norm.value == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-8)
+    assert norm.frequency == pytest.approx(omega * np.sqrt(1 - 2 * zeta**2), rel=1e-3)
+    assert norm.lower <= norm.upper <= norm.lower * (1 + 2e-6)
+
+
+def test_the_higher_of_two_far_apart_narrow_peaks_wins():
+    low, high = resonance(1e-5, 1.0, 1.0), resonance(1e-7, 1e4, 0.0101)
+    zeros = np.zeros((2, 2))
+    both = StateSpaceModel(
+        np.block([[low.A, zeros], [zeros, high.A]]), np.vstack([low.B, high.B]), np.hstack([low.C, high.C]), [[0]]
+    )
+    norm = hinf_norm(both)
+    assert norm.frequency == pytest.approx(1e4, rel=1e-6)
+    assert norm.value == pytest.approx(0.0101 / 2e-7, rel=1e-4)
+
+
+def test_peak_at_infinite_frequency_and_at_zero():
+    high_pass = StateSpaceModel([[-1.0]], [[1.0]], [[-3.0]], [[3.0]])
+    assert hinf_norm(high_pass).value == pytest.approx(3.0, rel=1e-12)
+    lag = StateSpaceModel([[-1e-9]], [[1.0]], [[5e-9]], [[0.0]])
+    norm = hinf_norm(lag)
+    assert (norm.value, norm.frequency) == (pytest.approx(5.0, rel=1e-12), 0.0)
+
+
+def test_all_pass_is_flat():
+    A, B = np.array([[0.0, 1.0], [-4.0, -0.4]]), np.array([[0.0], [0.8]])
+    all_pass = StateSpaceModel(A, B, [[0.0, -1.0]], [[1.0]])  # (s^2 - 0.4 s + 4) / (s^2 + 0.4 s + 4)
+    norm = hinf_norm(all_pass)
+    assert norm.value == pytest.approx(1.0, rel=1e-9)
+    assert norm.upper <= 1 + 3e-6
+
+
+@pytest.mark.parametrize(("n_inputs", "n_outputs", "n_states"), [(0, 2, 1), (2, 0, 1), (0, 0, 0), (0, 0, 3), (3, 0, 0)])
+def test_empty_sizes_have_norm_zero(n_inputs, n_outputs, n_states):
+    model = StateSpaceModel(
+        -np.eye(n_states),
+        np.ones((n_states, n_inputs)),
+        np.ones((n_outputs, n_states)),
+        np.zeros((n_outputs, n_inputs)),
+    )
+    assert hinf_norm(model).value == 0.0
+
+
+def test_static_gain_and_zero_system():
+    gain = np.array([[3.0, 0.0], [0.0, 4.0], [0.0, 0.0]])
+    static = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), gain)
+    assert hinf_norm(static).value == 4.0
+    assert hinf_norm(StateSpaceModel([[-1.0]], [[0.0]], [[1.0]], [[0.0]])).value == 0.0
+
+
+def test_cancelling_channels_give_a_norm_of_rounding_size():
+    model = StateSpaceModel(np.diag([-1.0, -1.0]), [[1.0], [1.0]], [[1.0, -1.0]], [[0.0]])
+    norm = hinf_norm(model)
+    assert norm.upper < 1e-14
+
+
+@pytest.mark.parametrize("pole", [0.0, 1.0, 1e-9])
+def test_not_stable_means_infinite_even_where_unreachable(pole):
+    for b in (1.0, 0.0):
+        norm = hinf_norm(StateSpaceModel([[pole, 0], [0, -1]], [[b], [1]], [[1, 1]], [[0]]))
+        assert norm.value == np.inf
+        assert "pole" in norm.reason
+
+
+def test_undamped_oscillator_is_infinite():
+    assert hinf_norm(StateSpaceModel([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], [[0]])).value == np.inf
+
+
+@pytest.mark.parametrize("pole", [0.9, -0.9, 0.0, 0.999999])
+def test_discrete_lag(pole):
+    norm = hinf_norm(StateSpaceModel([[pole]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+    assert norm.value == pytest.approx(1 / (1 - abs(pole)), rel=1e-8)
+    if pole < 0:
+        assert norm.frequency == pytest.approx(np.pi / 0.1)
+
+
+def test_discrete_marginal_is_infinite():
+    assert hinf_norm(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)).value == np.inf
+
+
+def test_pure_delays_have_norm_one():
+    shift = StateSpaceModel(np.eye(4, k=1), np.eye(4)[:, 3:], np.eye(4)[:1], [[0.0]], 1.0)
+    assert hinf_norm(shift).value == pytest.approx(1.0, rel=1e-9)
+
+
+def test_bad_rtol_is_refused():
+    with pytest.raises(InputError, match="rtol"):
+        hinf_norm(resonance(0.1), rtol=0.0)
+
+
+def test_bilinear_map_there_and_back():
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((4, 4)) * 0.4
+    model = StateSpaceModel(
+        A, rng.standard_normal((4, 2)), rng.standard_normal((3, 4)), rng.standard_normal((3, 2)), 0.02
+    )
+    back = bilinear_to_discrete(bilinear_to_continuous(model), 0.02)
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(back, name), getattr(model, name), atol=1e-12)
+
+
+def test_h2_of_a_lag_in_any_time_unit():
+    for rate in (1e-4, 1.0, 1e6):
+        norm = h2_norm(StateSpaceModel([[-rate]], [[1.0]], [[1.0]], [[0.0]]))
+        assert norm.value == pytest.approx(1 / np.sqrt(2 * rate), rel=1e-12)
+        assert norm.status is Status.CONVERGED
+
+
+def test_h2_discrete_and_infinite_cases():
+    assert h2_norm(StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[2.0]], 1.0)).value == pytest.approx(np.sqrt(4 + 4 / 3))
+    assert h2_norm(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])).value == np.inf
+    assert h2_norm(StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])).value == np.inf

@@ -1,0 +1,104 @@
+"""Judging requirements."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.recipe.requirements import judge, look_up
+from robustlab.recipe.schema import Requirement
+
+NUMBERS = {
+    "gap": {
+        "outputs": {"q": {"fit": 93.2}},
+        "poles": [-1.0, -2.0],
+        "ok": True,
+        "kind": "x",
+        "norm": "inf",
+        "bad": "nan",
+    }
+}
+
+
+def verdict(**condition):
+    that = condition.pop("that", "gap.outputs.q.fit")
+    return judge(Requirement(that=that, text="t", **condition), NUMBERS, {})
+
+
+@pytest.mark.parametrize(
+    ("condition", "met"),
+    [
+        ({"at_least": 93.2}, True),
+        ({"at_least": 93.3}, False),
+        ({"at_most": 93.2}, True),
+        ({"at_most": 93.1}, False),
+        ({"within": [93.0, 93.2]}, True),
+        ({"within": [93.21, 94.0]}, False),
+        ({"equals": 93.0, "tolerance": 0.25}, True),
+        ({"equals": 93.0, "tolerance": 0.15}, False),
+        ({"equals": 93.2}, True),
+        ({"that": "gap.poles.1", "at_most": -2.0}, True),
+        ({"that": "gap.ok", "equals": True}, True),
+        ({"that": "gap.ok", "equals": False}, False),
+        ({"that": "gap.kind", "equals": "x"}, True),
+        ({"that": "gap.kind", "equals": "y"}, False),
+        ({"that": "gap.norm", "at_most": 1e300}, False),
+        ({"that": "gap.norm", "at_least": 1.0}, True),
+        ({"that": "gap.bad", "at_most": 1.0}, False),
+        ({"that": "gap.bad", "at_least": 1.0}, False),
+        ({"that": "gap.bad", "equals": 1.0, "tolerance": 1.0}, False),
+    ],
+)
+def test_conditions(condition, met):
+    assert verdict(**condition).met is met
+
+
+def test_true_is_not_the_number_one():
+    with pytest.raises(InputError, match="compares numbers"):
+        verdict(that="gap.ok", at_least=1.0)
+    assert not verdict(that="gap.outputs.q.fit", equals=True).met
+    with pytest.raises(InputError, match="compares numbers"):
+        verdict(that="gap.kind", at_least=1.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("gap.outputs.q.fitt", "did you mean fit?"),
+        ("gap.outputs.p.fit", "one of q"),
+        ("gap.poles.2", "one of 0, 1"),
+        ("gap.poles.-1", "one of 0, 1"),
+        ("gap.kind.x", "nothing below gap.kind"),
+        ("gap.outputs.q", "names a table"),
+        ("gap.poles", "names a table"),
+    ],
+)
+def test_a_path_to_nothing_is_refused_with_what_there_is(path, expected):
+    with pytest.raises(InputError) as caught:
+        look_up(path, NUMBERS)
+    assert expected in str(caught.value)
+
+
+def test_a_step_without_numbers_meets_nothing():
+    judgement = judge(Requirement(that="gap.x", text="t", at_most=math.pi), {}, {"gap": "it failed"})
+    assert not judgement.met
+    assert judgement.why_not == "it failed"
+    assert judgement.to_json()["value"] is None
+
+
+@pytest.mark.parametrize(
+    ("condition", "words"),
+    [
+        ({"at_least": 1.0}, "at least 1"),
+        ({"at_most": 1e-12}, "at most 1e-12"),
+        ({"within": [0.0, 2.5]}, "between 0 and 2.5"),
+        ({"equals": 779.1, "tolerance": 0.05}, "779.1 ± 0.05"),
+        ({"equals": 0.0}, "0"),
+        ({"equals": True}, "yes"),
+        ({"equals": "named"}, "'named'"),
+    ],
+)
+def test_conditions_in_words(condition, words):
+    assert Requirement(that="a.b", text="t", **condition).condition == words

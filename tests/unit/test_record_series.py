@@ -1,0 +1,90 @@
+"""Record: clocks and channels that are accepted, refused, and how the refusal reads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.record import Record
+from robustlab.result import plain
+
+T = np.linspace(0.0, 1.0, 11)
+
+
+def make(**changed):
+    given = {"inputs": {"u": np.ones(11)}, "outputs": {"q": T, "v": 2 * T}, "units": {"u": "V", "q": "m"}, **changed}
+    return Record(given.pop("t", T), **given)
+
+
+def test_what_it_holds():
+    record = make()
+    assert (record.n, record.duration, record.is_uniform) == (11, 1.0, True)
+    assert record.dt == pytest.approx(0.1)
+    assert (record.unit("q"), record.unit("v")) == ("m", "")
+    np.testing.assert_array_equal(record["v"], 2 * T)
+    assert "11 samples" in repr(record)
+
+
+def test_unknown_names_get_a_suggestion():
+    with pytest.raises(InputError, match="one of u, q, v"):
+        make()["x"]
+    with pytest.raises(InputError, match="did you mean volt"):
+        make(outputs={"volt": T}, units={"vol": "V"})
+
+
+@pytest.mark.parametrize(
+    ("t", "text"),
+    [
+        ([0.0, 0.1, 0.1, 0.2], r"t\[2\] = 0.1 s repeats the stamp before it \(1 such samples\)"),
+        ([0.0, 0.2, 0.1, 0.3], r"t\[2\] = 0.1 s runs backwards"),
+        ([0.0, np.nan, 0.2, 0.3], r"t\[1\] is NaN"),
+        ([0.0], "at least 2"),
+        ([[0.0, 1.0]], "1 dimensions"),
+    ],
+)
+def test_clocks_that_do_not_run(t, text):
+    with pytest.raises(InputError, match=text):
+        Record(t, outputs={"q": np.zeros(np.size(t))})
+
+
+def test_a_gap_makes_it_non_uniform_but_is_kept():
+    t = np.delete(T, 4)
+    assert not Record(t, outputs={"q": t}).is_uniform
+    jitter = T + 1e-5 * np.sin(np.arange(11))
+    assert Record(jitter, outputs={"q": T}).is_uniform
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"outputs": {"q": T[:-1]}, "units": {}}, "10 samples, expected 11 to match t"),
+        ({"outputs": {"u": T}, "units": {}}, "both an input and an output"),
+        ({"outputs": {"q": np.where(T == 0.5, np.inf, T)}}, r"q\[5\] is infinite"),
+        ({"outputs": {"": T}, "units": {}}, "0 characters"),
+        ({"outputs": {"q": ["a"] * 11}}, "real numbers"),
+    ],
+)
+def test_channels_that_do_not_fit(changed, text):
+    with pytest.raises(InputError, match=text):
+        make(**changed)
+
+
+def test_between_keeps_clock_and_units():
+    part = make().between(0.25, 0.65)
+    np.testing.assert_allclose(part.t, [0.3, 0.4, 0.5, 0.6])
+    assert part.unit("u") == "V"
+    with pytest.raises(InputError, match="at least 2"):
+        make().between(0.31, 0.39)
+
+
+def test_samples_cannot_be_written_and_become_json():
+    record = make()
+    with pytest.raises(ValueError, match="read-only"):
+        record["q"][0] = 1.0
+    assert plain(record)["outputs"]["v"][-1] == 2.0
+
+
+def test_signals_without_names_are_refused():
+    with pytest.raises(InputError, match="signals as a list, expected a dict"):
+        Record([0.0, 1.0], [[1.0, 2.0]], {"q": [1.0, 2.0]})

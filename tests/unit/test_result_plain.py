@@ -1,0 +1,54 @@
+"""Results as plain JSON."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from robustlab.result import Result, Status, plain
+from robustlab.statespace import StateSpaceModel
+
+
+def test_only_two_statuses_are_trustworthy():
+    assert {s for s in Status if s.trustworthy} == {Status.CERTIFIED, Status.CONVERGED}
+    assert str(Status.TIMEOUT) == "timeout"
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"),
+    [
+        (None, None),
+        (True, True),
+        (np.True_, True),
+        (Status.FAILED, "failed"),
+        (3, 3),
+        (np.int64(3), 3),
+        (np.float32(0.5), 0.5),
+        (float("inf"), "inf"),
+        (-np.inf, "-inf"),
+        (np.nan, "nan"),
+        (1 + 2j, {"re": 1.0, "im": 2.0}),
+        (np.array([[1.0, np.nan]]), [[1.0, "nan"]]),
+        (np.array([1j]), [{"re": 0.0, "im": 1.0}]),
+        ((1, [2.0]), [1, [2.0]]),
+        ({1: {"a": np.zeros(0)}}, {"1": {"a": []}}),
+        (Result("Margin", Status.CERTIFIED, {"lower": 2.0}), {"type": "Margin", "lower": 2.0, "status": "certified"}),
+    ],
+)
+def test_plain_forms(value, wanted):
+    found = plain(value)
+    assert found == wanted
+    json.dumps(found, allow_nan=False)
+
+
+def test_models_become_json():
+    model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")])
+    data = json.loads(json.dumps(plain({"model": model}), allow_nan=False))
+    assert data["model"]["inputs"] == [["u", "V"]]
+
+
+def test_what_has_no_plain_form_is_an_error():
+    with pytest.raises(TypeError, match="no plain form"):
+        plain(object())

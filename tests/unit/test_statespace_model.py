@@ -1,0 +1,261 @@
+"""StateSpaceModel: what it accepts and refuses, its parts, and its exchange with python-control."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError, UnitMismatch
+from robustlab.frequency import frequency_response
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, feedback, lower_lft, series
+
+GOOD = {"A": np.diag([-1.0, -2.0, -3.0]), "B": np.ones((3, 2)), "C": np.ones((4, 3)), "D": np.zeros((4, 2))}
+
+
+def build(**changed):
+    return StateSpaceModel(**{**GOOD, **changed})
+
+
+def test_sizes():
+    model = build()
+    assert (model.n_states, model.n_inputs, model.n_outputs) == (3, 2, 4)
+    assert model.input_names == ("u1", "u2")
+    assert model.output_names == ("y1", "y2", "y3", "y4")
+    assert model.state_names == ("x1", "x2", "x3")
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "expected"),
+    [
+        ("A", (3, 4), "(3, 3)"),
+        ("A", (4, 4), "B is (3, 2), expected (4, 2)"),
+        ("B", (2, 2), "(3, 2)"),
+        ("B", (3, 1), "(3, 2)"),
+        ("C", (4, 2), "(4, 3)"),
+        ("C", (5, 3), "(4, 3)"),
+        ("D", (4, 3), "B is (3, 2), expected (3, 3)"),
+        ("D", (3, 2), "C is (4, 3), expected (3, 3)"),
+    ],
+)
+def test_each_size_is_checked_by_itself(name, shape, expected):
+    with pytest.raises(InputError) as caught:
+        build(**{name: np.zeros(shape)})
+    assert expected in str(caught.value)
+
+
+def test_transposed_direct_term_gets_the_hint():
+    with pytest.raises(InputError, match=r"--transpose"):
+        build(D=np.zeros((2, 4)))
+
+
+@pytest.mark.parametrize("name", ["A", "B", "C", "D"])
+@pytest.mark.parametrize(("value", "word"), [(np.nan, "NaN"), (np.inf, "infinite"), (-np.inf, "infinite")])
+def test_entries_that_are_no_numbers_are_named(name, value, word):
+    matrix = GOOD[name].copy()
+    matrix[1, 1] = value
+    with pytest.raises(InputError) as caught:
+        build(**{name: matrix})
+    assert f"{name}[1,1] is {word} (1 of {matrix.size} entries)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "bad", [np.zeros(3), np.zeros((3, 3, 1)), np.eye(3) * 1j, [["a"]], np.eye(3, dtype=bool), [[1.0], [1.0, 2.0]]]
+)
+def test_what_is_no_real_matrix_is_refused(bad):
+    with pytest.raises(InputError):
+        build(A=bad)
+
+
+@pytest.mark.parametrize("dt", [-0.1, np.nan, np.inf, True])
+def test_sample_times_that_are_none(dt):
+    with pytest.raises(InputError, match="dt"):
+        build(dt=dt)
+
+
+def test_names():
+    with pytest.raises(InputError, match="used twice"):
+        build(inputs=["u", "u"])
+    with pytest.raises(InputError, match="expected 2"):
+        build(inputs=["u"])
+    with pytest.raises(InputError, match="201 characters"):
+        build(inputs=["u", "v" * 201])
+    model = build(inputs=[("u", "V"), "v"], outputs=[Signal(f"o{k}") for k in range(4)])
+    assert model.inputs == (Signal("u", "V"), Signal("v", ""))
+
+
+def test_arrays_are_copies_that_cannot_be_written():
+    a = np.diag([-1.0, -2.0, -3.0])
+    model = build(A=a)
+    a[0, 0] = 5.0
+    assert model.A[0, 0] == -1.0
+    with pytest.raises(ValueError, match="read-only"):
+        model.A[0, 0] = 1.0
+    with pytest.raises(AttributeError):
+        model.A = a
+
+
+def test_operating_point_sizes():
+    good = OperatingPoint(np.zeros(3), np.zeros(2), np.zeros(4))
+    assert build(operating_point=good).select(inputs=["u2"]).operating_point.u.shape == (1,)
+    with pytest.raises(InputError, match=r"operating_point\.u has 3 entries"):
+        build(operating_point=OperatingPoint(np.zeros(3), np.zeros(3), np.zeros(4)))
+
+
+def test_select_keeps_names_order_and_matrices():
+    rng = np.random.default_rng(0)
+    model = build(B=rng.standard_normal((3, 2)), C=rng.standard_normal((4, 3)), D=rng.standard_normal((4, 2)))
+    part = model.select(inputs=["u2"], outputs=["y3", "y1"])
+    assert part.output_names == ("y3", "y1")
+    np.testing.assert_array_equal(part.D, model.D[[2, 0]][:, [1]])
+    with pytest.raises(InputError, match="did you mean"):
+        model.select(outputs=["y11"])
+
+
+@pytest.mark.parametrize(
+    ("dt", "pole", "abscissa"), [(0.0, -0.5, -0.5), (0.1, -0.5, -0.5), (0.1, 1.5, 0.5), (0, 2.0, 2.0)]
+)
+def test_stability_measure(dt, pole, abscissa):
+    model = StateSpaceModel([[pole]], [[1]], [[1]], [[0]], dt)
+    assert model.spectral_abscissa() == abscissa
+    assert model.is_stable() == (abscissa < 0)
+
+
+def test_static_gain_works_everywhere():
+    gain = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), np.arange(6.0).reshape(3, 2))
+    assert gain.spectral_abscissa() == -np.inf
+    assert gain.is_stable()
+    np.testing.assert_array_equal(gain.dc_gain(), gain.D)
+    np.testing.assert_array_equal(as_model(gain.to_control()).D, gain.D)
+    np.testing.assert_array_equal(append(gain, gain.renamed(["a", "b"], ["c", "d", "e"])).D, np.kron(np.eye(2), gain.D))
+
+
+def test_no_inputs_or_no_outputs():
+    free = StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0)))
+    assert (free.n_inputs, free.n_outputs) == (0, 1)
+    blind = StateSpaceModel([[-1.0]], [[1.0]], np.zeros((0, 1)), np.zeros((0, 1)))
+    assert (blind.n_inputs, blind.n_outputs) == (1, 0)
+    both = append(free, blind)
+    assert both.D.shape == (1, 1)
+
+
+def test_dc_gain_by_hand_and_of_an_integrator():
+    lag = StateSpaceModel([[-2.0]], [[1.0]], [[6.0]], [[1.0]])
+    np.testing.assert_allclose(lag.dc_gain(), [[4.0]])
+    np.testing.assert_allclose(StateSpaceModel([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.1).dc_gain(), [[4.0]])
+    with pytest.raises(InputError, match="pole at zero frequency"):
+        StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]]).dc_gain()
+
+
+# --- python-control --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.25])
+def test_round_trip_through_control(dt):
+    rng = np.random.default_rng(1)
+    whole = rng.standard_normal((4, 5))
+    matrices = (whole[:3, :3], whole[:3, 3:], whole[3:, :3], whole[3:, 3:])
+    model = StateSpaceModel(*matrices, dt, ["volts", "load"], ["speed"], ["a", "b", "c"])
+    back = StateSpaceModel.from_control(model.to_control())
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(back, name), getattr(model, name))
+    assert (back.dt, back.input_names, back.output_names, back.state_names) == (
+        dt, ("volts", "load"), ("speed",), ("a", "b", "c"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("dt", [None, True])
+def test_unspecified_time_bases_are_refused(dt):
+    system = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], dt)
+    with pytest.raises(InputError, match=f"dt={dt}"):
+        StateSpaceModel.from_control(system)
+
+
+def test_states_that_control_would_drop_are_kept():
+    model = StateSpaceModel(np.diag([-1.0, 0.0]), [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]])
+    assert model.to_control().nstates == 2
+
+
+def test_transfer_function_comes_in_with_its_response():
+    tf = control.tf([1.0, 2.0], [1.0, 0.4, 3.0])
+    model = as_model(tf)
+    s = 0.7j
+    value = (model.C @ np.linalg.solve(s * np.eye(2) - model.A, model.B) + model.D)[0, 0]
+    assert abs(value - tf(s)) < 1e-12
+
+
+def test_what_is_no_model_is_refused():
+    with pytest.raises(InputError, match="list"):
+        as_model([1, 2])
+
+
+# --- interconnection -------------------------------------------------------------------------------------------------
+
+
+def lag(name_in, name_out, **units):
+    return StateSpaceModel(
+        [[-1.0]],
+        [[1.0]],
+        [[1.0]],
+        [[0.0]],
+        inputs=[(name_in, units.get("u", ""))],
+        outputs=[(name_out, units.get("y", ""))],
+    )
+
+
+def test_series_refuses_units_that_disagree():
+    with pytest.raises(UnitMismatch, match=r"\[rad\] drives v \[deg\]"):
+        series(lag("u", "y", y="rad"), lag("v", "z", u="deg"))
+    assert series(lag("u", "y", y="rad"), lag("v", "z")).n_states == 2
+
+
+def test_sizes_and_sample_times_of_interconnections():
+    two = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]])
+    with pytest.raises(InputError, match="1 outputs into 2 inputs"):
+        series(two, two)
+    with pytest.raises(InputError, match="sample times"):
+        series(lag("u", "y"), StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+    with pytest.raises(InputError, match="1 x 2"):
+        feedback(lag("u", "y"), two)
+    with pytest.raises(InputError, match="no larger than P"):
+        lower_lft(lag("u", "y"), two)
+
+
+def test_algebraic_loop_without_solution_is_refused():
+    one = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])
+    with pytest.raises(InputError, match="not well posed"):
+        feedback(one, one, sign=+1)
+    np.testing.assert_allclose(feedback(one, one).D, [[0.5]])
+
+
+def test_a_wide_a_is_named_and_not_a_d_that_fits():
+    with pytest.raises(InputError, match=r"A is \(1, 2\), expected \(1, 1\)$"):
+        StateSpaceModel([[1.0, 2.0]], [[1.0]], [[1.0]], [[0.0]])
+
+
+def test_empty_lists_make_a_static_gain():
+    gain = StateSpaceModel([], [], [], [[1, 2]])
+    assert (gain.A.shape, gain.B.shape, gain.C.shape) == ((0, 0), (0, 2), (1, 0))
+    assert gain.dc_gain().tolist() == [[1.0, 2.0]]
+
+
+@pytest.mark.parametrize("dt", [None, "0.1", 1j, float("inf")])
+def test_a_sample_time_that_is_no_number_is_refused(dt):
+    with pytest.raises(InputError, match="dt is"):
+        StateSpaceModel(-1, 1, 1, 0, dt=dt)
+
+
+@pytest.mark.parametrize("signal", [3, ("u", "V", "x")])
+def test_a_signal_that_is_no_name_is_refused(signal):
+    with pytest.raises(InputError, match=r"inputs: signal .* a name or a \(name, unit\) pair"):
+        StateSpaceModel(-1, 1, 1, 0, inputs=[signal])
+
+
+def test_an_improper_transfer_function_is_refused():
+    with pytest.raises(InputError, match="no more zeros than poles"):
+        StateSpaceModel.from_control(control.tf([1, 1], [1]))
+
+
+def test_frequency_response_takes_python_control_objects():
+    response = frequency_response(control.tf([1], [1, 1]), [1.0])
+    np.testing.assert_allclose(response, [[[0.5 - 0.5j]]], rtol=1e-14)

@@ -1,0 +1,182 @@
+"""H-infinity synthesis against closed forms, at the edges, and where it must refuse."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import bilinear_to_discrete, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis import Controller, GeneralizedPlant, Synthesis, hinf
+
+
+def output_feedback_problem(a: float) -> StateSpaceModel:
+    """x' = a x + w1 + u, z = [x; u], y = x + w2; its smallest gamma is a + sqrt(a^2 + 2)."""
+    return StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+
+
+def check(design: Synthesis, plant: StateSpaceModel) -> None:
+    """The evidence holds: the loop rebuilt from K on the plant is stable, with a norm of at most gamma."""
+    loop = lower_lft(plant, design.K)
+    assert loop.is_stable()
+    assert hinf_norm(loop).lower <= design.gamma
+    assert design.status is Status.CERTIFIED
+    assert design.closed_loop.is_stable()
+
+
+@pytest.mark.parametrize("a", [-10.0, -0.1, 0.0, 20.0])
+def test_one_state_output_feedback_closed_form(a):
+    plant = output_feedback_problem(a)
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    check(design, plant)
+    gamma = a + np.sqrt(a * a + 2)
+    assert gamma * (1 - 1e-9) <= design.gamma <= 1.001 * gamma
+
+
+@pytest.mark.parametrize("a", [-3.0, -0.2, 2.0])
+def test_singular_state_feedback_closed_form(a):
+    """x' = a x + w + u, z = [x; u], y = x (D21 = 0): gamma is 1 / sqrt(1 + a^2) for a <= 0, else 1."""
+    plant = StateSpaceModel([[a]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]])
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    check(design, plant)
+    gamma = 1 / np.sqrt(1 + a * a) if a <= 0 else 1.0
+    assert gamma * (1 - 1e-9) <= design.gamma <= 1.002 * gamma
+
+
+@pytest.mark.parametrize(("time", "u", "y"), [(1e-6, 1e-4, 1e5), (1e5, 1e6, 1e-3)])
+def test_units_of_time_controls_and_measurements_do_not_matter(time, u, y):
+    base = output_feedback_problem(-1.0)
+    scale_in, scale_out = np.array([1, 1, u]), np.array([1, 1, y])
+    plant = StateSpaceModel(
+        base.A * time, base.B * scale_in * time, base.C * scale_out[:, None], base.D * scale_out[:, None] * scale_in
+    )
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    check(design, plant)
+    assert design.gamma == pytest.approx(np.sqrt(3) - 1, rel=1e-3)
+
+
+def test_static_plant_meets_parrotts_bound():
+    """Without states: min over K of || [a, b; c, K] || is max(||[a b]||, ||[a; c]||)."""
+    a, b, c = 0.6, 0.5, 0.7
+    empty = np.zeros((0, 0))
+    D = np.array([[a, b, 0], [c, 0, 1.0], [0, 1.0, 0]])
+    plant = StateSpaceModel(empty, np.zeros((0, 3)), np.zeros((3, 0)), D)
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    check(design, plant)
+    assert design.gamma == pytest.approx(max(np.hypot(a, b), np.hypot(a, c)), rel=1e-3)
+
+
+def test_direct_term_from_controls_to_measurements_does_not_change_gamma():
+    base = output_feedback_problem(0.5)
+    D = base.D.copy()
+    D[2, 2] = 3.0
+    plant = StateSpaceModel(base.A, base.B, base.C, D)
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    check(design, plant)
+    assert design.gamma == pytest.approx(0.5 + 1.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.5])
+def test_discrete_plant_is_solved_and_verified_in_discrete_time(dt):
+    plant = bilinear_to_discrete(output_feedback_problem(0.5), dt)
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    assert design.K.dt == dt
+    check(design, plant)
+    assert design.gamma == pytest.approx(2.0, rel=1e-3)
+
+
+def test_softening_keeps_gamma_within_its_ratio_and_slows_the_controller():
+    plant = StateSpaceModel([[-1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]])
+    tight, soft = hinf(plant, 1, 1, gamma_rel=1.0), hinf(plant, 1, 1)
+    assert soft.gamma <= 1.05 * soft.smallest_gamma
+    assert soft.smallest_gamma == pytest.approx(tight.gamma, rel=1e-6)
+    assert soft.fastest_controller_pole < tight.fastest_controller_pole
+    check(soft, plant)
+
+
+def test_same_answer_twice():
+    plant = output_feedback_problem(0.2)
+    one, two = hinf(plant, 1, 1), hinf(plant, 1, 1)
+    assert one.gamma == two.gamma
+    np.testing.assert_array_equal(one.K.A, two.K.A)
+
+
+def test_generalised_plant_and_python_control_object_give_the_same():
+    plant = output_feedback_problem(0.2)
+    one = hinf(plant, 1, 1, gamma_rel=1.0)
+    assert hinf(GeneralizedPlant(plant, 1, 1), gamma_rel=1.0).gamma == one.gamma
+    assert hinf(control.ss(plant.A, plant.B, plant.C, plant.D), 1, 1, gamma_rel=1.0).gamma == one.gamma
+
+
+def test_controller_carries_names_units_and_evidence():
+    base = output_feedback_problem(-1.0)
+    plant = StateSpaceModel(
+        base.A, base.B, base.C, base.D, inputs=["w", "n", ("u", "V")], outputs=["z", "zu", ("y", "rad")]
+    )
+    design = hinf(plant, 1, 1)
+    assert design.K.inputs[0] == ("y", "rad")
+    assert design.K.outputs[0] == ("u", "V")
+    stored = design.controller
+    assert isinstance(stored, Controller)
+    assert (stored.gamma, stored.status, stored.method) == (design.gamma, Status.CERTIFIED, "hinf")
+    assert set(design.to_json()) >= {"gamma", "status", "K", "peak_frequency", "reason", "norm"}
+    assert "z" in design.limit
+
+
+@pytest.mark.parametrize(
+    ("B2", "C2", "text"),
+    [
+        ([[0.0], [1.0]], [[1.0, 1.0]], "cannot be moved by the controls"),
+        ([[1.0], [1.0]], [[0.0, 1.0]], "does not show in the measurements"),
+    ],
+)
+@pytest.mark.parametrize("pole", [0.7, 0.0])
+def test_hidden_unstable_mode_is_named_before_any_search(B2, C2, text, pole):
+    plant = StateSpaceModel(
+        np.diag([pole, -1.0]),
+        np.hstack([np.ones((2, 1)), B2]),
+        np.vstack([np.ones((1, 2)), C2]),
+        np.zeros((2, 2)),
+        states=["runaway", "calm"],
+    )
+    with pytest.raises(NoTrustworthyNumber, match=text) as raised:
+        hinf(plant, 1, 1)
+    assert "runaway" in str(raised.value)
+    assert f"s = {pole:g}" in str(raised.value)
+    assert raised.value.exit_code == 4
+
+
+def test_hidden_stable_mode_is_no_fault():
+    plant = StateSpaceModel(
+        np.diag([-1.0, -2.0]), [[1.0, 1.0], [1.0, 0.0]], [[1.0, 1.0], [1.0, 0.0]], [[0.0, 0.1], [0.1, 0.0]]
+    )
+    check(hinf(plant, 1, 1), plant)
+
+
+@pytest.mark.parametrize("numbers", [(0, 1), (1, 0), (4, 1), (1, 4), (1.5, 1), (True, 1)])
+def test_channel_numbers_must_fit(numbers):
+    with pytest.raises(InputError, match="n_"):
+        hinf(output_feedback_problem(1.0), *numbers)
+
+
+def test_missing_numbers_bad_ratio_and_bad_time_limit():
+    plant = output_feedback_problem(1.0)
+    with pytest.raises(InputError, match="missing"):
+        hinf(plant)
+    with pytest.raises(InputError, match="gamma_rel"):
+        hinf(plant, 1, 1, gamma_rel=0.9)
+    with pytest.raises(InputError, match="time_limit"):
+        hinf(plant, 1, 1, time_limit=0)
+
+
+def test_no_time_left_is_said_or_refused_never_hidden():
+    rng = np.random.default_rng(0)
+    n = 12
+    plant = StateSpaceModel(
+        rng.standard_normal((n, n)), rng.standard_normal((n, 4)), rng.standard_normal((4, n)), np.zeros((4, 4))
+    )
+    with pytest.raises(NoTrustworthyNumber, match="time limit"):
+        hinf(plant, 2, 2, time_limit=1e-6)

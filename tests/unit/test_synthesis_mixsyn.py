@@ -1,0 +1,146 @@
+"""Mixed sensitivity: structure of the plant, sign of K, weights."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.norms import hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, feedback, series
+from robustlab.synthesis import complementary_weight, control_weight, mixsyn, performance_weight
+from robustlab.synthesis.mixed_sensitivity import mixed_sensitivity_plant
+
+OMEGA = np.geomspace(1e-4, 1e5, 200)
+
+
+def plant_2x2(direct: float = 0.0) -> StateSpaceModel:
+    rng = np.random.default_rng(5)
+    A = rng.standard_normal((4, 4)) - 2 * np.eye(4)
+    return StateSpaceModel(
+        A, rng.standard_normal((4, 3)), rng.standard_normal((2, 4)), direct * rng.standard_normal((2, 3)),
+        inputs=[("u1", "V"), ("u2", "V"), ("u3", "N")], outputs=[("q", "m"), ("v", "m/s")],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("direct", [0.0, 0.7])
+def test_closed_loop_is_the_stack_of_weighted_s_ks_t_with_loop_gain_gk(direct):
+    G = plant_2x2(direct)
+    W1, W2, W3 = performance_weight(1.0), control_weight(10.0, 50.0), complementary_weight(20.0)
+    design = mixsyn(G, W1, W2, W3)
+    g, k = frequency_response(G, OMEGA), frequency_response(design.K, OMEGA)
+    s = np.linalg.inv(np.eye(2) + g @ k)
+    stack = [frequency_response(w, OMEGA) * f for w, f in ((W1, s), (W2, k @ s), (W3, g @ k @ s))]
+    np.testing.assert_allclose(frequency_response(design.closed_loop, OMEGA), np.concatenate(stack, axis=1), atol=1e-8)
+    assert np.linalg.norm(np.concatenate(stack, axis=1), 2, axis=(1, 2)).max() <= design.gamma * (1 + 1e-9)
+
+
+def test_negative_feedback_of_g_and_k_is_stable_as_the_docstring_says():
+    G = plant_2x2()
+    K = mixsyn(G, performance_weight(1.0), 0.1).K
+    open_loop = series(K, G.renamed(["a", "b", "c"]))
+    unit = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.eye(2))
+    assert feedback(open_loop, unit).is_stable()
+
+
+def test_names_tell_what_is_what():
+    plant, weights = mixed_sensitivity_plant(plant_2x2(), performance_weight(1.0), None, 2.0)
+    assert plant.model.input_names == ("r q", "r v", "u1", "u2", "u3")
+    assert plant.model.output_names == ("W1 S: q", "W1 S: v", "W3 T: q", "W3 T: v", "e q", "e v")
+    assert set(weights) == {"W1", "W3"}
+    assert plant.controls[2] == ("u3", "N")
+    assert plant.measurements[0] == ("e q", "m")
+
+
+def test_number_siso_model_matrix_and_python_control_weights():
+    G = plant_2x2()
+    lag = performance_weight(1.0)
+    for weight in (lag, lag.to_control(), control.ss2tf(lag.to_control())):
+        _, weights = mixed_sensitivity_plant(G, weight)
+        assert weights["W1"].n_inputs == 2
+        np.testing.assert_allclose(weights["W1"].dc_gain(), 1000 * np.eye(2), rtol=1e-9)
+    _, weights = mixed_sensitivity_plant(G, None, [[1.0, 2.0, 3.0]])
+    assert weights["W2"].D.shape == (1, 3)
+
+
+def test_refusals_name_the_weight():
+    G = plant_2x2()
+    with pytest.raises(InputError, match="no weight"):
+        mixsyn(G)
+    with pytest.raises(InputError, match=r"W1.*abscissa"):
+        mixsyn(G, StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]]))
+    with pytest.raises(InputError, match="W2: 2 inputs"):
+        mixsyn(G, 1.0, np.eye(2))
+    with pytest.raises(InputError, match="W1: dt"):
+        mixsyn(G, StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+    with pytest.raises(InputError, match="mixsyn: G"):
+        mixsyn(StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0))), 1.0)
+
+
+def test_unobservable_integrator_of_the_plant_is_named():
+    G = StateSpaceModel([[0, 1], [0, -1]], [[0], [1]], [[0, 1]], [[0]], states=["phi", "omega"])
+    with pytest.raises(NoTrustworthyNumber, match=r"phi.*does not show in the measurements"):
+        mixsyn(G, performance_weight(1.0), 0.1)
+
+
+def test_integrating_plant_gets_no_needlessly_slow_loop():
+    """The reference does not excite the plant's integrator: without care it stays in the loop at about s = -1e-5."""
+    G = StateSpaceModel([[0, 1], [0, -10]], [[0], [10]], [[1, 0]], [[0]])
+    design = mixsyn(G, performance_weight(2.0, error=0.01), control_weight(40.0))
+    assert design.status is Status.CERTIFIED
+    assert design.closed_loop_abscissa < -5e-3
+
+
+def test_discrete_mixed_sensitivity():
+    G = StateSpaceModel([[0.9]], [[0.1]], [[1.0]], [[0.0]], 0.01)
+    design = mixsyn(G, 0.5, 0.1)
+    assert design.K.dt == 0.01
+    assert hinf_norm(design.closed_loop).upper <= design.gamma * (1 + 1e-5)
+
+
+def test_performance_weight_means_what_it_says():
+    for order in (1, 2, 3):
+        W1 = performance_weight(10.0, error=1e-3, peak=2.0, order=order)
+        assert W1.n_states == order
+        assert W1.is_stable()
+        low, high = np.abs(frequency_response(W1, [0.0, np.inf])[:, 0, 0])
+        assert low == pytest.approx(1e3, rel=1e-9)
+        assert high == pytest.approx(0.5, rel=1e-9)
+    bandwidth = np.abs(frequency_response(performance_weight(10.0, 1e-3, 2.0), [10.0])[0, 0, 0])
+    assert bandwidth == pytest.approx(abs((10j / 2 + 10) / (10j + 0.01)), rel=1e-12)
+
+
+def test_control_and_complementary_weights_mean_what_they_say():
+    constant = control_weight(25.0)
+    assert (constant.n_states, constant.D[0, 0]) == (0, 0.04)
+    s = 1j * np.array([0.0, 3.0, 1e9])
+    W2 = frequency_response(control_weight(25.0, 100.0, 50.0), s.imag)[:, 0, 0]
+    np.testing.assert_allclose(W2, (s / 100 + 1) / (s / 5000 + 1) / 25, rtol=1e-9)
+    W3 = frequency_response(complementary_weight(7.0, 1.5, 1e-2), s.imag)[:, 0, 0]
+    np.testing.assert_allclose(W3, (s + 7 / 1.5) / (1e-2 * s + 7), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: performance_weight(-1.0),
+        lambda: performance_weight(1.0, error=0.0),
+        lambda: performance_weight(1.0, peak=0.9),
+        lambda: performance_weight(1.0, order=0),
+        lambda: control_weight(np.nan),
+        lambda: control_weight(1.0, 10.0, 0.5),
+        lambda: complementary_weight(1.0, roll_off=2.0),
+    ],
+)
+def test_weights_refuse_senseless_numbers(call):
+    with pytest.raises(InputError):
+        call()
+
+
+def test_a_list_of_models_is_no_weight():
+    lag = StateSpaceModel(-1, 1, 1, 0)
+    with pytest.raises(InputError, match="mixsyn: W1: a list that is no matrix"):
+        mixsyn(lag, [lag], 0.1)

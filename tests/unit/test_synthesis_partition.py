@@ -1,0 +1,101 @@
+"""Generalised plants from models and uncertain models, scaling, and the loop they make."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.norms import hinf_norm
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis import GeneralizedPlant, generalized_plant, hinf
+from robustlab.synthesis.scaling import equilibrated, paths_first
+from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+
+def random_plant(seed: int, n: int = 5) -> GeneralizedPlant:
+    rng = np.random.default_rng(seed)
+    D = rng.standard_normal((5, 4))
+    D[3:, 2:] = 0.0
+    t = 10 ** rng.uniform(-4, 4, n)
+    A = rng.standard_normal((n, n)) * 1e3
+    model = StateSpaceModel(
+        A * t[:, None] / t,
+        rng.standard_normal((n, 4)) * t[:, None] * [1, 1, 1e4, 1e-3],
+        rng.standard_normal((5, n)) / t * np.array([[1], [1], [1], [1e5], [1e-6]]),
+        D,
+    )
+    return GeneralizedPlant(model, 2, 2)
+
+
+@pytest.mark.parametrize("make", [paths_first, equilibrated])
+@pytest.mark.parametrize("seed", range(4))
+def test_scaling_changes_the_loop_by_its_gain_only(make, seed):
+    plant = random_plant(seed)
+    scaling = make(plant.matrices())
+    scaled = scaling.apply(plant.matrices()).model()
+    rng = np.random.default_rng(seed)
+    K = StateSpaceModel(-np.eye(2), rng.standard_normal((2, 2)), rng.standard_normal((2, 2)), np.zeros((2, 2)))
+    omega = np.array([0.1, 1.0, 10.0])
+    loop_scaled = frequency_response(lower_lft(scaled, K), omega)
+    loop = frequency_response(plant.close(scaling.controller_to_plant(K)), omega * scaling.rate)
+    np.testing.assert_allclose(loop_scaled, loop * scaling.gain, rtol=1e-8, atol=1e-8 * np.abs(loop_scaled).max())
+    back = scaling.controller_from_plant(scaling.controller_to_plant(K))
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(back, name), getattr(K, name))
+
+
+def uncertain_model() -> UncertainModel:
+    M = StateSpaceModel(
+        [[-1.0, 0.2], [0.0, -2.0]],
+        [[0.1, 1.0, 0.0], [0.0, 0.5, 1.0]],
+        [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]],
+        np.zeros((3, 3)),
+        inputs=["w1", "force", "u"],
+        outputs=["z1", "q", "v"],
+    )
+    return UncertainModel(M, [RealScalar("k")])
+
+
+def test_thesis_ordering_delta_then_performance_then_measurement():
+    plant = generalized_plant(uncertain_model(), measurements=["v"], controls=["u"])
+    assert plant.model.input_names == ("w1", "force", "u")
+    assert plant.model.output_names == ("z1", "q", "v", "v measured")
+    assert (plant.n_meas, plant.n_con, len(plant.blocks)) == (1, 1, 1)
+    m = plant.model
+    assert m.C[2].tolist() == m.C[3].tolist()
+    narrow = generalized_plant(uncertain_model(), ["v"], ["u"], disturbances=["force"], performance=["q"])
+    assert narrow.model.output_names == ("z1", "q", "v")
+
+
+def test_closing_the_generalised_plant_is_closing_the_uncertain_model():
+    uncertain = uncertain_model()
+    plant = generalized_plant(uncertain, ["v"], ["u"])
+    K = StateSpaceModel([[-3.0]], [[1.0]], [[0.5]], [[-0.1]])
+    loop = UncertainModel(plant.close(K), uncertain.blocks).evaluate({"k": 0.7})
+    direct = lower_lft(
+        generalized_plant(uncertain.evaluate({"k": 0.7}), ["v"], ["u"]).model,
+        K,
+    )
+    omega = np.geomspace(1e-2, 1e2, 20)
+    np.testing.assert_allclose(frequency_response(loop, omega), frequency_response(direct, omega), atol=1e-12)
+
+
+def test_hinf_takes_an_uncertain_model_and_bounds_the_whole_of_delta_and_performance():
+    plant = generalized_plant(uncertain_model(), ["v"], ["u"])
+    design = hinf(plant)
+    assert design.closed_loop.input_names == ("w1", "force")
+    assert hinf_norm(design.closed_loop).value <= design.gamma
+
+
+def test_unknown_names_and_double_use():
+    with pytest.raises(InputError, match="did you mean"):
+        generalized_plant(uncertain_model(), ["vv"], ["u"])
+    with pytest.raises(InputError, match="both"):
+        generalized_plant(uncertain_model(), ["v"], ["u"], disturbances=["u"])
+    with pytest.raises(InputError, match="n_meas"):
+        generalized_plant(uncertain_model(), [], ["u"])
+    with pytest.raises(InputError, match="leave them out"):
+        hinf(generalized_plant(uncertain_model(), ["v"], ["u"]), 2, 1)

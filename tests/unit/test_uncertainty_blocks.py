@@ -1,0 +1,84 @@
+"""Blocks of Delta: mussv's notation, sizes, and Delta from values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.uncertainty.blocks import (
+    ComplexScalar,
+    FullBlock,
+    ParameterRange,
+    RealScalar,
+    as_blocks,
+    block_slices,
+    delta_matrix,
+    structure_size,
+)
+
+
+def test_mussv_rows():
+    blocks = as_blocks([[-1, 0], [-3, 0], [1, 1], [2, 0], [2, 3], [-1, 1], [1, 0]])
+    assert blocks == (
+        RealScalar("delta1"),
+        RealScalar("delta2", 3),
+        ComplexScalar("delta3"),
+        ComplexScalar("delta4", 2),
+        FullBlock("delta5", 2, 3),
+        RealScalar("delta6"),
+        ComplexScalar("delta7"),
+    )
+    assert structure_size(blocks) == (11, 12)
+    assert block_slices(blocks)[4] == (slice(7, 9), slice(7, 10))
+    assert as_blocks(np.array([[-2, 0]])) == (RealScalar("delta1", 2),)
+    assert as_blocks(RealScalar("k")) == (RealScalar("k"),)
+
+
+@pytest.mark.parametrize("bad", [[[0, 0]], [[-2, 3]], [[1.5, 0]], [["a", 0]], [[1, 2, 3]], [3], "text", 7, [[-2, -2]]])
+def test_rows_that_mean_nothing(bad):
+    with pytest.raises(InputError, match="blocks"):
+        as_blocks(bad)
+
+
+@pytest.mark.parametrize("size", [0, -1, 1.5, True])
+def test_sizes_that_are_none(size):
+    with pytest.raises(InputError, match="positive whole number"):
+        RealScalar("k", size)
+    with pytest.raises(InputError):
+        FullBlock("k", 1, size)
+
+
+@pytest.mark.parametrize("name", ["", "x" * 201, 3])
+def test_names_that_are_none(name):
+    with pytest.raises(InputError, match="1 to 200"):
+        ComplexScalar(name)
+
+
+def test_delta_is_block_diagonal():
+    blocks = as_blocks([RealScalar("r", 2), FullBlock("f", 1, 2), ComplexScalar("c")])
+    delta = delta_matrix(blocks, {"r": 0.5, "f": [[1.0, 2.0]]})
+    assert delta.dtype == float
+    np.testing.assert_array_equal(delta, [[0.5, 0, 0, 0, 0], [0, 0.5, 0, 0, 0], [0, 0, 1, 2, 0], [0, 0, 0, 0, 0]])
+    assert delta_matrix(blocks, {"c": 1j})[3, 4] == 1j
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"q": 1.0}, "no such block"),
+        ({"r": 1j}, "real number"),
+        ({"r": [1.0, 2.0]}, "one number"),
+        ({"r": np.nan}, "NaN"),
+        ({"f": 1.0}, r"\(1, 2\)"),
+        ({"f": [[1.0], [2.0]]}, r"\(1, 2\)"),
+    ],
+)
+def test_values_that_do_not_fit(values, text):
+    with pytest.raises(InputError, match=text):
+        delta_matrix([RealScalar("r", 2), FullBlock("f", 1, 2)], values)
+
+
+def test_parameter_range():
+    span = ParameterRange(2.0, 0.5, "ohm")
+    assert (span.value(-1.0), span.value(1.0), span.delta(2.25)) == (1.5, 2.5, 0.5)

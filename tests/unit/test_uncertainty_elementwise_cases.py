@@ -1,0 +1,205 @@
+"""Element-wise uncertainty: names, refusals, the thesis' column form, noise, the generalised plant."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError, UnitMismatch
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis import generalized_plant
+from robustlab.uncertainty.elementwise import STRUCTURES, elementwise, endpoint_residual
+
+A = np.array([[-6.0, 7200.0], [-84.0, -3300.0]])
+B, C, D = np.array([[0.0], [1600.0]]), np.eye(2), np.zeros((2, 1))
+SIGNALS = {
+    "inputs": [("u", "V")],
+    "outputs": [("omega", "rad/s"), ("i", "A")],
+    "states": [("omega", "rad/s"), ("i", "A")],
+}
+
+
+def motor(a=A, b=B, c=C, d=D, dt=0.0, **signals):
+    return StateSpaceModel(a, b, c, d, dt, **{**SIGNALS, **signals})
+
+
+def changed(*entries, **matrices):
+    """Motor with some entries 10 % larger."""
+    out = {"a": A.copy(), "b": B.copy(), "c": C.copy(), "d": D.copy(), **matrices}
+    for name, i, j in entries:
+        out[name][i, j] = out[name][i, j] * 1.1 + 0.1
+    return motor(**out)
+
+
+def test_names_come_from_the_signals():
+    other = changed(("a", 0, 1), ("b", 1, 0), ("c", 0, 0), ("d", 1, 0))
+    names = {s: [b.name for b in elementwise(motor(), other, s).blocks] for s in STRUCTURES}
+    assert names == {
+        "elements": ["A[omega,i]", "B[i,u]", "C[omega,omega]", "D[i,u]"],
+        "columns": ["A[:,i]", "B[:,u]", "C[:,omega]", "D[:,u]"],
+        "rows": ["A[omega,:]", "B[i,:]", "C[omega,:]", "D[i,:]"],
+        "matrices": ["A", "B", "C", "D"],
+        "single": ["single"],
+    }
+
+
+def test_long_or_ambiguous_names_become_numbers():
+    long = ["s" * 199, "t" * 199]
+    model = elementwise(motor(states=long), changed(("a", 0, 1), states=long))
+    assert [b.name for b in model.blocks] == ["A[0,1]"]
+    n = {"states": ["a,b", "c", "a", "b,c"], "inputs": ["u"], "outputs": ["y"]}
+    big = np.zeros((4, 4))
+    big[0, 1] = big[2, 3] = 1.0  # A[a,b,c] twice
+    rest = (np.zeros((4, 1)), np.zeros((1, 4)), [[0.0]])
+    model = elementwise(StateSpaceModel(np.zeros((4, 4)), *rest, **n), StateSpaceModel(big, *rest, **n))
+    assert [b.name for b in model.blocks] == ["A[0,1]", "A[2,3]"]
+
+
+def test_channel_names_never_collide_with_signals():
+    signals = {"inputs": ["w:A[omega,i]"], "outputs": ["z:A[omega,i]", "z:x"]}
+    model = elementwise(motor(**signals), changed(("a", 0, 1), **signals))
+    assert len(set(model.M.input_names)) == 2
+    assert model.evaluate({"A[omega,i]": 1.0}).input_names == ("w:A[omega,i]",)
+
+
+def test_columns_are_the_thesis_form():
+    """Equation 10.13: M12 = I (the changed columns of it), M21 = A_D, M11 = 0."""
+    perturbed = motor(a=A * [[1.1], [0.9]] + [[0.0, 1.0], [2.0, 0.0]])
+    model = elementwise(motor(), perturbed, "columns")
+    np.testing.assert_array_equal(model.M.B[:, :2], perturbed.A - A)
+    np.testing.assert_array_equal(model.M.C[:2], np.eye(2))
+    assert not model.M.D.any()
+    halfway = model.evaluate({"A[:,omega]": 0.5})
+    np.testing.assert_allclose(halfway.A[:, 0], A[:, 0] + 0.5 * (perturbed.A - A)[:, 0])
+    np.testing.assert_array_equal(halfway.A[:, 1], A[:, 1])
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_equal_models_give_no_uncertainty(structure):
+    model = elementwise(motor(), motor(), structure)
+    assert model.blocks == ()
+    np.testing.assert_array_equal(model.evaluate({}).A, A)
+    np.testing.assert_array_equal(model.response([1.0], {}), frequency_response(motor(), [1.0]))
+    assert model.reduce().blocks == ()
+    assert generalized_plant(model, measurements=["omega"], controls=["u"]).model.n_inputs == 1
+    assert endpoint_residual(model, motor()).largest == 0.0
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_static_gains_and_empty_ports(structure):
+    empty = np.zeros((0, 0))
+    first = StateSpaceModel(empty, np.zeros((0, 2)), np.zeros((1, 0)), [[1.0, 2.0]])
+    second = StateSpaceModel(empty, np.zeros((0, 2)), np.zeros((1, 0)), [[1.5, 1.0]])
+    model = elementwise(first, second, structure)
+    np.testing.assert_array_equal(model.evaluate({b.name: 1.0 for b in model.blocks}).D, [[1.5, 1.0]])
+    nothing = StateSpaceModel(empty, np.zeros((0, 0)), empty, empty)
+    assert elementwise(nothing, nothing, structure).blocks == ()
+
+
+@pytest.mark.parametrize("structure", ["matrices", "single"])
+def test_a_difference_of_one_rounding_is_not_lost(structure):
+    other = A.copy()
+    other[0, 1] = np.nextafter(A[0, 1], np.inf)
+    model = elementwise(motor(), motor(a=other), structure)
+    assert model.delta_shape == (1, 1)
+    np.testing.assert_array_equal(model.evaluate({model.blocks[0].name: 1.0}).A, other)
+
+
+@pytest.mark.parametrize(
+    ("other", "text"),
+    [
+        (StateSpaceModel(np.eye(3), np.ones((3, 1)), np.ones((2, 3)), D), r"A is \(3, 3\), expected \(2, 2\)"),
+        (
+            StateSpaceModel(A, np.ones((2, 2)), C, np.zeros((2, 2))),
+            r"B is \(2, 2\), expected \(2, 1\) to match nominal B",
+        ),
+        (StateSpaceModel(A, B, np.ones((1, 2)), np.zeros((1, 1))), r"perturbed C is \(1, 2\), expected \(2, 2\)"),
+        (motor(dt=0.1), "dt = 0.1 s, expected 0 s"),
+        (motor(inputs=["volts"]), "perturbed inputs are volts, expected u"),
+        (motor(outputs=["i", "omega"]), "select"),
+        (motor(states=["omega", "j"]), "perturbed states"),
+    ],
+)
+def test_models_that_do_not_belong_together(other, text):
+    with pytest.raises(InputError, match=text):
+        elementwise(motor(), other)
+
+
+def test_units_that_disagree():
+    with pytest.raises(UnitMismatch, match="omega is in deg/s, expected rad/s"):
+        elementwise(motor(), motor(outputs=[("omega", "deg/s"), ("i", "A")]))
+    assert elementwise(motor(), motor(outputs=["omega", ("i", "A")])).blocks == ()
+
+
+def test_unnamed_signals_match_any_names():
+    assert elementwise(motor(), StateSpaceModel(A * 1.1, B, C, D)).blocks[0].name == "A[omega,omega]"
+    assert elementwise(motor(), control.ss(A * 1.1, B, C, D)).delta_shape == (4, 4)
+
+
+@pytest.mark.parametrize(("structure", "tolerance"), [("element", None), ("single", -0.1), ("single", 1.0)])
+def test_options_that_are_none(structure, tolerance):
+    with pytest.raises(InputError):
+        elementwise(motor(), motor(), structure, tolerance)
+
+
+def test_noise_hides_the_rank_until_it_is_named():
+    rng = np.random.default_rng(2)
+    n = 12
+    nominal = rng.standard_normal((n, n))
+    change = rng.standard_normal((n, 3)) @ rng.standard_normal((3, n))
+    noisy = nominal + change + 1e-10 * rng.standard_normal((n, n))
+    first, second = (StateSpaceModel(a, np.zeros((n, 1)), np.zeros((1, n)), [[0.0]]) for a in (nominal, noisy))
+    assert elementwise(first, second, "single").delta_shape[0] == n
+    coarse = elementwise(first, second, "single", tolerance=1e-8)
+    assert coarse.delta_shape[0] == 3
+    residual = endpoint_residual(coarse, second)
+    assert 1e-13 < residual.largest < 1e-8
+    assert residual.absolute["B"] == 0.0
+
+
+def test_noise_in_single_entries_is_dropped_on_request_only():
+    noisy = motor(a=A * (1 + 1e-13))
+    assert len(elementwise(motor(), noisy).blocks) == 4
+    assert len(elementwise(motor(), noisy, tolerance=1e-9).blocks) == 0
+
+
+def test_too_many_channels_are_refused():
+    n = 80
+    first = StateSpaceModel(np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), [[0.0]])
+    second = StateSpaceModel(np.ones((n, n)), np.zeros((n, 1)), np.zeros((1, n)), [[0.0]])
+    with pytest.raises(InputError, match="6400 channels"):
+        elementwise(first, second)
+    assert elementwise(first, second, "single").delta_shape == (1, 1)
+
+
+def test_operating_point_of_the_nominal_model_is_kept():
+    from robustlab.statespace import OperatingPoint
+
+    point = OperatingPoint(np.ones(2), np.ones(1), np.ones(2))
+    model = elementwise(StateSpaceModel(A, B, C, D, operating_point=point), motor())
+    np.testing.assert_array_equal(model.nominal.operating_point.x, [1.0, 1.0])
+
+
+# --- generalised plant -----------------------------------------------------------------------------------------------
+
+
+def test_generalised_plant_is_m_sorted():
+    two = {"inputs": ["load", "u"], "outputs": ["omega", "i", "p"], "states": ["omega", "i"]}
+    rng = np.random.default_rng(0)
+    b, c, d = rng.standard_normal((2, 2)), rng.standard_normal((3, 2)), rng.standard_normal((3, 2))
+    first, second = StateSpaceModel(A, b, c, d, **two), StateSpaceModel(1.1 * A, 1.2 * b, 0.9 * c, 1.3 * d, **two)
+    model = elementwise(first, second, "matrices")
+    plant = generalized_plant(model, controls=["u"], measurements=["p", "omega"], performance=["i"]).model
+    q = model.delta_shape[0]
+    assert plant.input_names[q:] == ("load", "u")
+    assert plant.output_names[q:] == ("i", "p", "omega")
+    assert plant.input_names[:q] == model.M.input_names[:q]
+    # D-bar, the block that is missing in print, is there: the nominal direct term and the channels of D_D.
+    np.testing.assert_array_equal(plant.D[q:, q:], d[[1, 2, 0]][:, [0, 1]])
+    from robustlab.uncertainty.lft import upper_lft
+
+    reached = upper_lft(plant, np.eye(q))
+    wanted = frequency_response(second.select(["load", "u"], ["i", "p", "omega"]), [0.5, 30.0])
+    np.testing.assert_allclose(frequency_response(reached, [0.5, 30.0]), wanted, rtol=1e-9)

@@ -1,0 +1,230 @@
+"""Samples and their responses: seeds, vertices, envelopes against a model-by-model simulation."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from robustlab.dynamics.simulation import simulate
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import Status, plain
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
+from robustlab.uncertainty.elementwise import elementwise
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis import sample, worst_case
+
+T = np.linspace(0.0, 4.0, 81)
+
+
+def oscillator(c=0.4, k=4.0, d=0.0):
+    return StateSpaceModel(
+        [[0.0, 1.0], [-k, -c]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]], [[d], [0.0]],
+        inputs=["f"], outputs=[("q", "m"), ("v", "m/s")],
+    )  # fmt: skip
+
+
+def uncertain(**changed):
+    return elementwise(oscillator(), oscillator(**{"c": 0.7, "k": 5.0, "d": 0.1, **changed}))
+
+
+def mixed():
+    rng = np.random.default_rng(0)
+    m = StateSpaceModel(
+        -np.eye(2), 0.1 * rng.standard_normal((2, 6)), 0.1 * rng.standard_normal((5, 2)), np.zeros((5, 6))
+    )
+    return UncertainModel(m, [RealScalar("r"), ComplexScalar("c"), FullBlock("f", 3, 2)])
+
+
+def test_sample_i_does_not_depend_on_n():
+    few, many = sample(mixed(), 3, seed=7), sample(mixed(), 9, seed=7)
+    for a, b in zip(few.deltas, many.deltas[:3], strict=True):
+        assert a["r"] == b["r"]
+        np.testing.assert_array_equal(a["f"], b["f"])
+    assert sample(mixed(), 3, seed=8).deltas[0]["r"] != few.deltas[0]["r"]
+
+
+def test_samples_lie_in_the_set_and_fill_it():
+    deltas = sample(mixed(), 400, seed=1).deltas
+    real = np.array([d["r"] for d in deltas])
+    disc = np.array([d["c"] for d in deltas])
+    norms = np.array([np.linalg.norm(d["f"], 2) for d in deltas])
+    assert np.abs(real).max() <= 1
+    assert np.abs(real.mean()) < 0.1
+    assert np.var(real) == pytest.approx(1 / 3, rel=0.15)
+    assert np.abs(disc).max() <= 1
+    assert (np.abs(disc) ** 2).mean() == pytest.approx(0.5, abs=0.06)  # uniform in the disc
+    assert 0.9 < norms.max() <= 1
+
+
+def test_all_vertices_in_order():
+    model = uncertain()
+    samples = sample(model, 0, vertices="all")
+    rows = [tuple(d.values()) for d in samples.deltas]
+    assert rows == list(itertools.product([-1.0, 1.0], repeat=3))
+    assert [tuple(d.values()) for d in sample(model, 0, vertices=100).deltas] == rows
+    assert samples.vertices == 8
+
+
+def test_some_vertices_are_different_and_seeded():
+    picked = [tuple(d.values()) for d in sample(uncertain(), 0, seed=3, vertices=5).deltas]
+    assert len(set(picked)) == 5
+    assert picked == [tuple(d.values()) for d in sample(uncertain(), 0, seed=3, vertices=5).deltas]
+    boundary = sample(mixed(), 0, vertices="all").deltas
+    assert [d["r"] for d in boundary] == [-1.0, 1.0]
+    assert all(abs(abs(d["c"]) - 1) < 1e-12 and abs(np.linalg.norm(d["f"], 2) - 1) < 1e-12 for d in boundary)
+
+
+def test_many_parameters():
+    n = 5
+    a = np.random.default_rng(0).standard_normal((n, n))
+    rest = (np.ones((n, 1)), np.ones((1, n)), [[0.0]])
+    model = elementwise(StateSpaceModel(a, *rest), StateSpaceModel(1.1 * a, *rest))
+    with pytest.raises(InputError, match="all vertices of 25 real deltas"):
+        sample(model, 0, vertices="all")
+    picked = sample(model, 0, vertices=200).deltas
+    assert len({tuple(d.values()) for d in picked}) == len(picked) == 200
+    assert all(set(d.values()) <= {-1.0, 1.0} for d in picked)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [((0,), "no samples"), ((-1,), "n is -1"), ((1.5,), "n is 1.5"), ((1, -2), "seed"), ((1, 0, "every"), "vertices")],
+)
+def test_counts_that_are_none(arguments, text):
+    with pytest.raises(InputError, match=text):
+        sample(uncertain(), *arguments)
+
+
+# --- responses -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_every_response_is_that_of_its_own_model(hold):
+    samples = sample(uncertain(), 6, seed=2, vertices=2)
+    u = np.sin(3 * T) + 0.5
+    x0 = [0.1, -0.3]
+    found = samples.respond(T, u, x0, hold)
+    for model, y in zip(samples.models(), found.y, strict=True):
+        alone = simulate(model, T, u, x0, hold=hold)
+        np.testing.assert_allclose(y, np.column_stack([alone["q"], alone["v"]]), rtol=1e-9, atol=1e-11)
+        if hold == "foh":
+            _, by_scipy, _ = scipy.signal.lsim((model.A, model.B, model.C, model.D), u, T, X0=x0)
+            np.testing.assert_allclose(y, by_scipy, rtol=1e-7, atol=1e-9)
+    everything = np.concatenate([found.y, found.nominal[None]])
+    np.testing.assert_array_equal(found.lower, everything.min(axis=0))
+    np.testing.assert_array_equal(found.upper, everything.max(axis=0))
+    deviation = np.abs(found.y - found.nominal).max(axis=1)
+    assert found.worst == tuple(deviation.argmax(axis=0))
+    np.testing.assert_allclose(found.peak_deviation, deviation.max(axis=0))
+    assert found.status is Status.CONVERGED
+    assert "sampled" in plain(found)["label"]
+
+
+def test_unit_step_is_the_default_and_inputs_have_names():
+    samples = sample(uncertain(), 2)
+    step = samples.respond(T)
+    np.testing.assert_array_equal(step.y, samples.respond(T, {"f": 1.0}).y)
+    np.testing.assert_array_equal(step.y, samples.respond(T, np.ones((81, 1))).y)
+    np.testing.assert_allclose(samples.respond(T, {"f": 42.0}).y, 42 * step.y, rtol=1e-12)
+    np.testing.assert_array_equal(samples.respond(T, {}).y, 0.0)
+
+
+def test_discrete_models():
+    def lag(a):
+        return StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+
+    samples = sample(elementwise(lag(0.5), lag(0.9)), 0, vertices="all")
+    found = samples.respond(np.arange(6) * 0.1)
+    np.testing.assert_allclose(found.y[1, :, 0], [0, 1, 1.9, 2.71, 3.439, 4.0951])
+    np.testing.assert_allclose(found.y[0, :, 0], [0, 1, 1.1, 1.11, 1.111, 1.1111])
+    with pytest.raises(InputError, match=r"sample time 0\.1 s"):
+        samples.respond(np.arange(6) * 0.2)
+    with pytest.raises(InputError, match="hold"):
+        samples.respond(np.arange(6) * 0.1, hold="foh")
+
+
+def test_static_gains():
+    def gain(d):
+        return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[d]])
+
+    found = sample(elementwise(gain(2.0), gain(3.0)), 0, vertices="all").respond([0.0, 1.0])
+    np.testing.assert_array_equal(found.y[:, :, 0], [[1.0, 1.0], [3.0, 3.0]])
+
+
+def test_no_uncertainty():
+    found = sample(elementwise(oscillator(), oscillator()), 3).respond(T)
+    np.testing.assert_array_equal(found.peak_deviation, [0.0, 0.0])
+    assert found.unstable == ()
+
+
+def test_unstable_samples_are_reported_and_overflow_is_not_hidden():
+    samples = sample(elementwise(oscillator(), oscillator(c=-0.9)), 0, vertices="all")
+    found = samples.respond(T)
+    assert found.unstable == (1,)
+    assert found.status is Status.CONVERGED
+    far = samples.respond(np.linspace(0, 1e5, 1001))
+    assert far.status is Status.INACCURATE
+    assert not np.isfinite(far.upper[-1]).any()
+    assert np.isfinite(far.y[0]).all()
+
+
+def test_an_integrator_is_not_called_unstable():
+    def drive(b):
+        return StateSpaceModel([[0.0, 1.0], [0.0, -b]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+
+    assert sample(elementwise(drive(1.0), drive(1.2)), 5).respond(T).unstable == ()
+
+
+def test_what_cannot_respond():
+    with pytest.raises(InputError, match="block 'c' is complex"):
+        sample(mixed(), 1).respond(T, np.ones((81, 3)))
+    m = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[1.0, 1.0], [1.0, 0.0]])
+    with pytest.raises(NoTrustworthyNumber, match="sample 1 makes the model ill-posed"):
+        sample(UncertainModel(m, [RealScalar("k")]), 0, vertices="all").respond([0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("t", "u", "x0", "text"),
+    [
+        (T[:1], None, None, "at least 2"),
+        (T[::-1], None, None, "not uniform"),
+        (np.delete(T, 3), None, None, "not uniform"),
+        (T, {"g": 1.0}, None, "input 'g'"),
+        (T, np.ones(80), None, "80 samples"),
+        (T, np.ones((81, 2)), None, r"shape \(81, 2\)"),
+        (T, {"f": np.where(T > 1, np.nan, 1.0)}, None, "NaN"),
+        (T, None, [1.0], "x0 has 1 entries"),
+    ],
+)
+def test_requests_that_make_no_sense(t, u, x0, text):
+    with pytest.raises(InputError, match=text):
+        sample(uncertain(), 1).respond(t, u, x0)
+
+
+def test_several_inputs_need_to_be_told_apart():
+    model = elementwise(*(StateSpaceModel([[-a]], [[1.0, 2.0]], [[1.0]], [[0.0, 0.0]]) for a in (1.0, 2.0)))
+    with pytest.raises(InputError, match="2 inputs and no u"):
+        sample(model, 1).respond(T)
+    assert sample(model, 1).respond(T, {"u2": 1.0}).y.shape == (1, 81, 1)
+
+
+def test_size_of_a_response_is_limited():
+    with pytest.raises(InputError, match="fewer samples or times"):
+        sample(uncertain(), 1000).respond(np.linspace(0, 1, 100_000))
+
+
+def test_chunks_do_not_change_the_answer(monkeypatch):
+    samples = sample(uncertain(), 7)
+    whole = samples.respond(T)
+    monkeypatch.setattr("robustlab.worst_case_analysis.ensemble.CHUNK", 100)
+    np.testing.assert_allclose(samples.respond(T).y, whole.y, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("call", [lambda m: sample(m, 2, 0), lambda m: worst_case(m, "hinf")])
+def test_a_model_without_uncertainty_is_refused_by_name(call):
+    with pytest.raises(InputError, match="StateSpaceModel, expected an UncertainModel"):
+        call(StateSpaceModel(-1, 1, 1, 0))
