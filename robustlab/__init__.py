@@ -53,6 +53,7 @@ _PUBLIC = {
     "save": "storage",
     # plants from physics
     "plant": "dynamics",
+    "trim": "dynamics",
     "linearise": "dynamics",
     "simulate": "dynamics",
     # uncertainty

@@ -74,8 +74,9 @@ def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceM
     if array.ndim != ndim:
         hint = f"write [[...]] for a row, or {name}.reshape(-1, 1) for a column" if ndim == 2 else None
         raise InputError(where, f"{name} has shape {array.shape}", f"{ndim} dimensions", hint)
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
+    finite = np.isfinite(array)
+    if not finite.all():
+        bad = np.argwhere(~finite)
         index = ",".join(str(i) for i in bad[0])
         entry = array[tuple(bad[0])]
         word = "NaN" if np.isnan(entry) else "infinite"
@@ -101,8 +102,8 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
     if len(result) != count:
         raise InputError(where, f"{len(result)} signal names", f"{count}")
     names = [s.name for s in result]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
+    if len(set(names)) < len(names):
+        twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(where, f"signal name {twice[0]!r} is used twice", "unique names")
     return tuple(result)
 

@@ -5,35 +5,44 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.linearisation import linearise
 from robustlab.dynamics.parameters import Parameter, overridden
-from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
 from robustlab.dynamics.simulation import simulate
+from robustlab.dynamics.trimming import trim
 from robustlab.errors import InputError, did_you_mean
 
 __all__ = [
     "Descriptor",
+    "DryFriction",
     "LinearPlant",
+    "NonlinearPlant",
     "Parameter",
     "Plant",
+    "Trim",
     "linearise",
     "overridden",
     "plant",
     "plant_names",
     "simulate",
+    "simulate_with_friction",
+    "trim",
 ]
 
-# name -> module; the module holds a function of the same name that makes the plant from its parameters
+# name -> module; the module holds a function of its own last name that makes the plant from its parameters
 _PLANTS = {
     "dc-motor": "dc_motor",
     "servo-axis": "servo_axis",
     "mass-spring-damper": "mass_spring_damper",
     "two-mass": "two_mass",
+    "linear-actuator": "linear_actuator",
+    "stewart-platform": "stewart.stewart_platform",
 }
 
 
-def plant(name: str, **parameters: Any) -> LinearPlant:
+def plant(name: str, **parameters: Any) -> Any:
     """The named plant with its published parameters, or with the given ones in their places.
 
     Parameters
@@ -41,7 +50,13 @@ def plant(name: str, **parameters: Any) -> LinearPlant:
     name
         One of `plant_names`.
     parameters
-        Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``.
+        Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``. The Stewart platform
+        also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``.
+
+    Returns
+    -------
+    Plant
+        A `LinearPlant`, or a `NonlinearPlant`.
 
     Raises
     ------
@@ -58,7 +73,7 @@ def plant(name: str, **parameters: Any) -> LinearPlant:
         known = ", ".join(_PLANTS)
         raise InputError(f"plant {name!r}", "no such plant", f"one of {known}", did_you_mean(str(name), plant_names()))
     module = _PLANTS[name]
-    return getattr(import_module(f"robustlab.dynamics.{module}"), module)(**parameters)
+    return getattr(import_module(f"robustlab.dynamics.{module}"), module.rpartition(".")[2])(**parameters)
 
 
 def plant_names() -> tuple[str, ...]:

@@ -59,6 +59,8 @@ class LinearPlant(Plant):
         Function of a dict ``{parameter name: value}`` that returns the `Descriptor`. Every entry must be affine in
         the parameters (sums of constant multiples, no products or quotients): a quotient belongs on the left-hand
         side, in E.
+    exact
+        Names of parameters that may stand anywhere, since they never carry a tolerance: tooth counts, a screw's lead.
 
     Raises
     ------
@@ -82,9 +84,18 @@ class LinearPlant(Plant):
     """
 
     equations: Callable[[Mapping[str, float]], Descriptor]
+    exact: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in self.exact:
+            if self.parameters[name].tolerance:
+                raise InputError(
+                    f"{self.name}: {name}",
+                    f"relative tolerance {self.parameters[name].tolerance:g}",
+                    "no tolerance: it is taken as exact",
+                    "give the tolerance to the inertias or constants that it acts through",
+                )
         self._check_affine()
         self.state_space()
 
@@ -174,7 +185,7 @@ class LinearPlant(Plant):
     def _channels(self) -> tuple[Array, Array, tuple[RealScalar, ...]]:
         """L (n_x + n_y, q), R (q, n_x + n_u + n_x) and the blocks; R is scaled by the parameters' radii."""
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
-        constant = self._matrices(dict.fromkeys(self.parameters, 0.0))
+        constant = self._matrices(self._cleared)
         left, right, blocks = [np.zeros((n + n_y, 0))], [np.zeros((0, 2 * n + n_u))], []
         for name, parameter in self.parameters.items():
             if parameter.radius == 0:
@@ -189,22 +200,28 @@ class LinearPlant(Plant):
 
     # --- matrices ----------------------------------------------------------------------------------------------------
 
+    @property
+    def _cleared(self) -> dict[str, float]:
+        """All parameters at zero, the exact ones at their values."""
+        return {name: value if name in self.exact else 0.0 for name, value in self.values.items()}
+
     def _coefficients(self, name: str, constant: list[Array]) -> list[Array]:
         """What the named parameter is multiplied with in E, F, G, C, D; ``constant`` is their part without any."""
-        at_unit = self._matrices({**dict.fromkeys(self.parameters, 0.0), name: 1.0})
+        at_unit = self._matrices({**self._cleared, name: 1.0})
         return [there - here for there, here in zip(at_unit, constant, strict=True)]
 
     def _check_affine(self) -> None:
         """The equations must equal their own affine form at two points (two, so that a power of a parameter shows)."""
-        constant = self._matrices(dict.fromkeys(self.parameters, 0.0))
+        constant = self._matrices(self._cleared)
         linear = [np.zeros_like(m) for m in constant]
         size = [np.abs(m) for m in constant]
-        for name, value in self.values.items():
+        varied = {name: value for name, value in self.values.items() if name not in self.exact}
+        for name, value in varied.items():
             for total, bound, term in zip(linear, size, self._coefficients(name, constant), strict=True):
                 total += value * term
                 bound += np.abs(value * term)
         for scale in (1.0, 1.75):
-            there = self._matrices({name: scale * value for name, value in self.values.items()})
+            there = self._matrices(self.values | {name: scale * value for name, value in varied.items()})
             for name, found, fixed, varying, bound in zip("EFGCD", there, constant, linear, size, strict=True):
                 if (np.abs(found - fixed - scale * varying) > ROUNDING * scale * bound).any():
                     raise InputError(

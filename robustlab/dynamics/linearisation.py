@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
 from robustlab.errors import InputError
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 __all__ = ["linearise"]
 
 
-def linearise(plant: Plant, at: tuple[ArrayLike, ArrayLike] | None = None) -> StateSpaceModel:
+def linearise(plant: Plant, at: Trim | OperatingPoint | ArrayLike | None = None) -> StateSpaceModel:
     r"""State-space model of a plant in deviations from an operating point.
 
     .. math:: A = \partial f / \partial x, \quad B = \partial f / \partial u, \quad
               C = \partial h / \partial x, \quad D = \partial h / \partial u
 
-    Exact for linear plants, where the matrices are the same everywhere.
+    Exact: linear plants have the same matrices everywhere, nonlinear ones bring exact derivatives of their equations.
 
     Parameters
     ----------
     plant
         A plant, as from `robustlab.dynamics.plant`.
     at
-        Operating point as ``(x, u)`` of shapes (n_x,), (n_u,), kept in the model; none where left out.
+        Operating point, kept in the model: a `Trim`, or ``(x, u)`` of shapes (n_x,), (n_u,), at rest or not; for a
+        mechanism also a pose (6,), which is trimmed. Left out: none for a linear plant, the trim at home for others.
 
     Returns
     -------
@@ -35,7 +39,7 @@ def linearise(plant: Plant, at: tuple[ArrayLike, ArrayLike] | None = None) -> St
     Raises
     ------
     InputError
-        Not a linear plant, or an operating point of the wrong size.
+        Not a plant, or an operating point of the wrong size.
 
     Examples
     --------
@@ -43,15 +47,48 @@ def linearise(plant: Plant, at: tuple[ArrayLike, ArrayLike] | None = None) -> St
     >>> linearise(plant("dc-motor"))
     StateSpaceModel(3 states, [u] -> [phi, omega, i], continuous)
     """
+    if isinstance(plant, NonlinearPlant):
+        trimmed = _trimmed(plant, at)
+        if trimmed is None:
+            x, u = _point(plant, at)
+            matrices, point = plant.jacobians(x, u), OperatingPoint(x, u, plant.output(x, u))
+        else:
+            matrices, point = plant.jacobians_at(trimmed), trimmed.operating_point
+        return StateSpaceModel(*matrices, 0.0, plant.inputs, plant.outputs, plant.states, point, plant.name)
     if not isinstance(plant, LinearPlant):
-        raise InputError("linearise", f"{type(plant).__name__}", "a linear plant, as from plant(name)")
+        raise InputError(
+            "linearise", f"{type(plant).__name__}", "a linear plant or a nonlinear one, as from plant(name)"
+        )
     model = plant.state_space()
     if at is None:
         return model
-    if not isinstance(at, (tuple, list)) or len(at) != 2:
-        raise InputError("linearise: at", f"{type(at).__name__}", "(x, u), or None")
-    x, u = plant.point(*at)
+    x, u = _point(plant, at)
     point = OperatingPoint(x, u, plant.output(x, u))
     return StateSpaceModel(
         model.A, model.B, model.C, model.D, model.dt, model.inputs, model.outputs, model.states, point, plant.name
     )
+
+
+def _trimmed(plant: NonlinearPlant, at: Any) -> Trim | None:
+    """The trim that the user gave, or asked for by giving nothing or a pose; None where ``at`` is something else."""
+    if isinstance(at, Trim):
+        if at.plant != plant.name or len(at.x) != len(plant.states) or len(at.u) != len(plant.inputs):
+            raise InputError("linearise: at", f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
+        return at
+    if at is None:
+        return plant.equilibrium()
+    if isinstance(at, (tuple, list)) and len(at) == 2:
+        return None
+    if not isinstance(at, (str, dict, OperatingPoint)) and np.ndim(at) == 1:
+        return plant.equilibrium(pose=at)
+    return None
+
+
+def _point(plant: Plant, at: Any) -> tuple[Any, Any]:
+    """State and input of what the user gave as the operating point."""
+    if isinstance(at, (Trim, OperatingPoint)):
+        return plant.point(at.x, at.u)
+    if isinstance(at, (tuple, list)) and len(at) == 2:
+        return plant.point(*at)
+    expected = "a trim, a pose or (x, u)" if isinstance(plant, NonlinearPlant) else "(x, u), or None"
+    raise InputError("linearise: at", f"{type(at).__name__}", expected)

@@ -8,22 +8,26 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.dynamics.input_signals import InputSignal
 from robustlab.dynamics.parameters import Parameter
-from robustlab.errors import InputError
-from robustlab.statespace import Signal, real_array, signals
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import Status
+from robustlab.statespace import OperatingPoint, Signal, real_array, signals
 
-__all__ = ["Array", "Plant"]
+__all__ = ["Array", "NonlinearPlant", "Plant", "Trim"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plant(ABC):
-    """The contract of a plant; linear plants follow it through `robustlab.dynamics.linear_plant.LinearPlant`.
+    """The contract of a plant; linear plants follow it through `robustlab.dynamics.linear_plant.LinearPlant`,
+    others through `NonlinearPlant`.
 
     Attributes
     ----------
@@ -81,3 +85,96 @@ class Plant(ABC):
     def __repr__(self) -> str:
         values = ", ".join(f"{p.name}={p.value:g}" for p in self.parameters.values())
         return f"{type(self).__name__}({self.name!r}: {values})"
+
+
+@dataclass(frozen=True, eq=False)
+class Trim:
+    """An operating point at which a plant stays: ``f(x, u) = 0``.
+
+    Attributes
+    ----------
+    plant
+        Name of the plant.
+    x, u, y
+        States, inputs and outputs in the plant's order and units.
+    residual
+        Largest ``|f(x, u)|`` that was found there.
+    pose
+        Of a mechanism with a platform, its pose (tx, ty, tz, ax, ay, az); None for other plants.
+    status
+        CONVERGED: the residual was evaluated after the solution and is at rounding. INACCURATE: it is not.
+    """
+
+    plant: str
+    x: Array
+    u: Array
+    y: Array
+    residual: float
+    pose: Array | None = None
+    status: Status = Status.CONVERGED
+
+    def __post_init__(self) -> None:
+        for array in (self.x, self.u, self.y, self.pose):
+            if array is not None:
+                array.setflags(write=False)
+
+    @property
+    def operating_point(self) -> OperatingPoint:
+        """The point as models carry it."""
+        return OperatingPoint(self.x, self.u, self.y)
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return dict(vars(self))
+
+
+class NonlinearPlant(Plant):
+    """The contract of a plant whose equations are not linear in state and input."""
+
+    @abstractmethod
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """Exact A, B, C, D = df/dx, df/du, dh/dx, dh/du at (x, u); no finite differences."""
+
+    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
+        """The same at a trim, which may know more than x and u."""
+        return self.jacobians(trim.x, trim.u)
+
+    @abstractmethod
+    def equilibrium(self, **where: Any) -> Trim:
+        """State and input at which the plant stays; what it may be asked for is the plant's own matter."""
+
+    def outputs_along(self, x: Array, u: Array) -> Array:
+        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u)."""
+        return np.array([self.output(state, force) for state, force in zip(x, u, strict=True)])
+
+    def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
+        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            The integrator gave up; the message names the time.
+        """
+        from scipy.integrate import solve_ivp
+
+        states = np.empty((len(signal.t), len(x0)))
+        states[0] = x0
+        starts = [0, *(int(k) for k in np.flatnonzero(signal.broken))]
+        for first, last in zip(starts, [*starts[1:], len(signal.t) - 1], strict=True):
+            t = signal.t[first : last + 1]
+
+            def rates(time: float, x: Array, t: Array = t, first: int = first, last: int = last) -> Array:
+                k = min(max(int(np.searchsorted(t, time, side="right")) - 1 + first, first), last - 1)
+                return self.derivative(x, signal.at(time, k))
+
+            # At rest the solver would begin with a step that leaves the domain of a mechanism.
+            options: dict[str, Any] = {
+                "rtol": max(rtol, 3e-14),
+                "atol": rtol * 1e-2,
+                "first_step": (t[1] - t[0]) * 1e-2,
+            }
+            found = solve_ivp(rates, (t[0], t[-1]), states[first], "DOP853", t_eval=t, **options)
+            if not found.success:
+                raise NoTrustworthyNumber(self.name, f"no solution beyond t = {found.t[-1]:.9g} s", None, found.message)
+            states[first : last + 1] = found.y.T
+        return states

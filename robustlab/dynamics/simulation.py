@@ -1,4 +1,4 @@
-"""Simulation of linear models: exact at the samples for piecewise constant and for piecewise linear inputs."""
+"""Simulation: linear models exactly at the samples, nonlinear plants with the error controlled."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.input_signals import NonlinearHold, input_signal
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
-from robustlab.statespace import StateSpaceModel, as_model, real_array
+from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["Hold", "simulate", "transition"]
+__all__ = ["Hold", "sampled_inputs", "simulate", "transition"]
 
 Array = NDArray[np.float64]
 Hold = Literal["zoh", "foh"]
@@ -22,6 +23,7 @@ Hold = Literal["zoh", "foh"]
 CLOCK_ROUNDING = 1e-9
 # A discrete model's clock may jitter by this share of its sample time.
 SAMPLE_TIME_TOLERANCE = 1e-6
+DEFAULT_RTOL = 1e-8
 
 
 def simulate(
@@ -31,18 +33,23 @@ def simulate(
     x0: ArrayLike | None = None,
     *,
     name: str | None = None,
-    hold: Hold = "zoh",
+    hold: NonlinearHold = "zoh",
+    rtol: float | None = None,
+    step: float | None = None,
 ) -> Record:
-    r"""Response of a linear plant or model to given inputs.
+    r"""Response of a plant or model to given inputs.
+
+    A linear one follows
 
     .. math:: x(t_{k+1}) = e^{A h_k} x(t_k) + \int_0^{h_k} e^{A (h_k - s)} B\, u(t_k + s)\, ds
 
-    evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped.
+    evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped. A
+    nonlinear plant is integrated by DOP853 with the local error held at ``rtol``, or in fixed steps.
 
     Parameters
     ----------
     plant_or_model
-        A linear plant, a StateSpaceModel, or a ``control.StateSpace``; of an uncertain model the nominal one.
+        A plant, a StateSpaceModel, or a ``control.StateSpace``; of an uncertain model the nominal one.
     t
         Times in s, shape (n,), strictly increasing; the steps may differ (for a discrete model they are its dt).
     u
@@ -53,7 +60,13 @@ def simulate(
         Name of the record; the plant's own, or "simulation", where left out.
     hold
         What the input does between samples: "zoh" keeps its last value (a D/A converter), "foh" goes straight to the
-        next one (a sampled smooth signal).
+        next one (a sampled smooth signal); for nonlinear plants "spline" goes smoothly through the samples, which is
+        the quickest for a sampled smooth signal.
+    rtol
+        Nonlinear plants: relative local error of a step, 1e-8 where left out.
+    step
+        Nonlinear plants that offer it: fixed steps (classical Runge-Kutta) of at most this length in s, without error
+        control.
 
     Returns
     -------
@@ -65,7 +78,7 @@ def simulate(
     InputError
         Unknown or missing inputs, wrong lengths, NaN, a clock that runs backwards or is not the discrete model's own.
     NoTrustworthyNumber
-        The response outgrows double precision; the message names the time.
+        The response outgrows double precision, or a mechanism leaves its workspace; the message names the time.
 
     Examples
     --------
@@ -73,18 +86,22 @@ def simulate(
     >>> simulate(lag, [0.0, 1.0, 2.0], [1.0, 1.0, 1.0])["y1"].round(6)
     array([0.      , 0.632121, 0.864665])
     """
+    if isinstance(plant_or_model, NonlinearPlant):
+        return _simulate_nonlinear(plant_or_model, t, u, x0, hold=hold, rtol=rtol, step=step, name=name)
     if isinstance(plant_or_model, Plant) and not hasattr(plant_or_model, "to_model"):
         raise InputError("simulate", f"{plant_or_model.name} is not linear", "a linear plant or a model")
+    if rtol is not None or step is not None:
+        raise InputError("simulate", "rtol or step for a linear model", "neither: it is simulated without error")
     model = as_model(plant_or_model, "simulate")
     title = name or getattr(plant_or_model, "name", None) or "simulation"
     clock = Record(t, name="simulate").t
-    force = _inputs(model, u, len(clock))
+    force = sampled_inputs(model.inputs, u, len(clock))
     start = np.zeros(model.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
     if len(start) != model.n_states:
         states = ", ".join(model.state_names) or "none"
         raise InputError("simulate", f"x0 has {len(start)} entries", f"{model.n_states} (states: {states})")
     if hold not in ("zoh", "foh"):
-        raise InputError("simulate: hold", f"{hold!r}", "'zoh' or 'foh'")
+        raise InputError("simulate: hold", f"{hold!r} for a linear model", "'zoh' or 'foh'")
     with np.errstate(over="ignore", invalid="ignore"):
         x = (
             _discrete_states(model, clock, force, start, hold)
@@ -99,6 +116,40 @@ def simulate(
         dict(zip(model.output_names, y.T, strict=True)),
         {s.name: s.unit for s in (*model.inputs, *model.outputs)},
         title,
+    )
+
+
+def _simulate_nonlinear(
+    plant: NonlinearPlant,
+    t: Any,
+    u: Any,
+    x0: Any,
+    *,
+    hold: Any,
+    rtol: float | None,
+    step: float | None,
+    name: str | None,
+) -> Record:
+    clock = Record(t, name="simulate").t
+    signal = input_signal(clock, sampled_inputs(plant.inputs, u, len(clock)), hold)
+    start = np.zeros(len(plant.states)) if x0 is None else real_array("x0", getattr(x0, "x", x0), 1, "simulate")
+    start, _ = plant.point(start, np.zeros(len(plant.inputs)))
+    options = {key: value for key, value in (("rtol", rtol), ("step", step)) if value is not None}
+    for key, value in options.items():
+        if not (isinstance(value, (int, float)) and 0 < value < 1):
+            raise InputError(f"simulate: {key}", f"{value!r}", "a number between 0 and 1")
+    if len(options) == 2:
+        raise InputError("simulate", "rtol and step", "one of them: fixed steps have no error control")
+    x = plant.trajectory(signal, start, **(options or {"rtol": DEFAULT_RTOL}))
+    force = np.vstack([signal.coefficients[:, 0], signal.at(clock[-1], len(clock) - 2)[None]])
+    y = plant.outputs_along(x, force)
+    _check_finite(np.hstack([x, y]), clock, plant.name)
+    return Record(
+        clock,
+        dict(zip((s.name for s in plant.inputs), force.T, strict=True)),
+        dict(zip((s.name for s in plant.outputs), y.T, strict=True)),
+        {s.name: s.unit for s in (*plant.inputs, *plant.outputs)},
+        name or plant.name,
     )
 
 
@@ -179,9 +230,9 @@ def _recursion(phi: Array, kind: NDArray[np.intp], forced: Array, x0: Array) -> 
     return x
 
 
-def _inputs(model: StateSpaceModel, u: Mapping[str, ArrayLike] | ArrayLike, n: int) -> Array:
-    """The inputs as an array of shape (n, n_u) in the model's order."""
-    names = model.input_names
+def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | ArrayLike, n: int) -> Array:
+    """The inputs' samples as an array of shape (n, n_u) in their order."""
+    names, count = tuple(s.name for s in inputs), len(inputs)
     if isinstance(u, Mapping):
         for key in u:
             if key not in names:
@@ -202,11 +253,11 @@ def _inputs(model: StateSpaceModel, u: Mapping[str, ArrayLike] | ArrayLike, n: i
     except ValueError:  # ragged: real_array says so
         ndim = 2
     samples = real_array("u", u, ndim, "simulate")
-    if samples.ndim == 1 and model.n_inputs == 1:
+    if samples.ndim == 1 and count == 1:
         samples = samples.reshape(-1, 1)
-    if samples.shape != (n, model.n_inputs):
+    if samples.shape != (n, count):
         hint = f"the inputs are {', '.join(names)}; a dict of name -> samples leaves no doubt about their order"
-        raise InputError("simulate", f"u has shape {samples.shape}", f"{(n, model.n_inputs)}", hint)
+        raise InputError("simulate", f"u has shape {samples.shape}", f"{(n, count)}", hint)
     return samples
 
 

@@ -1,0 +1,44 @@
+"""The compiled kernels, loaded on first use; the first time on a machine they are compiled, which is said on stderr."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+__all__ = ["kernels", "motion_kernels"]
+
+# Kernels kept on disk load within this time; what takes longer is being compiled.
+PATIENCE = 6.0
+
+
+@cache
+def kernels() -> ModuleType:
+    """Module of the compiled kinematics and dynamics."""
+    return _load("kernels")
+
+
+@cache
+def motion_kernels() -> ModuleType:
+    """Module of the compiled integrators."""
+    folder = Path(__file__).parent
+    leaves = (folder / "kernels.py").stat().st_mtime
+    # The compiler looks only at a function's own file for changes; these functions are built from those of kernels.py.
+    for index in (folder / "__pycache__").glob("motion_kernels.*.nbi"):
+        if index.stat().st_mtime < leaves:
+            index.unlink(missing_ok=True)
+    return _load("motion_kernels")
+
+
+def _load(name: str) -> ModuleType:
+    text = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
+    timer = threading.Timer(PATIENCE, lambda: print(text, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        return import_module(f"robustlab.dynamics.stewart.{name}")
+    finally:
+        timer.cancel()

@@ -1,0 +1,152 @@
+r"""Direct kinematics of the Stewart platform: Newton's method, with a proof that a pose is there.
+
+In the coordinates :math:`x = (T, r_p\,(a_x, a_y, a_z))` the Newton-Kantorovich theorem holds at the end of the
+iteration: with :math:`\beta \ge \|L'(x)^{-1}\|`, :math:`\eta = \beta |L(x) - L^\star|` and a Lipschitz constant
+gamma of :math:`L'`,
+
+.. math:: h = \beta \gamma \eta \le 1/2 \quad\Rightarrow\quad
+          \text{one and only one pose with lengths } L^\star \text{ within } \frac{2\eta}{1 + \sqrt{1 - 2h}} .
+
+gamma is known in closed form. The Hessian of a length in its platform point s is
+:math:`N N^T / L + z z^T \sin\beta / r`, of norm at most 1/L (since :math:`r = c + L \sin\beta`). Along a unit direction
+of x the point moves with :math:`|s'| \le 2` and :math:`|s''| \le 3/r_p`, so that
+:math:`|L_i''| \le 4/L_{min} + 3/r_p` and :math:`\gamma = \sqrt 6 (4/L_{min} + 3/r_p)`. The rounding of the computed
+lengths is added to the miss.
+
+References
+----------
+Kantorovich, Akilov, "Functional Analysis", 2nd ed., Pergamon 1982, chapter XVIII.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.dynamics.stewart.compilation import kernels
+from robustlab.dynamics.stewart.geometry import Geometry
+from robustlab.dynamics.stewart.kinematics import poses_array
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import Status
+
+__all__ = ["DirectPoses", "assembly_poses", "direct_kinematics"]
+
+Array = NDArray[np.float64]
+LIMIT = 60
+
+
+@dataclass(frozen=True, eq=False)
+class DirectPoses:
+    """Poses found by Newton's method, each with its certificate; arrays of n rows.
+
+    Attributes
+    ----------
+    poses
+        Shape (n, 6).
+    lengths
+        Actuator lengths that were asked for, (n, 6).
+    proved
+        True where the Newton-Kantorovich theorem proves one pose within ``radius`` of the one given.
+    h, radius
+        Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m.
+    residual
+        Euclidean norm of the lengths' errors in m.
+    iterations
+        Newton steps; -1 where the Jacobian was singular.
+    """
+
+    poses: Array
+    lengths: Array
+    proved: NDArray[np.bool_]
+    h: Array
+    radius: Array
+    residual: Array
+    iterations: NDArray[np.int64]
+
+    @property
+    def pose(self) -> Array:
+        """The pose (6,), where there is only one."""
+        if len(self.poses) != 1:
+            raise InputError("DirectPoses.pose", f"{len(self.poses)} poses", "one; take .poses")
+        return self.poses[0]
+
+    @property
+    def status(self) -> Status:
+        """CERTIFIED where every pose is proved, else INCONCLUSIVE."""
+        return Status.CERTIFIED if self.proved.all() else Status.INCONCLUSIVE
+
+    def to_json(self) -> dict[str, Any]:
+        """All arrays, and the status."""
+        names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
+        return {**{name: getattr(self, name) for name in names}, "status": self.status}
+
+
+def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
+    """Poses at which the actuators have these lengths.
+
+    Parameters
+    ----------
+    lengths
+        In m, shape (6,) or (n, 6).
+    start
+        Pose (6,) or poses (n, 6) to start from, for example the last known ones; home where left out.
+
+    Returns
+    -------
+    DirectPoses
+        Where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no other.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, NaN, a length that is not positive.
+    """
+    target, _ = poses_array(lengths, "lengths")
+    if (target <= 0).any():
+        k, i = np.argwhere(target <= 0)[0]
+        raise InputError("direct_kinematics", f"lengths[{k},{i}] = {target[k, i]:g} m", "positive lengths")
+    if start is None:
+        seeds = np.empty_like(target)
+        seeds[:] = geometry.home
+    else:
+        seed, one = poses_array(start, "start")
+        if not one and len(seed) != len(target):
+            raise InputError(
+                "direct_kinematics", f"{len(seed)} starts", f"1 or {len(target)}, one for each row of lengths"
+            )
+        seeds = np.array(np.broadcast_to(seed, target.shape), order="C")
+    poses, facts = np.empty_like(target), np.empty((len(target), 4))
+    kernels().direct_poses(target, seeds, geometry.legs, geometry.c, LIMIT, poses, facts)
+    proved = (facts[:, 0] >= 0) & (facts[:, 1] <= 0.5)
+    return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
+
+
+def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> DirectPoses:
+    """All different poses with one set of lengths (6,) that Newton's method reaches from the seeds (n, 6).
+
+    A Stewart platform can be put together in several ways with the same lengths; seeds from a grid over (and beyond)
+    the workspace find those that lie there. Only proved poses are kept; it is no proof that there are no more.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        No seed led to a proved pose.
+    """
+    target, _ = poses_array(lengths, "lengths")
+    starts, _ = poses_array(seeds, "seeds")
+    found = direct_kinematics(geometry, np.repeat(target[:1], len(starts), axis=0), starts)
+    kept: list[int] = []
+    for k in np.flatnonzero(found.proved & (np.abs(found.poses[:, 4]) < np.pi / 2)):
+        pose = np.concatenate([found.poses[k, :3], np.exp(1j * found.poses[k, 3:])])
+        others = [np.concatenate([found.poses[j, :3], np.exp(1j * found.poses[j, 3:])]) for j in kept]
+        if all(np.abs(pose - other).max() > 1e-7 for other in others):
+            kept.append(int(k))
+    if not kept:
+        raise NoTrustworthyNumber(
+            "assembly_poses", f"none of {len(starts)} seeds led to a proved pose", None, "check the lengths, in m"
+        )
+    names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
+    return DirectPoses(*(getattr(found, name)[kept] for name in names))

@@ -1,0 +1,348 @@
+r"""The Stewart platform as a plant: six motors turn six nuts, the nuts move the platform.
+
+.. math::
+    M(\varphi)\,\ddot\varphi + b(\varphi, \dot\varphi) = k\,\tau, \qquad
+    \text{with motors:}\quad \tau = K_m i - K_f k \dot\varphi, \quad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
+
+States (phi_1..6, phidot_1..6), with motors also (i_1..6); the nut angles are zero at home and grow with extension.
+
+References
+----------
+Březina 2010, sections 6.1, 7.1, 7.2, 8.1. The reading of what the text leaves open is in ``docs/stewart.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.dynamics.input_signals import InputSignal
+from robustlab.dynamics.parameters import overridden
+from robustlab.dynamics.plant_contract import Array, NonlinearPlant, Trim
+from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
+from robustlab.dynamics.stewart.direct_kinematics import LIMIT, direct_kinematics
+from robustlab.dynamics.stewart.geometry import CONSTANTS, Geometry, check_bodies, constants, geometry
+from robustlab.dynamics.stewart.kinematics import poses_array
+from robustlab.dynamics.stewart.machine_parameters import machine_parameters
+from robustlab.dynamics.stewart.workspace import SLACK, check_pose
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import Status
+from robustlab.statespace import Signal, real_array
+
+__all__ = ["LinearModels", "StewartPlatform", "linear_models", "stewart_platform"]
+
+_NUMBERS = range(1, 7)
+# A trim's residual beyond this share of what gravity alone would do is more than rounding.
+ROUNDING = 1e-9
+# Parameters that shape the legs; the others enter the equations of motion through `constants` alone.
+_SHAPE = ("r_b", "alpha_b", "r_p", "alpha_p", "r_m", "alpha_m", "z_m", "c", "z_home", "L_min", "L_max", "lead")
+
+
+def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
+    """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached.
+
+    Parameters
+    ----------
+    preset
+        ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it.
+    motors
+        True: 18 states, voltages as inputs. False: 12 states, motor torques as inputs.
+    given
+        Parameters, each as a value or ``(value, relative tolerance)``.
+
+    Raises
+    ------
+    InputError
+        Unknown preset or parameter, NaN, a negative mass, inertias that no rigid body has.
+
+    Examples
+    --------
+    >>> machine = stewart_platform(platform_mass=3.3)
+    >>> len(machine.states), machine.inputs[0]
+    (12, Signal(name='torque_1', unit='N m'))
+    """
+    parameters = overridden(machine_parameters(preset, motors), given, "stewart-platform")
+    angles = tuple(Signal(f"phi_{i}", "rad") for i in _NUMBERS)
+    rates = tuple(Signal(f"phidot_{i}", "rad/s") for i in _NUMBERS)
+    currents = tuple(Signal(f"i_{i}", "A") for i in _NUMBERS) if motors else ()
+    inputs = tuple(Signal(f"u_{i}", "V") if motors else Signal(f"torque_{i}", "N m") for i in _NUMBERS)
+    return StewartPlatform(
+        "stewart-platform", parameters, inputs, (*angles, *rates), (*angles, *rates, *currents), preset, motors
+    )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StewartPlatform(NonlinearPlant):
+    """A Stewart platform; made by `stewart_platform`.
+
+    Attributes
+    ----------
+    preset, motors
+        As given.
+    geometry
+        Points, axes and lengths.
+    constants
+        The numbers of the equations of motion, (28,).
+    """
+
+    preset: str
+    motors: bool
+    geometry: Geometry = field(init=False)
+    constants: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        values = self.values
+        check_bodies(values)
+        object.__setattr__(self, "geometry", geometry(values))
+        object.__setattr__(self, "constants", constants(values))
+        self.constants.setflags(write=False)
+
+    def with_parameters(self, **given: Any) -> StewartPlatform:
+        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
+        parameters = overridden(self.parameters.values(), given, self.name)
+        return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
+
+    @cached_property
+    def _numbers(self) -> Array:
+        return np.array(self.constants[None])  # writable, as the kernels ask for
+
+    # --- poses -------------------------------------------------------------------------------------------------------
+
+    def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
+        """Poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`.
+
+        Parameters
+        ----------
+        start
+            Pose to start from, home where left out.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            Nut angles that no pose could be proved to have, by row.
+        """
+        angles, one = poses_array(phi, "phi")
+        lengths = self.geometry.home_lengths + angles / self.geometry.turns
+        if (lengths <= 0).any():
+            row = int(np.argmax((lengths <= 0).any(axis=1)))
+            raise NoTrustworthyNumber(self.name, f"phi[{row}] makes an actuator shorter than nothing")
+        found = direct_kinematics(self.geometry, lengths, start)
+        if not found.proved.all():
+            row = int(np.argmin(found.proved))
+            raise NoTrustworthyNumber(
+                self.name, f"no pose with the nut angles of row {row} was found", None, "give a start near to it"
+            )
+        return found.poses[0] if one else found.poses
+
+    def _motion(self, x: Array) -> tuple[Array, Array]:
+        """Pose and twist (1, 6) of a state."""
+        g, code = self.geometry, kernels()
+        pose, facts = np.empty((1, 6)), np.empty((1, 4))
+        lengths = (g.home_lengths + x[:6] / g.turns)[None]
+        code.direct_poses(lengths, np.array(g.home[None]), g.legs, g.c, LIMIT, pose, facts)
+        if not (facts[0, 0] >= 0 and facts[0, 1] <= 0.5):
+            raise NoTrustworthyNumber(self.name, f"no pose has the nut angles {x[:6].round(3).tolist()}")
+        if not x[6:12].any():
+            return pose, np.zeros((1, 6))
+        matrix = np.empty((1, 6, 6))
+        code.jacobians(pose, g.legs, g.c, lengths, matrix)
+        return pose, np.linalg.solve(g.turns * matrix[0], x[6:12])[None]
+
+    def _torque(self, x: Array, u: Array) -> Array:
+        """Motor torques (6,)."""
+        if not self.motors:
+            return u
+        p = self.values
+        return p["Km"] * x[12:] - p["Kf"] * p["ratio"] * x[6:12]
+
+    # --- the contract of a plant -------------------------------------------------------------------------------------
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """``f(x, u)``, shape (12,) or (18,)."""
+        state, force = self.point(x, u)
+        return self._rates(state, force, *self._motion(state))
+
+    def _rates(self, state: Array, force: Array, pose: Array, twist: Array) -> Array:
+        torque = np.array(self._torque(state, force)[None])
+        phi, rates, accelerations = np.empty((1, 6)), np.empty((1, 6)), np.empty((1, 6))
+        kernels().forward_dynamics(pose, twist, torque, self.geometry.legs, self._numbers, phi, rates, accelerations)
+        if not self.motors:
+            return np.concatenate([state[6:12], accelerations[0]])
+        p = self.values
+        current = (force - p["R"] * state[12:] - p["Kb"] * p["ratio"] * state[6:12]) / p["L"]
+        return np.concatenate([state[6:12], accelerations[0], current])
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """Nut angles and rates, shape (12,)."""
+        state, _ = self.point(x, u)
+        return state[:12].copy()
+
+    def outputs_along(self, x: Array, u: Array) -> Array:
+        """Nut angles and rates (n, 12) along a trajectory."""
+        return x[:, :12]
+
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D at (x, u), at rest or moving; the derivatives are exact to rounding."""
+        state, force = self.point(x, u)
+        return self._jacobians(state, force, *self._motion(state))
+
+    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D at a trim of this plant, whose pose is known."""
+        if trim.pose is None:
+            return self.jacobians(trim.x, trim.u)
+        return self._jacobians(*self.point(trim.x, trim.u), np.array(trim.pose[None]), np.zeros((1, 6)))
+
+    def _jacobians(self, state: Array, force: Array, pose: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
+        torque = np.array(self._torque(state, force)[None])
+        stiffness, damping, gain = np.empty((1, 6, 6)), np.empty((1, 6, 6)), np.empty((1, 6, 6))
+        if not kernels().linearisations(
+            pose, twist, torque, self.geometry.legs, self._numbers, stiffness, damping, gain
+        ):
+            raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
+        a, b = _assembled(stiffness, damping, gain, self._numbers, self.motors)
+        return a[0], b[0], np.eye(12, len(self.states)), np.zeros((12, 6))
+
+    def equilibrium(self, pose: ArrayLike | None = None, phi: ArrayLike | None = None, **unknown: Any) -> Trim:
+        """Rest at a pose (tx, ty, tz, ax, ay, az), or at nut angles phi (6,); at home where neither is given.
+
+        Raises
+        ------
+        InputError
+            Both given, a pose out of the workspace, NaN.
+        NoTrustworthyNumber
+            A singular pose, nut angles that no pose has.
+        """
+        if unknown:
+            raise InputError(f"{self.name}: trim", f"{next(iter(unknown))!r}", "pose or phi")
+        if pose is not None and phi is not None:
+            raise InputError(f"{self.name}: trim", "pose and phi", "one of them")
+        if phi is not None:
+            pose = self.poses(real_array("phi", phi, 1, self.name))
+        at = check_pose(self.geometry, self.geometry.home if pose is None else pose, self.name)
+        angles, torques = np.empty((1, 6)), np.empty((1, 6))
+        if not kernels().trim_torques(at[None], self.geometry.legs, self._numbers, angles, torques):
+            raise NoTrustworthyNumber(self.name, "singular pose: the actuators cannot hold the platform there")
+        x, u = np.concatenate([angles[0], np.zeros(6)]), torques[0]
+        if self.motors:
+            p = self.values
+            x, u = np.concatenate([x, u / p["Km"]]), p["R"] * u / p["Km"]
+        residual = float(np.abs(self._rates(x, u, at[None], np.zeros((1, 6)))).max())
+        # free fall accelerates a nut by about turns * gravity
+        still = residual <= ROUNDING * max(self.geometry.turns * abs(self.values["gravity"]), 1.0)
+        status = Status.CONVERGED if still else Status.INACCURATE
+        return Trim(self.name, x, u, x[:12].copy(), residual, at.copy(), status)
+
+    def trajectory(self, signal: InputSignal, x0: Array, rtol: float | None = None, step: float | None = None) -> Array:
+        """States (n, 12) or (n, 18) at the times of the signal; compiled.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            An actuator reaches the end of its range, or the integrator gives up; the message names the time.
+        """
+        pose, twist = self._motion(x0)
+        start = np.concatenate([pose[0], twist[0], x0[12:]])
+        states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))
+        code = motion_kernels()
+        run, accuracy = (code.integrate, rtol) if step is None else (code.integrate_fixed, step)
+        low, high = self.geometry.limits
+        outcome, time, _ = run(
+            start, np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken, self.geometry.legs,
+            self._numbers[0], self.motors, low - SLACK, high + SLACK, accuracy, z, states,
+        )  # fmt: skip
+        if outcome == code.LEFT_WORKSPACE:
+            raise NoTrustworthyNumber(
+                self.name,
+                f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
+                None,
+                "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
+            )
+        if outcome != code.DONE:
+            words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
+            raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")
+        return states
+
+
+# --- many linear models at once --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModels:
+    """Linear models at n trimmed poses of n machines: A (n, n_x, n_x), B (n, n_x, 6), trims x (n, n_x), u (n, 6)."""
+
+    A: Array
+    B: Array
+    x: Array
+    u: Array
+
+    def to_json(self) -> dict[str, Any]:
+        """All arrays."""
+        return dict(vars(self))
+
+
+def linear_models(
+    plant: StewartPlatform, poses: ArrayLike, parameters: Mapping[str, ArrayLike] | None = None
+) -> LinearModels:
+    """Linear models at the poses (n, 6), each at its own values of the named parameters (n,).
+
+    What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are
+    not checked against the workspace.
+
+    Raises
+    ------
+    InputError
+        An unknown parameter, one that shapes the legs (build the plant anew for that), values of the wrong number
+        or sign.
+    NoTrustworthyNumber
+        A singular pose.
+    """
+    array, _ = poses_array(poses)
+    n, values = len(array), dict[str, Any](plant.values)
+    for name, given in (parameters or {}).items():
+        if name not in values or name in _SHAPE:
+            found = "it shapes the legs" if name in _SHAPE else "no such parameter"
+            raise InputError(f"linear_models: {name}", found, "a mass, inertia, place or motor parameter")
+        values[name] = real_array(name, given, 1, "linear_models")
+        if len(values[name]) != n:
+            raise InputError(f"linear_models: {name}", f"{len(values[name])} values", f"{n}, one for each pose")
+        plant.with_parameters(**{name: float(values[name].min())})  # signs and inertias, at the smallest value
+    numbers = np.array(np.broadcast_to(constants(values), (n, len(plant.constants))), order="C")
+    legs, code = plant.geometry.legs, kernels()
+    phi, torque = np.empty((n, 6)), np.empty((n, 6))
+    stiffness, damping, gain = np.empty((n, 6, 6)), np.empty((n, 6, 6)), np.empty((n, 6, 6))
+    if not (
+        code.trim_torques(array, legs, numbers, phi, torque)
+        and code.linearisations(array, np.zeros((n, 6)), torque, legs, numbers, stiffness, damping, gain)
+    ):
+        raise NoTrustworthyNumber("linear_models", "singular pose among those given")
+    a, b = _assembled(stiffness, damping, gain, numbers, plant.motors)
+    x, u = np.hstack([phi, np.zeros((n, 6))]), torque
+    if plant.motors:
+        km, r = np.broadcast_to(values["Km"], n)[:, None], np.broadcast_to(values["R"], n)[:, None]
+        x, u = np.hstack([x, torque / km]), r * torque / km
+    return LinearModels(a, b, x, u)
+
+
+def _assembled(stiffness: Array, damping: Array, gain: Array, numbers: Array, motors: bool) -> tuple[Array, Array]:
+    """A (n, n_x, n_x) and B (n, n_x, 6) from the derivatives of the accelerations, with or without motors."""
+    n, size = len(stiffness), 18 if motors else 12
+    a, b, one = np.zeros((n, size, size)), np.zeros((n, size, 6)), np.eye(6)
+    a[:, :6, 6:12] = one
+    a[:, 6:12, :6], a[:, 6:12, 6:12] = stiffness, damping
+    if not motors:
+        b[:, 6:12] = gain
+        return a, b
+    names = ("ratio", "R", "L", "Km", "Kb", "Kf")
+    ratio, r, inductance, km, kb, kf = (numbers[:, CONSTANTS.index(name), None, None] for name in names)
+    a[:, 6:12, 6:12] -= gain * kf * ratio
+    a[:, 6:12, 12:] = gain * km
+    a[:, 12:, 6:12] = -kb * ratio / inductance * one
+    a[:, 12:, 12:] = -r / inductance * one
+    b[:, 12:] = one / inductance
+    return a, b

@@ -1,0 +1,244 @@
+"""The Stewart platform against a rigid-body tree in Pinocchio whose loops are closed exactly.
+
+First the oracle itself is judged: by the published numbers, and by laws that need no rigid-body engine (virtual work,
+Lagrange's equations on its own mass matrix, energy, symmetry). Then it judges the plant through the public functions.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import robustlab as rl
+
+pin = pytest.importorskip("pinocchio")
+
+
+def beside(name: str):
+    """The module of that name in this folder, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+oracle = beside("stewart_pinocchio")
+THESIS, PHYSICAL, disc, PinocchioStewart = oracle.THESIS, oracle.PHYSICAL, oracle.disc, oracle.PinocchioStewart
+SPIN = THESIS.nut.inertia[2]
+
+
+def at(z: float) -> np.ndarray:
+    return np.array([0.0, 0.0, z, 0.0, 0.0, 0.0])
+
+
+HOME = at(0.1262)
+
+
+def random_states(n: int, seed: int = 6) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Poses within reach of the actuators, nut rates (1 rad/s = 0.64 mm/s) and motor torques of a hard run."""
+    rng, lengths = np.random.default_rng(seed), PinocchioStewart().lengths
+    reach = np.array([0.012, 0.012, 0.012, 0.08, 0.08, 0.12])
+    poses = (HOME + reach * rng.uniform(-1, 1, 6) for _ in range(50 * n))
+    inside = [pose for pose in poses if lengths(pose).min() > 0.1592 and lengths(pose).max() < 0.1880][:n]
+    assert len(inside) == n
+    return [(pose, 200 * rng.normal(size=6), 0.02 * rng.normal(size=6)) for pose in inside]
+
+
+def b_change(one, other) -> float:
+    """Percent by which the mean of B = k M^-1 over all motors moving together grows from one to other."""
+    return 100 * (np.linalg.inv(other).sum() / np.linalg.inv(one).sum() - 1)
+
+
+def growth(model, step: float = 1e-4) -> float:
+    """a = dphidd/dphi of the vertical motion with the holding torque kept, by a fourth-order central difference."""
+    u = model.trim_torque(HOME)
+
+    def mean(n: int) -> tuple[float, float]:
+        pose = at(0.1262 + n * step)
+        return float(np.mean(model.nut_acceleration(pose, np.zeros(6), u))), float(np.mean(model.nut_angles(pose)))
+
+    (a1, p1), (b1, q1), (a2, p2), (b2, q2) = mean(1), mean(-1), mean(2), mean(-2)
+    return (8 * (a1 - b1) - (a2 - b2)) / (8 * (p1 - q1) - (p2 - q2))
+
+
+# -- the oracle against the published numbers -------------------------------------------------------------------
+
+
+def test_published_geometry():
+    model = PinocchioStewart()
+    table_b = [[165.3, -57.4], [32.9, 171.9], [-32.9, 171.9], [-165.3, -57.4], [-132.4, -114.5], [132.4, -114.5]]
+    np.testing.assert_allclose(1e3 * model.base_points[:, :2], table_b, atol=0.06)
+    np.testing.assert_allclose(1e3 * model.platform_points[:4, 1], [75.85, 112.94, 112.94, 75.85], atol=0.006)
+    np.testing.assert_allclose(1e3 * model.bearing_points[1:3, 0], [16.33, -16.33], atol=0.006)
+    for z, length in [(0.1062, 160.71), (0.1262, 173.78), (0.1462, 188.06)]:
+        np.testing.assert_allclose(1e3 * model.lengths(at(z)), length, atol=0.006)
+    simple = PinocchioStewart(replace(THESIS, shift=0.0))
+    for z, length in [(0.1062, 170.66), (0.1262, 183.77), (0.1462, 198.04)]:
+        np.testing.assert_allclose(1e3 * simple.lengths(at(z)), length, atol=0.006)
+
+
+def test_published_dynamics():
+    model = PinocchioStewart()
+    hold = model.trim_torque(HOME)
+    # the bearing points are printed to 0.01 mm and 0.01 degrees, which moves the torque by 1e-5 of itself
+    np.testing.assert_allclose(hold, 0.87012e-3, rtol=1.2e-5)
+    legs = PinocchioStewart(replace(THESIS, platform=disc(1e-12)))
+    np.testing.assert_allclose(legs.trim_torque(HOME), 0.3575e-3, atol=0.00006e-3)
+    other_side = PinocchioStewart(replace(THESIS, offset_sign=-1.0))  # the printed torque tells the motors' side
+    np.testing.assert_allclose(other_side.trim_torque(HOME), 0.87051e-3, rtol=1e-5)
+    M = model.mass_matrix(HOME)
+    assert b_change(M, model.mass_matrix(at(0.1062))) == pytest.approx(-1.044, abs=6e-4)  # case 1
+    for factor, percent in [(1.025, -0.0037), (1.1, -0.0149)]:  # cases 2a, 2b
+        heavier = PinocchioStewart(replace(THESIS, lower_link=THESIS.lower_link.scaled(factor)))
+        assert b_change(M, heavier.mass_matrix(HOME)) == pytest.approx(percent, abs=6e-5)
+    heavier = PinocchioStewart(THESIS.with_bodies_scaled(1.025))  # case 2c, at any pose
+    pose = random_states(1)[0][0]
+    np.testing.assert_allclose(heavier.mass_matrix(pose), 1.025 * model.mass_matrix(pose), rtol=1e-11, atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("change", "inertia", "a", "case_1", "case_2a", "case_2b", "hold"),
+    [
+        ({}, 2.277e-5, 2.60, -1.044, -0.0037, -0.0149, 0.8701e-3),
+        ({"platform": disc(3.841), "motor_cg": -0.1087 / 2}, 2.276e-5, 2.11, -0.795, -0.0037, -0.0149, 0.8701e-3),
+        ({"rotor_inertia": 7.2e-6}, 6.551e-4, 0.090, -0.037, -0.0001, -0.0005, 0.8701e-3),
+        ({"platform": disc(3.484)}, 2.282e-5, 2.68, -1.087, -0.0037, -0.0149, 0.9214e-3),
+        ({"platform": disc(3.208), "screw_cg": 0.09414}, 2.277e-5, 2.57, -1.038, -0.0037, -0.0149, 0.8701e-3),
+        ({"platform": disc(0.479), "lead": 0.008}, 2.334e-5, 7.29, -2.504, -0.0145, -0.0581, 0.8701e-3),
+        ({"platform": disc(0.545), "lead": 0.004 * 41 / 21}, 2.332e-5, 7.02, -2.425, -0.0139, -0.0554, 0.8701e-3),
+        ({"platform": disc(0.545), "gear": 4.8}, 2.240e-5, 1.92, -0.674, -0.0038, -0.0151, 0.8701e-3),
+        (
+            {"nut": replace(THESIS.nut, inertia=(*THESIS.nut.inertia[:2], SPIN / 4))},
+            *(6.22e-6, 9.53, -3.717, -0.0136, -0.0545, 0.8701e-3),
+        ),
+    ],
+    ids=["base", "motor down", "rotor", "platform +10 %", "screw low", "lead 8", "spur lead", "k 4.8", "nut/4"],
+)
+def test_published_sensitivities(change, inertia, a, case_1, case_2a, case_2b, hold):
+    par = replace(THESIS, **change)
+    model = PinocchioStewart(par)
+    M = model.mass_matrix(HOME)
+    assert M.sum() / 6 == pytest.approx(inertia, rel=3e-4)
+    assert growth(model) == pytest.approx(a, abs=0.006)
+    assert b_change(M, model.mass_matrix(at(0.1062))) == pytest.approx(case_1, abs=1.1e-3)
+    for factor, percent in [(1.025, case_2a), (1.1, case_2b)]:
+        heavier = PinocchioStewart(replace(par, lower_link=par.lower_link.scaled(factor)))
+        assert b_change(M, heavier.mass_matrix(HOME)) == pytest.approx(percent, abs=6e-5)
+    np.testing.assert_allclose(model.trim_torque(HOME), hold, rtol=1.2e-4)
+
+
+# -- the oracle against laws that need no engine ------------------------------------------------------------------
+
+
+def test_loops_are_closed_and_poses_return():
+    model = PinocchioStewart()
+    for pose, phidot, _ in random_states(5):
+        assert np.abs(model.closure(pose)).max() < 1e-15
+        np.testing.assert_allclose(model.pose(model.nut_angles(pose)), pose, rtol=0, atol=1e-13)
+        e = 1e-5
+        rate = (model.nut_angles(pose + e * model.pose_rate(pose, phidot)) - model.nut_angles(pose)) / e
+        np.testing.assert_allclose(rate, phidot, rtol=0.05, atol=0.5)
+
+
+def central(f, x: np.ndarray, step: float) -> np.ndarray:
+    """Fourth-order derivative of f along each coordinate of x, on the last axis."""
+    columns = []
+    for e in step * np.eye(len(x)):
+        columns.append((8 * (f(x + e) - f(x - e)) - (f(x + 2 * e) - f(x - 2 * e))) / (12 * step))
+    return np.stack(columns, axis=-1)
+
+
+def test_gravity_is_virtual_work_and_velocity_terms_are_lagranges():
+    """bias - gravity = Mdot phidot - 1/2 d(phidot' M phidot)/dphi, with M differentiated numerically in phi."""
+    model = PinocchioStewart(PHYSICAL)
+    for pose, phidot, _ in random_states(3):
+        phi = model.nut_angles(pose)
+        dV = central(lambda p, start=pose: model.potential_energy(model.pose(p, start)), phi, 0.3)
+        np.testing.assert_allclose(model.gravity_torque(pose), dV, rtol=1e-8, atol=1e-11)
+        dM = central(lambda p, start=pose: model.mass_matrix(model.pose(p, start)), phi, 0.3)
+        expected = np.einsum("ijk,k,j->i", dM, phidot, phidot) - 0.5 * np.einsum("jki,j,k->i", dM, phidot, phidot)
+        found = model.bias_torque(pose, phidot) - model.gravity_torque(pose)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+        T = 0.5 * phidot @ model.mass_matrix(pose) @ phidot
+        assert model.kinetic_energy(pose, phidot) == pytest.approx(T, rel=1e-12)
+
+
+def test_energy_is_kept():
+    model = PinocchioStewart()
+    pose, phidot, _ = random_states(1)[0]
+
+    def rates(_, x):
+        return np.concatenate([model.pose_rate(x[:6], x[6:]), model.nut_acceleration(x[:6], x[6:], np.zeros(6))])
+
+    x = solve_ivp(rates, (0, 0.04), np.concatenate([pose, 0.3 * phidot]), "DOP853", rtol=1e-11, atol=1e-12).y
+    energy = [model.kinetic_energy(s[:6], s[6:]) + model.potential_energy(s[:6]) for s in x.T]
+    moved = np.ptp([model.potential_energy(s[:6]) for s in x.T])
+    assert moved > 1e-3
+    assert np.ptp(energy) < 1e-8 * moved
+
+
+def test_threefold_symmetry():
+    """A third of a turn about z moves leg i to leg i + 2."""
+    model = PinocchioStewart()
+    turn = pin.utils.rotate("z", 2 * np.pi / 3)
+    for pose, phidot, u in random_states(3):
+        angles = pin.rpy.matrixToRpy(turn @ oracle.rotation(pose[3:]) @ turn.T)
+        turned = np.concatenate([turn @ pose[:3], angles])
+        found = model.nut_acceleration(turned, np.roll(phidot, 2), np.roll(u, 2))
+        expected = np.roll(model.nut_acceleration(pose, phidot, u), 2)
+        # the nut's unequal transverse inertias turn with phi, which keeps the symmetry too
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+# -- the plant against the oracle ---------------------------------------------------------------------------------
+
+PRESETS = {"thesis": THESIS, "physical": PHYSICAL}
+
+
+def pair(preset: str):
+    return rl.plant("stewart-platform", preset=preset), PinocchioStewart(PRESETS[preset])
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_trim_of_the_plant(preset):
+    plant, model = pair(preset)
+    for pose in [HOME, at(0.1062), at(0.1462)] + [s[0] for s in random_states(10)]:
+        trim = rl.trim(plant, pose=pose)
+        np.testing.assert_allclose(trim.x, np.concatenate([model.nut_angles(pose), np.zeros(6)]), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(trim.u, model.trim_torque(pose), rtol=1e-8)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_mass_matrix_of_the_plant(preset):
+    """k M^-1 is how the acceleration depends on u; the constant inertia on the nuts' own axes would hide errors."""
+    plant, model = pair(preset)
+    own = (SPIN + model.parameters.rotor_inertia * model.parameters.gear**2) * np.eye(6)
+    for pose, phidot, _ in random_states(20):
+        x = np.concatenate([model.nut_angles(pose), phidot])
+        B = np.column_stack([(plant.derivative(x, e) - plant.derivative(x, -e))[6:] / 2 for e in np.eye(6)])
+        M, expected = model.parameters.gear * np.linalg.inv(B), model.mass_matrix(pose)
+        np.testing.assert_allclose(M - own, expected - own, rtol=0, atol=1e-8 * np.abs(expected - own).max())
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_accelerations_of_the_plant(preset):
+    plant, model = pair(preset)
+    for pose, phidot, u in random_states(20):
+        x = np.concatenate([model.nut_angles(pose), phidot])
+        rates = plant.derivative(x, u)
+        np.testing.assert_array_equal(rates[:6], phidot)
+        expected = model.nut_acceleration(pose, phidot, u)
+        np.testing.assert_allclose(rates[6:], expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+        # the velocity terms alone, which the drive torque would outweigh
+        found = rates[6:] - plant.derivative(np.concatenate([x[:6], np.zeros(6)]), u)[6:]
+        expected = expected - model.nut_acceleration(pose, np.zeros(6), u)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())

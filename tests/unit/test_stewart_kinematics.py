@@ -1,0 +1,144 @@
+"""Kinematics of the Stewart platform: published points and lengths, closed forms, derivatives, direct kinematics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.stewart import (
+    acceleration_bias,
+    assembly_poses,
+    condition_map,
+    direct_kinematics,
+    inside,
+    inverse_kinematics,
+    singularity,
+    velocity_jacobian,
+    workspace_grid,
+)
+from robustlab.dynamics.stewart.kinematics import nut_angles, rotation, twist
+
+MACHINE = rl.plant("stewart-platform")
+G = MACHINE.geometry
+RNG = np.random.default_rng(5)
+POSES = G.home + RNG.uniform(-1, 1, (12, 6)) * [0.008, 0.008, 0.008, 0.05, 0.05, 0.08]
+
+
+def at(z):
+    return np.array([0.0, 0.0, z, 0.0, 0.0, 0.0])
+
+
+def test_points_of_appendix_b():
+    # Březina 2010, App. B, with b6 y = -114.5 and m2, m3 x = 16.33 (misprints corrected)
+    table = [[165.3, -57.4], [32.9, 171.9], [-32.9, 171.9], [-165.3, -57.4], [-132.4, -114.5], [132.4, -114.5]]
+    np.testing.assert_allclose(1e3 * G.base[:, :2], table, atol=0.06)
+    np.testing.assert_allclose(1e3 * G.platform[:4, 1], [75.85, 112.94, 112.94, 75.85], atol=0.006)
+    np.testing.assert_allclose(1e3 * G.bearing[1:3], [[16.33, 175.35, 16.9], [-16.33, 175.35, 16.9]], atol=0.06)
+    np.testing.assert_allclose(np.hypot(*G.bearing[:, :2].T), 0.17611, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("z", "shifted", "simple"), [(0.1062, 160.71, 170.66), (0.1262, 173.78, 183.77), (0.1462, 188.06, 198.04)]
+)
+def test_published_lengths(z, shifted, simple):
+    np.testing.assert_allclose(1e3 * inverse_kinematics(G, at(z)), shifted, atol=0.006)
+    np.testing.assert_allclose(1e3 * inverse_kinematics(G, at(z), joint="simple"), simple, atol=0.006)
+
+
+def test_simple_joint_is_a_distance():
+    for pose in POSES:
+        points = pose[:3] + G.platform @ rotation(pose).T
+        expected = np.linalg.norm(points - G.base, axis=1)
+        np.testing.assert_allclose(inverse_kinematics(G, pose, joint="simple"), expected, rtol=1e-14)
+
+
+def test_shifted_joint_closes_the_chain():
+    """b + c y + L K reaches the platform point, y and K being perpendicular to the second joint axis."""
+    for pose in POSES:
+        points = pose[:3] + G.platform @ rotation(pose).T
+        lengths = inverse_kinematics(G, pose)
+        for i in range(6):
+            w, x = points[i] - G.base[i], G.axis[i]
+            z = np.cross(x, w) / np.linalg.norm(np.cross(x, w))
+            d = G.base[i] + G.c * np.cross(z, x)
+            assert np.linalg.norm(points[i] - d) == pytest.approx(lengths[i], rel=1e-14)
+
+
+def test_one_pose_and_many_agree():
+    lengths = inverse_kinematics(G, POSES)
+    assert lengths.shape == (12, 6)
+    assert inverse_kinematics(G, np.zeros((0, 6))).shape == (0, 6)
+    np.testing.assert_array_equal(inverse_kinematics(G, POSES[3]), lengths[3])
+    np.testing.assert_allclose(nut_angles(G, POSES), 2 * np.pi / 0.004 * (lengths - G.home_lengths), rtol=1e-15)
+
+
+def along(path, h):
+    """First and second derivative at 0 of a function of time, by central differences of sixth order."""
+    f = {k: path(k * h) for k in range(-3, 4)}
+    first = (45 * (f[1] - f[-1]) - 9 * (f[2] - f[-2]) + (f[3] - f[-3])) / (60 * h)
+    second = (-490 * f[0] + 270 * (f[1] + f[-1]) - 27 * (f[2] + f[-2]) + 2 * (f[3] + f[-3])) / (180 * h * h)
+    return first, second
+
+
+def test_velocity_and_acceleration_jacobians():
+    for pose in POSES[:5]:
+        rate, bend = RNG.normal(size=(2, 6)) * [0.1, 0.1, 0.1, 1, 1, 1]
+
+        def motion(t, pose=pose, rate=rate, bend=bend):
+            return pose + rate * t + 0.5 * bend * t * t
+
+        first, second = along(lambda t: inverse_kinematics(G, motion(t)), 2e-3)
+        V = twist(pose, rate)
+        acceleration, _ = along(lambda t: twist(motion(t), rate + bend * t), 2e-3)  # noqa: B023
+        J = velocity_jacobian(G, pose)
+        np.testing.assert_allclose(J @ V, first, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(J @ acceleration + acceleration_bias(G, pose, V), second, rtol=0, atol=1e-7)
+
+
+def test_direct_kinematics_is_certified_over_the_workspace():
+    grid = workspace_grid(G, 8)
+    assert len(grid) > 1000
+    found = direct_kinematics(G, inverse_kinematics(G, grid))
+    assert found.status is rl.Status.CERTIFIED
+    error = np.abs(found.poses - grid)
+    error[:, 3:] *= G.radius
+    # the certificate's radius must cover the true error
+    assert (np.linalg.norm(error, axis=1) <= found.radius + 1e-15).all()
+    assert found.radius.max() < 1e-12
+    assert found.h.max() < 1e-9
+
+
+def test_certificate_is_refused_where_there_is_no_pose():
+    lengths = G.home_lengths.copy()
+    lengths[0] = 0.5  # longer than the platform allows
+    found = direct_kinematics(G, lengths)
+    assert not found.proved.any()
+    assert found.status is rl.Status.INCONCLUSIVE
+
+
+def test_warm_start_and_assembly_poses():
+    target = inverse_kinematics(G, POSES[0])
+    warm = direct_kinematics(G, target, start=POSES[0] + 1e-4)
+    assert warm.iterations[0] < direct_kinematics(G, target).iterations[0] + 1
+    np.testing.assert_allclose(warm.pose, POSES[0], atol=1e-13)
+    seeds = np.vstack([G.home, G.home * [1, 1, -1, 1, 1, 1], G.home + RNG.uniform(-1, 1, (60, 6))])
+    found = assembly_poses(G, G.home_lengths, seeds)
+    assert len(found.poses) >= 2  # at least home and the one that hangs below
+    np.testing.assert_allclose(inverse_kinematics(G, found.poses), np.tile(G.home_lengths, (len(found.poses), 1)))
+    assert np.abs(found.poses - G.home).max(axis=1).min() < 1e-12
+
+
+def test_singularity_and_map():
+    # the neutral axis: the vertical motion of a symmetric platform moves all legs alike, J e_z = K_z
+    smallest, largest = singularity(G, G.home)
+    assert 0 < smallest < largest
+    # a yaw of 90 degrees makes a Stewart platform of this kind singular (Fichter)
+    yaw = np.tile(G.home, (181, 1))
+    yaw[:, 5] = np.linspace(0, np.pi, 181)
+    assert singularity(G, yaw)[:, 0].min() < 0.02 * smallest
+    made = condition_map(G, ("tx", "ty"), np.linspace(-0.05, 0.05, 11), [0.0, 0.01])
+    assert made.condition.shape == (11, 2)
+    assert np.isnan(made.condition[0, 0])
+    assert made.condition[5, 0] == pytest.approx(largest / smallest)
+    assert inside(G, np.vstack([at(0.1062), at(0.1462), at(0.15), at(0.10)])).tolist() == [True, True, False, False]
