@@ -122,6 +122,8 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
         lower, omega, upper, trusted = _bracket(scaled, rtol)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
+    # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
+    blind = np.isfinite(omega) and np.sqrt(2 * rtol) * np.abs(1j * omega - scaled.poles()).min() < EPS * omega
     omega *= rate
     if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
         omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
@@ -130,6 +132,8 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     if abs(attained - lower) > 10 * rtol * lower and lower > upper - lower:
         trusted = False
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
+    if blind:
+        trusted, reason = False, f"the peak at {omega:.6g} rad/s is narrower than the spacing of floating-point numbers"
     upper = max(upper, attained)
     return HinfNorm(attained, omega, attained, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 

@@ -133,3 +133,14 @@ def test_h2_discrete_and_infinite_cases():
     assert h2_norm(StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[2.0]], 1.0)).value == pytest.approx(np.sqrt(4 + 4 / 3))
     assert h2_norm(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])).value == np.inf
     assert h2_norm(StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])).value == np.inf
+
+
+@pytest.mark.parametrize("damping", [1e-6, 1e-9, 1e-12, 1e-14])
+def test_a_peak_between_two_neighbouring_numbers_is_not_certified(damping):
+    # 1 / (s^2 + 2 d s + 1) peaks at sqrt(1 - 2 d^2), which no floating-point number reaches for d = 1e-14
+    norm = hinf_norm(StateSpaceModel([[0, 1], [-1, -2 * damping]], [[0], [1]], [[1, 0]], [[0]]))
+    expected = 1 / (2 * damping * np.sqrt(1 - damping**2))
+    if norm.status is Status.CERTIFIED:
+        assert norm.lower <= expected * (1 + 1e-12)
+        assert norm.upper >= expected
+    assert (norm.status is Status.CERTIFIED) == (damping > 1e-13)
