@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.certificate import delta_norm, project, singularity
 from robustlab.mu_analysis.lower import SINGULAR, block_gains, lower_bound, step_delta
@@ -113,8 +114,30 @@ def _first_crossing(model: StateSpaceModel, blocks: Sequence[Block], delta: Comp
             unstable = middle
         else:
             stable = middle
-    found = unstable * delta
-    return Destabilising(delta_norm(blocks, found), found, _rightmost(model, found))
+    return _on_the_axis(model, blocks, unstable * delta)
+
+
+def _on_the_axis(model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray) -> Destabilising:
+    """The crossing at a multiple of Delta, by ``det(I - M(j omega) Delta) = 0`` where that is the better witness.
+
+    Eigenvalues are accurate to rounding of the largest one only: beside fast poles a slow one seems to cross long
+    before it does. ``M(j omega) Delta`` then has an eigenvalue that is real but not one, and dividing by it ends at the
+    crossing itself.
+    """
+    pole = _rightmost(model, delta)
+    as_found = Destabilising(delta_norm(blocks, delta), delta, pole)
+    if not np.isfinite(pole) or pole.real > 1e-6 * np.abs(model.A).max():
+        return as_found
+    try:
+        loop = frequency_response(model, np.array([pole.imag]))[0] @ delta
+    except NoTrustworthyNumber:
+        return as_found
+    values = np.linalg.eigvals(loop)
+    nearest = complex(values[np.abs(values - 1).argmin()])
+    if nearest.real <= 0 or abs(nearest.imag) > 1e-3 * abs(nearest - 1) + 1e-12:
+        return as_found
+    exact = delta / nearest.real
+    return Destabilising(delta_norm(blocks, exact), exact, complex(0.0, pole.imag))
 
 
 # --- migration -------------------------------------------------------------------------------------------------------

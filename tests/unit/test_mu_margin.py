@@ -213,3 +213,15 @@ def test_margin_becomes_plain_json(two_mass_margin):
     assert data["type"] == "Margin"
     assert data["status"] == "certified"
     assert set(data["delta"]) == {"m1", "m2", "k"}
+
+
+@pytest.mark.parametrize("fast", [1e2, 1e4, 1e6, 1e8])
+@pytest.mark.parametrize("kind", [rl.RealScalar, rl.ComplexScalar])
+def test_slow_pole_beside_a_fast_one(fast, kind):
+    # 1 / (s + 1e-9) + fast / (s + fast): margin 1 / (1e9 + 1). Eigenvalues alone had the slow pole cross at 0.2 % of it.
+    root = np.sqrt(fast)
+    model = rl.StateSpaceModel(np.diag([-1e-9, -fast]), [[1.0], [root]], [[1.0, root]], [[0.0]])
+    margin = rl.robust_stability(rl.UncertainModel(model, [kind("a")]), omega=[0.0])
+    assert margin.upper == pytest.approx(1e-9, rel=1e-6)
+    assert margin.lower == pytest.approx(1e-9, rel=2e-3)
+    assert margin.lower <= 1e-9
