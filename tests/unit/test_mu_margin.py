@@ -218,7 +218,7 @@ def test_margin_becomes_plain_json(two_mass_margin):
 @pytest.mark.parametrize("fast", [1e2, 1e4, 1e6, 1e8])
 @pytest.mark.parametrize("kind", [rl.RealScalar, rl.ComplexScalar])
 def test_slow_pole_beside_a_fast_one(fast, kind):
-    # 1 / (s + 1e-9) + fast / (s + fast): margin 1 / (1e9 + 1). Eigenvalues alone had the slow pole cross at 0.2 % of it.
+    # 1 / (s + 1e-9) + fast / (s + fast): margin 1 / (1e9 + 1). By eigenvalues alone it came out down to 0.2 % of that.
     root = np.sqrt(fast)
     model = rl.StateSpaceModel(np.diag([-1e-9, -fast]), [[1.0], [root]], [[1.0, root]], [[0.0]])
     margin = rl.robust_stability(rl.UncertainModel(model, [kind("a")]), omega=[0.0])
