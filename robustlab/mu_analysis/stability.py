@@ -89,6 +89,9 @@ def robust_stability(
     attained: the model perturbed by ``delta`` has a pole on the stability boundary. A discrete model is mapped by
     ``s = (z - 1) / (z + 1)``, under which the unit circle becomes the axis and mu does not change.
 
+    The proof is carried out in floating-point arithmetic with a slack of 5e-6 in mu: the signs of the inequality are
+    tested at and between all candidates that the Hamiltonian's eigenvalues give. It is not interval arithmetic.
+
     Parameters
     ----------
     uncertain
@@ -98,7 +101,7 @@ def robust_stability(
     accuracy
         Relative distance to which ``lower`` approaches the best margin that D, G scalings can prove.
     time_limit
-        Time in s after which the cover of the axis is given up.
+        Time in s after which the cover of the axis is given up; the search for ``delta`` and the grid come on top.
     seed
         Seed of the search for the critical Delta.
 
