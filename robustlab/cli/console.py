@@ -15,7 +15,18 @@ import typer
 
 from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, UsageError, plain_text
 
-__all__ = ["JsonOption", "OutOption", "SeedOption", "assignments", "emit", "main_guard", "note", "progress", "table"]
+__all__ = [
+    "JsonOption",
+    "OutOption",
+    "SeedOption",
+    "assignments",
+    "emit",
+    "main_guard",
+    "note",
+    "plant_settings",
+    "progress",
+    "table",
+]
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
@@ -54,6 +65,21 @@ def assignments(option: str, texts: list[str] | None) -> dict[str, float]:
             raise UsageError(f"{option} {text}", "no number after =", "NAME=VALUE") from None
         if not name:
             raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+    return values
+
+
+def plant_settings(texts: list[str] | None) -> dict[str, Any]:
+    """``["R=2.1", "preset=physical", "motors=true"]`` as the keyword arguments of a plant."""
+    values: dict[str, Any] = {}
+    for text in texts or []:
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise UsageError(f"--set {text}", "no parameter and value", "NAME=VALUE")
+        words: dict[str, Any] = {"true": True, "false": False}
+        try:
+            values[name] = words[value] if value in words else float(value)
+        except ValueError:
+            values[name] = value  # a choice, such as a preset; the plant knows which there are
     return values
 
 

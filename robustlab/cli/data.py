@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note, table
+from robustlab.cli.console import JsonOption, OutOption, emit, note, plant_settings, table
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def _plant_or_model(name: str, settings: list[str]) -> Any:
     from robustlab.storage import load
 
     if name in plant_names():
-        return plant(name, **assignments("--set", settings))
+        return plant(name, **plant_settings(settings))
     if settings:
         known = ", ".join(plant_names())
         raise UsageError(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, assignments, emit, note, table
+from robustlab.cli.console import JsonOption, emit, note, plant_settings, table
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -34,6 +34,10 @@ def build(
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.", show_default=False)
     ] = None,
+    pose: Annotated[
+        str | None,
+        typer.Option("--pose", help="Pose of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Linearise a plant from physics and write its state-space model.
@@ -44,17 +48,26 @@ def build(
     from robustlab.provenance import Provenance
     from robustlab.storage import save
 
-    parameters = assignments("--set", settings)
-    made = dynamics.plant(plant, **parameters)
-    model = dynamics.linearise(made)
+    parameters = plant_settings(settings)
+    model = dynamics.linearise(dynamics.plant(plant, **parameters), at=None if pose is None else _pose(pose))
     given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
-    save(out, model, Provenance.now("model build", note=f"{plant} {given}".strip()))
+    save(out, model, Provenance.now("model build", note=f"{plant} {given}".strip() + (f" at {pose}" if pose else "")))
     emit(
         "model build",
         {"plant": plant, "parameters": parameters, "file": out, "model": model},
         f"{out}: {model!r}",
         as_json,
     )
+
+
+def _pose(text: str) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        raise UsageError(f"--pose {text}", "not six numbers", "tx,ty,tz,ax,ay,az in m and rad")
+    return numbers
 
 
 @app.command()

@@ -84,3 +84,15 @@ def test_usage(run):
     run("build", "dc-motor", "--out", "m.h5")
     assert "extension" in run("convert", "m.h5", "m.json", code=2)
     assert "no such folder" in run("convert", "m.h5", "nowhere/m.h5", code=5)
+
+
+def test_build_a_platform_at_a_pose(run):
+    """Gravity pulls harder on a nut where the legs lean more: the unstable poles grow as the platform goes down."""
+    run("build", "stewart-platform", "--set", "preset=physical", "--out", "home.h5")
+    run("build", "stewart-platform", "--set", "preset=physical", "--pose", "0,0,0.1062,0,0,0", "--out", "low.h5")
+    home, low = rl.load("home.h5"), rl.load("low.h5")
+    assert low.spectral_abscissa() > home.spectral_abscissa() > 0
+    assert home.n_states == 12
+    assert "six numbers" in run("build", "stewart-platform", "--pose", "0,0,0.1", "--out", "x.h5", code=2)
+    run("build", "stewart-platform", "--pose", "0,0,9,0,0,0", "--out", "x.h5", code=3)
+    run("build", "stewart-platform", "--set", "preset=nosuch", "--out", "x.h5", code=3)
