@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from robustlab.dynamics.stewart.thesis_runs import SineRun
+from robustlab.dynamics.stewart.workspace import ConditionMap
 from robustlab.dynamics.trajectory_following import TrajectoryFollowing
 from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
 
-__all__ = ["percent_figure", "sine_figure", "tracking_effort_figure", "tracking_error_figure"]
+__all__ = ["condition_figure", "percent_figure", "sine_figure", "tracking_effort_figure", "tracking_error_figure"]
 
 Array = NDArray[np.float64]
 # Six lines in one panel: colours of Okabe and Ito, the second three dashed, so that they are told apart in grey too.
 SIX = [("#0072B2", "-"), ("#D55E00", "-"), ("#009E73", "-"), ("#56B4E9", "--"), ("#E69F00", "--"), ("#CC79A7", "--")]
 # Curves that lie on one another: wide, dashed and thin, dotted and thinner.
 THREE = [("#56B4E9", "-"), ("#D55E00", (0, (4, 3))), ("#222222", ":")]
+
+
+def condition_figure(maps: Sequence[ConditionMap]) -> Figure:
+    """Condition number of the Jacobian over two coordinates of the pose each; white is out of the workspace."""
+    figure, panels = new_figure(1, len(maps), width=5.0 * len(maps), height=4.0)
+    lowest = min(float(np.nanmin(m.condition)) for m in maps)
+    highest = max(float(np.nanmax(m.condition)) for m in maps)
+    image = None
+    with house_style():
+        for axes, found in zip(panels, maps, strict=True):
+            first, second = 1e3 * found.first, 1e3 * found.second
+            edges = (first[0], first[-1], second[0], second[-1])
+            image = axes.imshow(
+                found.condition.T,
+                origin="lower",
+                extent=edges,
+                aspect="auto",
+                vmin=lowest,
+                vmax=highest,
+                cmap="viridis",
+            )
+            labels = [f"{name} [{'mm' if name.startswith('t') else 'mrad'}]" for name in found.names]
+            axes.set(xlabel=labels[0], ylabel=labels[1])
+            axes.grid(visible=False)
+        if image is not None:
+            figure.colorbar(image, ax=panels, label="condition number of the Jacobian")
+    return figure
 
 
 def sine_figure(run: SineRun, until: float) -> Figure:

@@ -29,7 +29,7 @@ def test_thesis_meets_its_requirements(tmp_path):
     judged = {q["that"] for q in result.data["requirements"]}
     rows = step["numbers"]["rows"]
     assert {f"numbers.rows.{key}.ours" for key, row in rows.items() if row["status"] == "R"} <= judged
-    assert len(step["figures"]) == 13
+    assert len(step["figures"]) == 14
     page = (result.folder / "report.html").read_text(encoding="utf-8")
     assert "not reproducible from the text" in page
     assert rl.load(result.folder / "evidence/numbers.h5").status is rl.Status.CONVERGED

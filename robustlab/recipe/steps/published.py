@@ -22,6 +22,7 @@ def published_numbers(step: PublishedNumbersStep, work: Workspace) -> Outcome:
 
     found = compute()
     work.keep(found)
+    _draw_conditions(work)
     _draw_sines(found, work)
     _draw_tracking(found, work)
     bands = {case.name: _band(case, step.n, work) for case in found.cases}
@@ -33,6 +34,21 @@ def published_numbers(step: PublishedNumbersStep, work: Workspace) -> Outcome:
     summary = f"{len(rows)} rows: {counts['R'] - len(off)} of {counts['R']} said to be reproduced are."
     numbers = {"rows": rows, "counts": counts, "disagreeing": len(off), "bands": bands}
     return Outcome(None, summary, numbers, facts, found.status, text=found.table())
+
+
+def _draw_conditions(work: Workspace) -> None:
+    import numpy as np
+
+    from robustlab.dynamics.stewart import condition_map, stewart_platform
+    from robustlab.report.stewart_figures import condition_figure
+
+    geometry, side, tilt = stewart_platform().geometry, np.linspace(-0.025, 0.025, 101), np.linspace(-0.15, 0.15, 101)
+    maps = [condition_map(geometry, ("tx", "ty"), side, side), condition_map(geometry, ("ax", "ay"), tilt, tilt)]
+    work.draw(
+        condition_figure(maps),
+        "condition",
+        "How near poses about home are to a singular one; white is out of the workspace (6.2.1).",
+    )
 
 
 def _draw_sines(found: Any, work: Workspace) -> None:
