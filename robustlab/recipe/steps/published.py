@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from robustlab.recipe.outcome import Fact, Outcome, Workspace
+from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import PublishedNumbersStep
 
 __all__ = ["published_numbers"]
@@ -31,9 +31,19 @@ def published_numbers(step: PublishedNumbersStep, work: Workspace) -> Outcome:
     off = found.disagreeing
     facts = tuple(Fact(f"Rows {status}: {meaning}", str(counts[status])) for status, meaning in _MEANING.items())
     facts += (Fact("Rows R that do not agree", ", ".join(off) or "none"),)
+    facts += tuple(_fact(row) for row in found.rows.values())
     summary = f"{len(rows)} rows: {counts['R'] - len(off)} of {counts['R']} said to be reproduced are."
     numbers = {"rows": rows, "counts": counts, "disagreeing": len(off), "bands": bands}
-    return Outcome(None, summary, numbers, facts, found.status, text=found.table())
+    return Outcome(None, summary, numbers, facts, found.status)
+
+
+def _fact(row: Any) -> Fact:
+    """A row as a line of the report: published, ours, difference; the reason as its source."""
+    limit = {"equal": "", "at most": "at most ", "at least": "at least "}[row.bound]
+    published = "not printed" if row.published is None else f"published {limit}{quantity(row.published, row.unit)}"
+    ours = "ours: none" if row.ours is None else f"ours {quantity(row.ours, row.unit, 6)}"
+    gap = "" if row.difference is None else f"; difference {quantity(row.difference, row.unit, 3)}"
+    return Fact(f"{row.key} ({row.status}): {row.quantity}, {row.where}", f"{published}; {ours}{gap}", row.why)
 
 
 def _draw_conditions(work: Workspace) -> None:
@@ -91,8 +101,8 @@ def _band(case: Any, n: int, work: Workspace) -> dict[str, float]:
         nominal = responses.nominal[:, k]
         bands[name] = 100 * (responses.y[:, :, k] - nominal) / np.abs(nominal).max()
     caption = (
-        f"Case {case.name} ({case.words}): {n} random members from -Δ to +Δ and both ends, 0.1 N m at 2 Hz, in percent"
-        f" of the largest nominal value; the thesis has ±{case.published:g} % (10.2-10.21)."
+        f"Case {case.name} ({case.words}): {n} random members from -Δ to +Δ and both ends, trimmed anew, 0.1 N m at 2 Hz,"
+        f" in percent of the largest nominal value; the thesis has ±{case.published:g} % (10.2-10.21)."
     )
     work.draw(percent_figure(t, bands, case.published), f"case-{case.name}", caption)
     return {name: float(np.abs(curves).max()) for name, curves in bands.items()}
