@@ -129,6 +129,9 @@ class LineariseStep(StepBase):
     gives: ClassVar[str] = "model"
     do: Literal["linearise"]
     of: ToPlant
+    at: Annotated[list[float], Field(min_length=6, max_length=6)] | None = Field(
+        None, description="Pose of a mechanism: tx, ty, tz in m, ax, ay, az in rad; home where left out."
+    )
     outputs: list[str] | None = None
 
 
@@ -323,6 +326,16 @@ class CompareStep(StepBase):
     position: str | None = Field(None, description="Output over which the error is sorted by position.")
 
 
+# --- published numbers -----------------------------------------------------------------------------------------------
+
+
+class PublishedNumbersStep(StepBase):
+    """Every number that L. Březina's thesis prints about its Stewart platform beside ours, with its figures redrawn."""
+
+    do: Literal["published-numbers"]
+    n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
+
+
 Step = Annotated[
     PlantStep
     | LineariseStep
@@ -340,7 +353,8 @@ Step = Annotated[
     | HinfStep
     | CloseLoopStep
     | RecordStep
-    | CompareStep,
+    | CompareStep
+    | PublishedNumbersStep,
     Field(discriminator="do"),
 ]
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, design, measurement, models
+from robustlab.recipe.steps import analysis, design, measurement, models, published
 
 __all__ = ["EXECUTORS"]
 
@@ -32,4 +32,5 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "close-loop": design.close_loop,
     "record": measurement.record,
     "compare": measurement.compare,
+    "published-numbers": published.published_numbers,
 }

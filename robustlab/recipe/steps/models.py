@@ -51,12 +51,17 @@ def plant(step: PlantStep, _work: Workspace) -> Outcome:
 def linearise(step: LineariseStep, work: Workspace) -> Outcome:
     """The state-space model of a plant."""
     import robustlab as rl
+    from robustlab.dynamics import LinearPlant
     from robustlab.structural import drop_unconnected
 
-    model = rl.linearise(work.values[step.of])
+    given = work.values[step.of]
+    if step.at is not None and isinstance(given, LinearPlant):
+        raise InputError("at", f"a pose of {step.of}, which is linear", "no pose: the model is the same everywhere")
+    model = rl.linearise(given, at=step.at)
     if step.outputs is not None:
         model = drop_unconnected(model.select(outputs=step.outputs))
-    return Outcome(model, f"State-space model of {step.of}.", _model_numbers(model), _model_facts(model))
+    where = "" if step.at is None else f" at the pose {', '.join(f'{value:g}' for value in step.at)}"
+    return Outcome(model, f"State-space model of {step.of}{where}.", _model_numbers(model), _model_facts(model))
 
 
 def load(step: LoadStep, work: Workspace) -> Outcome:

@@ -1,0 +1,127 @@
+"""Figures of the Stewart platform: linear against nonlinear, perturbed models in percent, the controlled machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from robustlab.dynamics.stewart.thesis_runs import SineRun
+from robustlab.dynamics.stewart.workspace import ConditionMap
+from robustlab.dynamics.trajectory_following import TrajectoryFollowing
+from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
+
+__all__ = ["condition_figure", "percent_figure", "sine_figure", "tracking_effort_figure", "tracking_error_figure"]
+
+Array = NDArray[np.float64]
+# Six lines in one panel: colours of Okabe and Ito, the second three dashed, so that they are told apart in grey too.
+SIX = [("#0072B2", "-"), ("#D55E00", "-"), ("#009E73", "-"), ("#56B4E9", "--"), ("#E69F00", "--"), ("#CC79A7", "--")]
+# Curves that lie on one another: wide, dashed and thin, dotted and thinner.
+THREE = [("#56B4E9", "-"), ("#D55E00", (0, (4, 3))), ("#222222", ":")]
+
+
+def condition_figure(maps: Sequence[ConditionMap]) -> Figure:
+    """Condition number of the Jacobian over two coordinates of the pose each; white is out of the workspace."""
+    figure, panels = new_figure(1, len(maps), width=5.0 * len(maps), height=4.0)
+    lowest = min(float(np.nanmin(m.condition)) for m in maps)
+    highest = max(float(np.nanmax(m.condition)) for m in maps)
+    image = None
+    with house_style():
+        for axes, found in zip(panels, maps, strict=True):
+            first, second = 1e3 * found.first, 1e3 * found.second
+            edges = (first[0], first[-1], second[0], second[-1])
+            image = axes.imshow(
+                found.condition.T,
+                origin="lower",
+                extent=edges,
+                aspect="auto",
+                vmin=lowest,
+                vmax=highest,
+                cmap="viridis",
+            )
+            labels = [f"{name} [{'mm' if name.startswith('t') else 'mrad'}]" for name in found.names]
+            axes.set(xlabel=labels[0], ylabel=labels[1])
+            axes.grid(visible=False)
+        if image is not None:
+            figure.colorbar(image, ax=panels, label="condition number of the Jacobian")
+    return figure
+
+
+def sine_figure(run: SineRun, until: float) -> Figure:
+    """Nut 1 up to the time ``until`` in s: angle and rate, nonlinear and linear, and the difference in percent."""
+    figure, (angle, rate, gap) = new_figure(1, 3, width=10.8, height=3.3)
+    t, angle_gap, rate_gap = run.percent(until)
+    n = len(t)
+    with house_style():
+        for axes, column, label in ((angle, 0, "nut angle [rad]"), (rate, 6, "nut rate [rad/s]")):
+            axes.plot(t, run.nonlinear[:n, column], color=COLOURS["nominal"], lw=2.4, label="nonlinear")
+            axes.plot(t, run.linear[:n, column], color=COLOURS["worst"], ls=(0, (4, 2)), label="linear, at home")
+            axes.set(xlabel="time [s]", ylabel=label)
+        gap.plot(t, angle_gap, color=COLOURS["nominal"], label="angle")
+        gap.plot(t, rate_gap, color=COLOURS["worst"], ls=(0, (4, 2)), label="rate")
+        gap.set(xlabel="time [s]", ylabel="linear minus nonlinear [%]")
+        for axes in (angle, gap):
+            axes.legend()
+    return figure
+
+
+def percent_figure(t: Array, bands: Mapping[str, Array], published: float) -> Figure:
+    """Members' deviations from the nominal response in percent, (members, n) of each output, and the published band."""
+    figure, panels = new_figure(1, len(bands), width=10.4, height=3.3)
+    with house_style():
+        for axes, (name, curves) in zip(panels, bands.items(), strict=True):
+            low, high = curves.min(axis=0), curves.max(axis=0)
+            axes.fill_between(t, low, high, color=COLOURS["band"], alpha=0.25, lw=0, label="all members")
+            for i, curve in enumerate(curves):
+                axes.plot(t, curve, color=COLOURS["sample"], lw=0.6, label="member" if i == 0 else None)
+            for i, edge in enumerate((-published, published)):
+                label = f"thesis: ±{published:g} %" if i == 0 else None
+                axes.axhline(edge, color=COLOURS["worst"], ls=(0, (5, 2)), lw=1.3, label=label)
+            axes.set(xlabel="time [s]", ylabel=f"change of {plain_label(name)} [%]")
+        panels[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def tracking_error_figure(run: TrajectoryFollowing) -> Figure:
+    """Errors of position and orientation over time."""
+    figure, (position, angle) = new_figure(2, 1, width=8.4, height=2.6, sharex=True)
+    with house_style():
+        panels = (
+            (position, 1e3 * run.error[:, :3], "position error [mm]", ("x", "y", "z")),
+            (angle, 1e3 * run.error[:, 3:], "orientation error [mrad]", ("about x", "about y", "about z")),
+        )
+        for axes, values, label, names in panels:
+            for column, name, (colour, dashes), width in zip(values.T, names, THREE, (4.0, 2.4, 1.4), strict=True):
+                axes.plot(run.t, column, color=colour, ls=dashes, lw=width, label=name)
+            axes.set_ylabel(label)
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        angle.set_xlabel("time [s]")
+    return figure
+
+
+def tracking_effort_figure(run: TrajectoryFollowing) -> Figure:
+    """Torques and voltages of the six motors with their limits, and lengths of the actuators."""
+    figure, panels = new_figure(3, 1, width=8.4, height=2.3, sharex=True)
+    shown = (
+        (1e3 * run.torque, "torque [mN m]", 1e3 * run.limits.torque),
+        (run.voltage, "voltage [V]", run.limits.voltage),
+        (1e3 * run.lengths, "length [mm]", None),
+    )
+    with house_style():
+        for axes, (values, label, limit) in zip(panels, shown, strict=True):
+            for i, (column, (colour, dashes)) in enumerate(zip(values.T, SIX, strict=True)):
+                axes.plot(run.t, column, color=colour, ls=dashes, lw=1.2, label=f"link {i + 1}")
+            axes.set_ylabel(label)
+            if limit is not None and np.abs(values).max() > 0.4 * limit:  # a far limit would flatten the curves
+                for i, edge in enumerate((-limit, limit)):
+                    axes.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.3, label=None if i else "motor's limit")
+            elif limit is not None:
+                axes.set_title(
+                    f"the motor's limit of {limit:g} is beyond this panel", fontsize=8.5, fontweight="normal"
+                )
+        lines = {text: line for axes in panels for line, text in zip(*axes.get_legend_handles_labels(), strict=True)}
+        panels[0].legend(lines.values(), lines, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        panels[-1].set_xlabel("time [s]")
+    return figure

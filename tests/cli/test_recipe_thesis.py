@@ -1,0 +1,63 @@
+"""The recipes of the thesis and of the platform's models run and meet their requirements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError
+from robustlab.recipe.load import load_recipe
+from robustlab.recipe.run import run_recipe
+from robustlab.recipe.shipped import recipe_path
+
+ROOT = Path(__file__).parents[2]
+CHAPTER_11, REQUIREMENTS = "# --- chapter 11:", "# --- requirements"
+
+
+def test_thesis_meets_its_requirements(tmp_path):
+    """Without the comparisons of chapter 11, whose kind of step first-light tests: they would take half a minute."""
+    text = load_recipe(recipe_path("thesis")).text
+    short = tmp_path / "thesis.toml"
+    short.write_text(text[: text.index(CHAPTER_11)] + text[text.index(REQUIREMENTS) :], encoding="utf-8")
+    result = run_recipe(load_recipe(short, ["numbers.n=4"]), tmp_path / "out")
+    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
+    assert result.exit_code == 0
+    (step,) = [s for s in result.data["steps"] if s["name"] == "numbers"]
+    judged = {q["that"] for q in result.data["requirements"]}
+    rows = step["numbers"]["rows"]
+    assert {f"numbers.rows.{key}.ours" for key, row in rows.items() if row["status"] == "R"} <= judged
+    assert len(step["figures"]) == 14
+    page = (result.folder / "report.html").read_text(encoding="utf-8")
+    assert "not reproducible from the text" in page
+    assert rl.load(result.folder / "evidence/numbers.h5").status is rl.Status.CONVERGED
+
+
+def test_the_committed_platform_models_are_those_of_their_recipe(tmp_path):
+    result = run_recipe(load_recipe(recipe_path("platform-models")), tmp_path / "out")
+    assert result.exit_code == 0
+    for name in ("platform_nominal.h5", "platform_low.h5"):
+        made, committed = rl.load(result.folder / name), rl.load(ROOT / "models" / name)
+        assert made.output_names == committed.output_names
+        for matrix in "ABCD":  # compiled code may round differently elsewhere
+            size = np.abs(getattr(made, matrix)).max()
+            np.testing.assert_allclose(getattr(made, matrix), getattr(committed, matrix), rtol=0, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize(
+    ("plant", "at", "message"),
+    [
+        ("dc-motor", [0, 0, 0.1262, 0, 0, 0], "which is linear"),
+        ("stewart-platform", [0, 0, 0.2, 0, 0, 0], "out of the workspace"),
+    ],
+)
+def test_a_pose_that_cannot_be(tmp_path, plant, at, message):
+    file = tmp_path / "r.toml"
+    file.write_text(
+        f'schema = "robustlab.recipe/1"\nname = "r"\n[step.p]\ndo = "plant"\nplant = "{plant}"\n'
+        f'[step.m]\ndo = "linearise"\nof = "p"\nat = {[float(x) for x in at]}\n'
+    )
+    with pytest.raises(InputError, match=message):
+        run_recipe(load_recipe(file), tmp_path / "out")

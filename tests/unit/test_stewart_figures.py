@@ -1,0 +1,73 @@
+"""Figures of the Stewart platform show what they are given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.stewart import condition_map
+from robustlab.dynamics.stewart.thesis_runs import sine_run
+from robustlab.dynamics.trajectory_following import MotorLimits, TrajectoryFollowing
+from robustlab.report.figures import save_figure
+from robustlab.report.stewart_figures import (
+    condition_figure,
+    percent_figure,
+    sine_figure,
+    tracking_effort_figure,
+    tracking_error_figure,
+)
+
+T = np.linspace(0.0, 1.0, 51)
+
+
+def following(torque):
+    six = np.tile(np.sin(T)[:, None], 6)
+    return TrajectoryFollowing(T, 0 * six, 1e-3 * six, six, torque * six, six, six, 0.17 + 0.01 * six, MotorLimits(), 1)
+
+
+@pytest.fixture(scope="module")
+def sine():
+    return sine_run(rl.plant("stewart-platform"), 0.1, 20.0, 0.05, 101)
+
+
+def test_sine_figure_ends_where_asked_and_shows_the_difference(sine):
+    angle, _, gap = sine_figure(sine, 0.03).axes
+    assert angle.lines[0].get_xdata()[-1] == pytest.approx(0.03)
+    expected = sine.percent(0.03)[1]
+    np.testing.assert_array_equal(gap.lines[0].get_ydata(), expected)
+    assert expected[-1] == pytest.approx(
+        100 * (sine.linear[60, 0] - sine.nonlinear[60, 0]) / np.abs(sine.nonlinear[:61, 0]).max()
+    )
+
+
+def test_percent_figure_has_the_published_band():
+    curves = np.array([[-1.0], [0.5], [2.0]]) * T
+    left, right = percent_figure(T, {"phi_1": curves, "phidot_1": 2 * curves}, 2.54).axes
+    assert {line.get_ydata()[0] for line in left.lines if len(line.get_ydata()) == 2} == {-2.54, 2.54}
+    (band,) = right.collections
+    assert band.get_paths()[0].vertices[:, 1].max() == 4.0
+
+
+@pytest.mark.parametrize(("torque", "drawn"), [(0.2, True), (0.001, False)])
+def test_a_limit_is_drawn_or_told(torque, drawn):
+    panel = tracking_effort_figure(following(torque)).axes[0]
+    levels = {round(float(line.get_ydata()[0]), 6) for line in panel.lines if len(line.get_ydata()) == 2}
+    assert (levels == {-97.7, 97.7}) is drawn
+    assert ("97.7" in panel.get_title(loc="left")) is not drawn
+
+
+def test_tracking_errors_are_in_millimetres():
+    position, _ = tracking_error_figure(following(0.1)).axes
+    np.testing.assert_allclose(position.lines[2].get_ydata(), np.sin(T))
+
+
+def test_condition_figure_is_blank_out_of_the_workspace_and_deterministic(tmp_path):
+    geometry = rl.plant("stewart-platform").geometry
+    found = condition_map(geometry, ("tx", "ty"), np.linspace(-0.03, 0.03, 7), np.linspace(-0.03, 0.03, 5))
+    figure = condition_figure([found])
+    shown = figure.axes[0].images[0].get_array()
+    np.testing.assert_array_equal(np.ma.getmaskarray(shown), np.isnan(found.condition.T))
+    for folder in ("a", "b"):
+        save_figure(condition_figure([found]), tmp_path / folder, "c")
+    assert (tmp_path / "a/c.svg").read_bytes() == (tmp_path / "b/c.svg").read_bytes()
