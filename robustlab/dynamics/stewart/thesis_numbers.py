@@ -224,7 +224,7 @@ def _geometry_rows(plant: StewartPlatform) -> list[PublishedNumber]:
             gap(g.base[:, :2], BASE), "mm", "R", 0.06, "b6 y is misprinted: 114,5 must be -114,5"),
         row("2", "platform points p1-p4, y: largest distance from the table", "6.2, App. B", 0.0,
             gap(g.platform[:4, 1], PLATFORM_Y), "mm",
-            "R", 0.065, "the table is rounded: it has 113 where the formula gives 112.936"),
+            "R", 0.065, "the table has 113 where the formula gives 112.936; hence 0.065 mm and not 0.06"),
         row("3", "bearing points m2, m3: largest distance from the table", "App. B", 0.0,
             gap(g.bearing[1:3, :2], BEARING), "mm", "R", 0.06,
             "m2, m3 x are misprinted: 163,3 must be 16,33"),

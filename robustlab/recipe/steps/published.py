@@ -101,8 +101,8 @@ def _band(case: Any, n: int, work: Workspace) -> dict[str, float]:
         nominal = responses.nominal[:, k]
         bands[name] = 100 * (responses.y[:, :, k] - nominal) / np.abs(nominal).max()
     caption = (
-        f"Case {case.name} ({case.words}): {n} random members from -Δ to +Δ and both ends, trimmed anew, 0.1 N m at"
-        f" 2 Hz, in percent of the largest nominal value; the thesis has ±{case.published:g} % (10.2-10.21)."
+        f"Case {case.name} ({case.words}): {n} random members from -Δ to +Δ and both ends, trimmed anew,"
+        f" 0.1 N m at 2 Hz, in percent of the largest nominal value; the thesis has ±{case.published:g} % (10.2-10.21)."
     )
     work.draw(percent_figure(t, bands, case.published), f"case-{case.name}", caption)
     return {name: float(np.abs(curves).max()) for name, curves in bands.items()}
