@@ -121,6 +121,16 @@ class PlantStep(StepBase):
     do: Literal["plant"]
     plant: str = Field(description='Name of the plant, for example "dc-motor".')
     parameters: dict[str, NumberOrPair] = Field({}, description="Values in SI units, or [value, relative tolerance].")
+    choices: dict[str, str | bool | list[float]] = Field(
+        {}, description='What is no single number: preset = "physical", motors = true, m = [1.0, 2.0] for a chain.'
+    )
+
+    @model_validator(mode="after")
+    def _named_once(self) -> Self:
+        twice = sorted(set(self.parameters) & set(self.choices))
+        if twice:
+            raise PydanticCustomError("named_once", "{name} is among parameters and choices", {"name": twice[0]})
+        return self
 
 
 class LineariseStep(StepBase):

@@ -36,7 +36,7 @@ def plant(step: PlantStep, _work: Workspace) -> Outcome:
     import robustlab as rl
 
     given = {name: tuple(value) if isinstance(value, list) else value for name, value in step.parameters.items()}
-    made = rl.plant(step.plant, **given)
+    made = rl.plant(step.plant, **given, **step.choices)
     facts = []
     for p in made.parameters.values():
         spread = f" ± {100 * p.tolerance:g} %" if p.tolerance else ""

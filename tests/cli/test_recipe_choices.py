@@ -1,0 +1,56 @@
+"""Choices of a plant in a recipe: a preset, motors, a chain of masses."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from robustlab.cli.main import run
+
+RECIPE = """\
+schema = "robustlab.recipe/1"
+name = "choices"
+[step.platform]
+do = "plant"
+plant = "stewart-platform"
+choices = { preset = "physical", motors = true }
+[step.chain]
+do = "plant"
+plant = "mass-spring-damper"
+choices = { m = [1.0, 2.0, 3.0], c = [0.1, 0.1, 0.1], k = [10.0, 20.0, 30.0] }
+[step.linear]
+do = "linearise"
+of = "platform"
+at = [0.0, 0.0, 0.13, 0.0, 0.0, 0.0]
+"""
+
+
+def test_choices_reach_the_plant(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "r.toml").write_text(RECIPE)
+    assert run(["run", "r.toml", "--out", "o"]) == 0
+    steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
+    assert any(fact["value"].startswith("phi_1") and "i_6" in fact["value"] for fact in steps["linear"]["facts"])
+    assert "f3" in steps["chain"]["summary"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('preset = "physical"', 'preset = "nosuch"', "preset"),
+        ("motors = true", "motorz = true", "motorz"),
+        (
+            "choices = { preset",
+            "parameters = { motors = 1.0 }\nchoices = { preset",
+            "motors is among parameters and choices",
+        ),
+    ],
+)
+def test_wrong_choices_are_named(old, new, text, tmp_path, monkeypatch, capsys):
+    from robustlab.cli.console import main_guard
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "r.toml").write_text(RECIPE.replace(old, new))
+    assert main_guard(lambda: run(["run", "r.toml", "--out", "o"])) == 3
+    assert text in capsys.readouterr().err
