@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from robustlab.dynamics.stewart.direct_kinematics import DirectPoses, assembly_poses, direct_kinematics
+from robustlab.dynamics.stewart.friction import simulate_platform_with_friction
 from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.dynamics.stewart.kinematics import acceleration_bias, inverse_kinematics, nut_angles, velocity_jacobian
 from robustlab.dynamics.stewart.rigid_body import (
@@ -33,6 +34,7 @@ __all__ = [
     "mass_matrix",
     "nut_angles",
     "potential_energy",
+    "simulate_platform_with_friction",
     "singularity",
     "stewart_platform",
     "trim_torque",
