@@ -174,7 +174,7 @@ def _step(
             plant.name,
             f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
         )
-    compliance = np.linalg.inv(mass_matrix(plant, pose))
+    compliance = np.asarray(np.linalg.inv(mass_matrix(plant, pose)), dtype=np.float64)
     free = rates + h * compliance @ (plant.values["ratio"] * u - bias_torque(plant, pose, rates))
     torques, after = friction_torques(h * compliance, free, rates, slide, hold)
     return np.concatenate([middle + 0.5 * h * after, after]), pose, torques
