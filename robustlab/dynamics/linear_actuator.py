@@ -41,9 +41,11 @@ _CART = (
 
 PARAMETERS = (
     *(replace(p, sign="nonnegative") if p.name == "J" else p for p in MOTOR),  # J = 0: the thesis leaves it out
-    Parameter("J_nut", 2.2071e-5, "kg m2", 0.10, _BODIES, "inertia of the screw nut about its axis", "nonnegative"),
-    Parameter("m_screw", 0.112, "kg", 0.10, _BODIES, "mass of the ball screw, which slides", "nonnegative"),
-    Parameter("m_cart", 3.167 / 6, "kg", 0.5, _CART, "mass of the cart", "nonnegative"),
+    Parameter("J_nut", 2.2071e-5, "kg m2", 0.10, _BODIES, "inertia of the screw nut about its axis", "nonnegative",
+              role="inertia"),
+    Parameter("m_screw", 0.112, "kg", 0.10, _BODIES, "mass of the ball screw, which slides", "nonnegative",
+              role="inertia"),
+    Parameter("m_cart", 3.167 / 6, "kg", 0.5, _CART, "mass of the cart", "nonnegative", role="inertia"),
     Parameter("ratio", 4.8 * 41 / 21, "rad/rad", 0.0, "Březina 2010, section 6.1.1", "motor turns per nut turn",
               "positive"),
     Parameter("lead", 0.004, "m", 0.0, "Březina 2010, App. A", "travel of the screw per turn of the nut", "positive"),

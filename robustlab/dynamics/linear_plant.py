@@ -110,6 +110,10 @@ class LinearPlant(Plant):
             solved[:, :n], solved[:, n:], c, d, 0.0, self.inputs, self.outputs, self.states, where=self.name
         )
 
+    def matrices(self, values: Mapping[str, float]) -> list[Array]:
+        """E, F, G, C, D of the descriptor form at the given parameter values (name -> value, all of them)."""
+        return self._matrices(values)
+
     def to_model(self) -> StateSpaceModel:
         """The same as `state_space`; functions that take a model call it, so they take a linear plant too."""
         return self.state_space()

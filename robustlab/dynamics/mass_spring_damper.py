@@ -26,9 +26,9 @@ __all__ = ["mass_spring_damper"]
 _EXAMPLE = "example value, no published source"
 
 PARAMETERS = (
-    Parameter("m", 1.0, "kg", 0.0, _EXAMPLE, "mass", "positive"),
-    Parameter("c", 1.0, "N s/m", 0.0, _EXAMPLE, "damping", "nonnegative"),
-    Parameter("k", 100.0, "N/m", 0.0, _EXAMPLE, "stiffness", "nonnegative"),
+    Parameter("m", 1.0, "kg", 0.0, _EXAMPLE, "mass", "positive", role="inertia"),
+    Parameter("c", 1.0, "N s/m", 0.0, _EXAMPLE, "damping", "nonnegative", role="viscous-friction"),
+    Parameter("k", 100.0, "N/m", 0.0, _EXAMPLE, "stiffness", "nonnegative", role="stiffness"),
 )
 
 
@@ -63,7 +63,7 @@ def mass_spring_damper(**given: Any) -> LinearPlant:
     for p in PARAMETERS:
         for j, name in enumerate(_numbered(p.name, n)):
             meaning = p.meaning if n == 1 else f"{p.meaning} {j + 1}"
-            defaults.append(Parameter(name, p.value, p.unit, p.tolerance, p.source, meaning, p.sign))
+            defaults.append(Parameter(name, p.value, p.unit, p.tolerance, p.source, meaning, p.sign, p.role))
             if p.name in given:
                 values[name] = lists[p.name][j] if p.name in lists else given[p.name]
     q = [Signal(name, "m") for name in _numbered("q", n)]

@@ -10,9 +10,12 @@ from typing import Any, Literal
 from robustlab.errors import InputError, did_you_mean
 from robustlab.uncertainty.blocks import ParameterRange
 
-__all__ = ["Parameter", "Sign", "overridden"]
+__all__ = ["Parameter", "Role", "Sign", "overridden"]
 
 Sign = Literal["any", "nonnegative", "positive"]
+Role = Literal[
+    "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain"
+]
 GIVEN = "given by the user"
 
 
@@ -36,6 +39,9 @@ class Parameter:
         What it is, in words.
     sign
         What physics allows: a mass is ``"positive"``, a friction coefficient ``"nonnegative"``, a gain ``"any"``.
+    role
+        What it is to the equations of motion, where an effect may act on it: all parameters with the role ``"inertia"``
+        are what an "inertia wrong" scales. Empty: no effect acts on it.
 
     Raises
     ------
@@ -56,6 +62,7 @@ class Parameter:
     source: str = ""
     meaning: str = ""
     sign: Sign = "any"
+    role: Role = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "value", _number(self.name, self.value))

@@ -18,10 +18,10 @@ __all__ = ["two_mass"]
 _EXAMPLE = "example value, no published source"
 
 PARAMETERS = (
-    Parameter("J1", 1e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the motor's side", "positive"),
-    Parameter("J2", 2e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the load's side", "positive"),
-    Parameter("c", 2e-3, "N m s/rad", 0.0, _EXAMPLE, "damping of the shaft", "nonnegative"),
-    Parameter("k", 10.0, "N m/rad", 0.0, _EXAMPLE, "stiffness of the shaft", "nonnegative"),
+    Parameter("J1", 1e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the motor's side", "positive", role="inertia"),
+    Parameter("J2", 2e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the load's side", "positive", role="inertia"),
+    Parameter("c", 2e-3, "N m s/rad", 0.0, _EXAMPLE, "damping of the shaft", "nonnegative", role="viscous-friction"),
+    Parameter("k", 10.0, "N m/rad", 0.0, _EXAMPLE, "stiffness of the shaft", "nonnegative", role="stiffness"),
 )
 
 

@@ -1,0 +1,47 @@
+r"""Dry friction: a force of constant size against the motion that holds the joint at rest.
+
+.. math:: f = -F_c \operatorname{sgn} v, \qquad |f| \le F_c \text{ and } v = 0 \text{ while the joint sticks}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.law_kernel import GV, V, law
+
+__all__ = ["EFFECT", "dry_force"]
+
+
+@law
+def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """p = (F_c,): stick if a force within F_c stops the port by the end of the step."""
+    if abs(seen[V]) <= seen[GV] * p[0]:
+        return -seen[V] / seen[GV]
+    return -p[0] if seen[V] > 0.0 else p[0]
+
+
+class CoulombFriction(Effect):
+    """Coulomb friction with exact sticking."""
+
+    id = "coulomb-friction"
+    title = "Coulomb (dry) friction"
+    equation = "f = -Fc sgn(v), |f| <= Fc at rest"
+    site_kind = "joint"
+    substeps = 2
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("log", 0.1 * scales.force, 1.2)
+        return (EffectParameter("Fc", scales.force_unit, "friction level", prior),)
+
+    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
+        return (Law(dry_force, site.name, (values["Fc"],)),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Describing function of the relay for a sinusoidal speed of this amplitude: 4 Fc / (pi a); the sector of all
+        # speeds up to the amplitude reaches from there down to nothing at all above it, as damping.
+        gain = 4.0 * values["Fc"] / (3.141592653589793 * amplitude)
+        return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"])
+
+
+EFFECT = CoulombFriction()

@@ -1,0 +1,144 @@
+r"""The compiled stepping of a linear plant with force laws at its ports.
+
+Over a step of length h the forces are held (the plant itself is exact):
+
+.. math::
+    x^+ = \Phi x + \Gamma_u u + \sum_j \Gamma_j f_j, \qquad \Gamma_j = \int_0^h e^{A s} b_j\, ds
+
+Each law answers with a force that fits the motion *at the end of the step that this very force brings about*: it is
+given the motion at the port without it, ``q, v``, and the port's compliance ``gq = p^T Gamma, gv = c^T Gamma``, so that
+the motion with it is ``q + gq f, v + gv f``. A set-valued law (dry friction, a contact) solves its own inclusion in
+closed form: Coulomb's law sticks with the velocity exactly zero. Several laws are swept (Gauss-Seidel) until they agree.
+
+References
+----------
+Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), chapters 9 and 10 (time stepping).
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numba as nb
+import numpy as np
+from numba import types
+
+__all__ = ["GQ", "GV", "LAW_SIGNATURE", "MAX_LAWS", "Q0", "STEP", "TIME", "V0", "Q", "V", "law", "no_force", "step_windows"]
+
+# Entries of the vector that a law is given: position and velocity at the start of the step, both at its end without
+# the law's own force, the compliance of both, the length of the step in s, and the time at its start in s.
+Q0, V0, Q, V, GQ, GV, STEP, TIME = range(8)
+N_SEEN = 8
+
+VECTOR = types.float64[::1]
+LAW_SIGNATURE = types.float64(VECTOR, VECTOR, VECTOR, VECTOR)
+MAX_LAWS = 8
+SWEEPS = 12
+AGREED = 1e-9  # relative to the largest force of the step
+
+
+def law(function):  # type: ignore[no-untyped-def]
+    """Compile ``function(p, z, z_next, seen) -> force``.
+
+    p are the law's parameters, z its memory at the start of the step (never to be written), z_next the memory at the
+    end, seen the vector described above.
+    """
+    return nb.cfunc(LAW_SIGNATURE, cache=True)(function)
+
+
+@law
+def no_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Fills unused places."""
+    return 0.0
+
+
+@nb.njit(cache=True, nogil=True)
+def step_windows(
+    laws, n_laws, phi, gamma_u, gamma_f, velocity, position, parameters, memory, u, x0, own, starts, length, sub, h, t0,
+    states, forces,
+):  # type: ignore[no-untyped-def]
+    """Simulate windows one after the other.
+
+    phi (n, n), gamma_u (n, n_u), gamma_f (n_laws, n), velocity, position (n_laws, n), parameters (n_laws, n_p), memory
+    (n_laws, n_z; changed in place), u (n_samples * sub, n_u), x0 (n_windows, n): start of each window; its states from
+    ``own`` on (those of effects) are used in the first window and carried over afterwards. starts (n_windows): first
+    sample; states (n_windows, length, n) and forces (n_windows, length, n_laws; those of the last step before the
+    sample) are written.
+    """
+    n = phi.shape[0]
+    n_u = gamma_u.shape[1]
+    x = x0[0].copy()
+    free = np.empty(n)
+    seen = np.zeros(N_SEEN)
+    f = np.zeros(max(n_laws, 1))
+    z_next = memory.copy()
+    gq = np.zeros(max(n_laws, 1))
+    gv = np.zeros(max(n_laws, 1))
+    for j in range(n_laws):
+        for i in range(n):
+            gq[j] += position[j, i] * gamma_f[j, i]
+            gv[j] += velocity[j, i] * gamma_f[j, i]
+    for w in range(starts.shape[0]):
+        for i in range(own):
+            x[i] = x0[w, i]
+        f[:] = 0.0
+        for k in range(length):
+            for i in range(n):
+                states[w, k, i] = x[i]
+            for j in range(n_laws):
+                forces[w, k, j] = f[j]
+            for s in range(sub):
+                row = (starts[w] + k) * sub + s
+                for i in range(n):
+                    a = 0.0
+                    for c in range(n):
+                        a += phi[i, c] * x[c]
+                    for c in range(n_u):
+                        a += gamma_u[i, c] * u[row, c]
+                    free[i] = a
+                for j in range(n_laws):
+                    f[j] = 0.0
+                sweeps = SWEEPS if n_laws > 1 else 1
+                for sweep in range(sweeps):
+                    change = 0.0
+                    largest = 0.0
+                    for j in range(n_laws):
+                        q0 = 0.0
+                        v0 = 0.0
+                        q = -gq[j] * f[j]
+                        v = -gv[j] * f[j]
+                        for i in range(n):
+                            q0 += position[j, i] * x[i]
+                            v0 += velocity[j, i] * x[i]
+                            q += position[j, i] * free[i]
+                            v += velocity[j, i] * free[i]
+                        seen[0] = q0
+                        seen[1] = v0
+                        seen[2] = q
+                        seen[3] = v
+                        seen[4] = gq[j]
+                        seen[5] = gv[j]
+                        seen[6] = h
+                        seen[7] = t0 + row * h
+                        force = laws[j](parameters[j], memory[j], z_next[j], seen)
+                        delta = force - f[j]
+                        if delta != 0.0:
+                            for i in range(n):
+                                free[i] += gamma_f[j, i] * delta
+                            f[j] = force
+                        change = max(change, abs(delta) * gv[j])
+                        largest = max(largest, abs(force) * gv[j])
+                    if change <= AGREED * largest:
+                        break
+                for j in range(n_laws):
+                    for i in range(memory.shape[1]):
+                        memory[j, i] = z_next[j, i]
+                for i in range(n):
+                    x[i] = free[i]
+
+
+def quiet_first_class_functions() -> None:
+    """Numba calls functions handed over as values experimental; it says so once per compilation."""
+    from numba.core.errors import NumbaExperimentalFeatureWarning
+
+    warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
