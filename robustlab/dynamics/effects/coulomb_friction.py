@@ -15,7 +15,7 @@ __all__ = ["EFFECT", "dry_force"]
 
 @law
 def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """p = (F_c,): stick if a force within F_c stops the port by the end of the step."""
+    """Stick (p = (F_c,)) if a force within F_c stops the port by the end of the step."""
     if abs(seen[V]) <= seen[GV] * p[0]:
         return -seen[V] / seen[GV]
     return -p[0] if seen[V] > 0.0 else p[0]

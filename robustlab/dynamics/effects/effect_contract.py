@@ -4,8 +4,8 @@ An effect enters in one or more of five ways: it scales parameters of the plant,
 equations, acts as a force law at a port, maps an input before the plant sees it, or maps an output before it is
 recorded. `Effect` gives each of them a method that does nothing; a file of this folder overrides those that apply.
 
-Priors are given in units of the record's own magnitudes (`Scales`), since a friction torque that is large for one machine
-is nothing for another.
+Priors are given in units of the record's own magnitudes (`Scales`), since a friction torque that is large for one
+machine is nothing for another.
 """
 
 from __future__ import annotations
@@ -72,8 +72,11 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Site:
-    """Where an effect sits: the kind of place and its name (a velocity or current state, an input, an output, or a group
-    of parameters as `robustlab.dynamics.effects.port_model.parameter_groups` labels it)."""
+    """Where an effect sits: the kind of place and its name.
+
+    The name is that of a velocity or current state, of an input or output, or of a group of parameters as
+    `robustlab.dynamics.effects.port_model.parameter_groups` labels it.
+    """
 
     kind: SiteKind
     name: str
@@ -241,7 +244,7 @@ class Effect(ABC):
         return y
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
-        """Sector, delay or bound of the effect at the given amplitude of its signal; None where the model has it all."""
+        """Sector, delay or bound of the effect at this amplitude of its signal; None where the model has it all."""
         return None
 
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:

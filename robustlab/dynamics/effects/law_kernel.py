@@ -8,7 +8,8 @@ Over a step of length h the forces are held (the plant itself is exact):
 Each law answers with a force that fits the motion *at the end of the step that this very force brings about*: it is
 given the motion at the port without it, ``q, v``, and the port's compliance ``gq = p^T Gamma, gv = c^T Gamma``, so that
 the motion with it is ``q + gq f, v + gv f``. A set-valued law (dry friction, a contact) solves its own inclusion in
-closed form: Coulomb's law sticks with the velocity exactly zero. Several laws are swept (Gauss-Seidel) until they agree.
+closed form: Coulomb's law sticks with the velocity exactly zero. Several laws are swept (Gauss-Seidel) until they
+agree.
 
 References
 ----------
@@ -23,7 +24,21 @@ import numba as nb
 import numpy as np
 from numba import types
 
-__all__ = ["GQ", "GV", "LAW_SIGNATURE", "MAX_LAWS", "Q0", "STEP", "TIME", "V0", "Q", "V", "law", "no_force", "step_windows"]
+__all__ = [
+    "GQ",
+    "GV",
+    "LAW_SIGNATURE",
+    "MAX_LAWS",
+    "Q0",
+    "STEP",
+    "TIME",
+    "V0",
+    "Q",
+    "V",
+    "law",
+    "no_force",
+    "step_windows",
+]
 
 # Entries of the vector that a law is given: position and velocity at the start of the step, both at its end without
 # the law's own force, the compliance of both, the length of the step in s, and the time at its start in s.
@@ -54,8 +69,25 @@ def no_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True, nogil=True)
 def step_windows(
-    laws, n_laws, phi, gamma_u, gamma_f, velocity, position, parameters, memory, u, x0, own, starts, length, sub, h, t0,
-    states, forces,
+    laws,
+    n_laws,
+    phi,
+    gamma_u,
+    gamma_f,
+    velocity,
+    position,
+    parameters,
+    memory,
+    u,
+    x0,
+    own,
+    starts,
+    length,
+    sub,
+    h,
+    t0,
+    states,
+    forces,
 ):  # type: ignore[no-untyped-def]
     """Simulate windows one after the other.
 
@@ -99,7 +131,7 @@ def step_windows(
                 for j in range(n_laws):
                     f[j] = 0.0
                 sweeps = SWEEPS if n_laws > 1 else 1
-                for sweep in range(sweeps):
+                for _sweep in range(sweeps):
                     change = 0.0
                     largest = 0.0
                     for j in range(n_laws):

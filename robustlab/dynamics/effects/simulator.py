@@ -30,7 +30,7 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """States (n_windows, length, n_x), outputs (n_windows, length, n_y) and forces of the laws (n_windows, length, n)."""
+    """States (n_windows, length, n_x), outputs (n_windows, length, n_y), forces of the laws (n_windows, length, n)."""
 
     states: Array
     outputs: Array
