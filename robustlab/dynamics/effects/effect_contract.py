@@ -190,6 +190,11 @@ class Effect(ABC):
         Id of the parent on top of which alone it is looked for, or None. A refinement contains its parent.
     substeps
         Smallest number of steps per sample (at 1 ms) that its law needs.
+    nameable
+        False for what is known noise and never a name (quantisation).
+    spatial
+        True where its period over the position is a parameter; it is then tried at each strong spatial line
+        (``scales.orders`` holds the one line of a trial).
     """
 
     id: str
@@ -198,6 +203,8 @@ class Effect(ABC):
     site_kind: SiteKind
     refines: str | None = None
     substeps: int = 1
+    nameable: bool = True
+    spatial: bool = False
 
     @abstractmethod
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
