@@ -195,6 +195,8 @@ class Effect(ABC):
     spatial
         True where its period over the position is a parameter; it is then tried at each strong spatial line
         (``scales.orders`` holds the one line of a trial).
+    structural
+        True where it splits the joint in two (backlash, a flexible coupling); a plant carries one of these.
     """
 
     id: str
@@ -205,6 +207,7 @@ class Effect(ABC):
     substeps: int = 1
     nameable: bool = True
     spatial: bool = False
+    structural: bool = False
 
     @abstractmethod
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
@@ -262,7 +265,10 @@ class Effect(ABC):
         InputError
             A missing or unknown name, NaN.
         """
-        names = [p.name for p in self.parameters(Scales())]
+        return self._checked(values, self.parameters(Scales()))
+
+    def _checked(self, values: Mapping[str, float], parameters: tuple[EffectParameter, ...]) -> dict[str, float]:
+        names = [p.name for p in parameters]
         for name in values:
             if name not in names:
                 raise InputError(

@@ -18,6 +18,7 @@ from robustlab.errors import InputError
 __all__ = ["Motion", "Simulator", "Windows"]
 
 KEPT_EXPONENTIALS = 64
+PLACES = (1, 2, 4, 8)  # numbers of laws that the kernel is compiled for
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,9 @@ class Simulator:
         """
         model = self.model(factors, values)
         laws = [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
-        motion, forces = self._step(model, laws, self._input(values), x0, windows)
-        u = self.held[:: self.sub][windows.starts[:, None] + np.arange(windows.length)] if model.D.any() else None
+        seen = self._input(values)
+        motion, forces = self._step(model, laws, seen, x0, windows)
+        u = seen[:: self.sub][windows.starts[:, None] + np.arange(windows.length)] if model.D.any() else None
         outputs = motion @ model.C.T
         if u is not None:
             outputs = outputs + u @ model.D.T
@@ -143,7 +145,8 @@ class Simulator:
             if port.position is not None:
                 position[j] = port.position
             parameters[j, : len(law.parameters)] = law.parameters
-        functions = tuple(law.function for law in laws) + (kernel.no_force,) * (kernel.MAX_LAWS - len(laws))
+        functions = tuple(law.function for law in laws)
+        functions += (kernel.no_force,) * (next(k for k in PLACES if k >= len(laws)) - len(laws))
         count = len(windows.starts)
         states = np.empty((count, windows.length, n))
         forces = np.zeros((count, windows.length, len(laws)))

@@ -1,0 +1,159 @@
+"""Which effects a plant and its records allow, where, and at what magnitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.effect_contract import Effect, Scales, Site
+from robustlab.dynamics.effects.port_model import Port, PortModel
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.identification.effect_fit import Candidate
+from robustlab.identification.prepared_record import PreparedRecord
+
+__all__ = ["candidates", "spatial_orders"]
+
+Array = NDArray[np.float64]
+
+ORDERS = 3  # spatial lines tried
+FINEST_LINES = 1500  # per range of the position
+
+
+def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
+    """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
+
+    An effect whose period over the position must be known is given once for each strong spatial line.
+    """
+    found = []
+    for effect in catalogue().values():
+        if not effect.nameable:
+            continue
+        for site in effect.sites(plant, model):
+            if site.kind == "output" and not _recorded(plant, site, records):
+                continue
+            found.extend(_at(effect, site, plant, model, records))
+    return found
+
+
+def _recorded(plant: LinearPlant, site: Site, records: Sequence[PreparedRecord]) -> bool:
+    return all(site.name in r.record.outputs for r in records)
+
+
+def _at(
+    effect: Effect, site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]
+) -> list[Candidate]:
+    scales = _scales(site, plant, model, records)
+    variants = [scales]
+    if scales.orders and effect.spatial:
+        variants = [_with_order(scales, k) for k in scales.orders]
+    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in variants]
+
+
+def _with_order(scales: Scales, order: float) -> Scales:
+    from dataclasses import replace
+
+    return replace(scales, orders=(order,))
+
+
+def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:
+    dt, duration = records[0].record.dt, max(r.record.duration for r in records)
+    common = {"dt": dt, "duration": duration}
+    if site.kind == "input":
+        k = [s.name for s in plant.inputs].index(site.name)
+        largest = max(float(np.abs(r.u[:, k]).max()) for r in records)
+        return Scales(**common, input=largest or 1.0, signal_unit=plant.inputs[k].unit)
+    if site.kind == "output":
+        k = [s.name for s in plant.outputs].index(site.name)
+        half = max(float(np.ptp(r.record.outputs[site.name])) for r in records) / 2.0
+        orders = _orders_at_output(plant, model, site, records)
+        return Scales(**common, output=half or 1.0, signal_unit=plant.outputs[k].unit, orders=orders)
+    if site.kind == "parameter":
+        return Scales(**common)
+    port = model.ports[site.name]
+    motion = [_port_motion(port, r) for r in records]
+    inertia = 1.0 / float(port.velocity @ port.force)
+    currents = [np.abs(r.smoothed.x @ p.velocity).max() for r in records for p in model.ports.values() if p.kind == "current"]
+    if port.kind == "current":
+        largest = max(float(np.abs(r.u).max()) for r in records)
+        speed = max(float(np.abs(v).max()) for _, v, _, _ in motion)
+        return Scales(**common, force=largest or 1.0, speed=speed or 1.0, current=speed or 1.0, inertia=inertia,
+                      force_unit=port.unit, speed_unit=port.speed_unit)  # fmt: skip
+    force = max(float(np.sqrt(np.mean((inertia * np.gradient(v, dt)) ** 2))) for _, v, _, _ in motion)
+    lacking = max(float(np.sqrt(np.mean(d**2))) for _, _, d, _ in motion)
+    return Scales(
+        **common,
+        force=max(force, lacking) or 1.0,
+        speed=max(float(np.abs(v).max()) for _, v, _, _ in motion) or 1.0,
+        position=max(float(np.ptp(q)) for q, _, _, _ in motion) or 1.0,
+        inertia=inertia,
+        current=float(max(currents, default=1.0)) or 1.0,
+        orders=_merged_orders(motion) if port.position is not None else (),
+        force_unit=port.unit,
+        speed_unit=port.speed_unit,
+        position_unit=port.position_unit,
+    )
+
+
+def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Array, Array]:
+    """Position, velocity, unknown force and its standard deviation along a record."""
+    s = record.smoothed
+    v = s.x @ port.velocity
+    q = s.x @ port.position if port.position is not None else np.zeros(len(v))
+    # The smoother's forces are those of the joints, in the order of the ports; a current port has none.
+    j = int(np.argmax([abs(float(port.force @ column)) for column in record.push.T])) if record.push.shape[1] else 0
+    return q, v, s.d[:, j], s.d_std[:, j]
+
+
+def _orders_at_output(
+    plant: LinearPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord]
+) -> tuple[float, ...]:
+    """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
+    row = model.C[[s.name for s in plant.outputs].index(site.name)]
+    for port in model.ports.values():
+        if port.position is not None and np.array_equal(row[: model.own] != 0, port.position != 0):
+            return _merged_orders([_port_motion(port, r) for r in records])
+    return ()
+
+
+def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple[float, ...]:
+    q = np.concatenate([m[0] for m in motion])
+    v = np.concatenate([m[1] for m in motion])
+    d = np.concatenate([m[2] for m in motion])
+    moving = np.abs(v) > 0.01 * np.abs(v).max(initial=0.0)
+    plain, flipped = spatial_orders(q, d, v, moving), spatial_orders(q, d * np.sign(v), v, moving)
+    merged: list[float] = []
+    for pair in zip(plain, flipped, strict=False):
+        for k in pair:
+            if all(abs(k - other) > 0.02 * other for other in merged):
+                merged.append(k)
+    return tuple(merged[: 2 * ORDERS])
+
+
+def spatial_orders(q: Array, d: Array, v: Array, moving: NDArray[np.bool_]) -> tuple[float, ...]:
+    """Strongest spatial frequencies of the force d over the position q, in rad per unit of q, strongest first.
+
+    A periodogram over the position, after the part of d that depends on the direction and linearly on the speed is
+    taken out. Frequencies below one period in the range are trends and no lines.
+    """
+    q, d, v = q[moving], d[moving], v[moving]
+    span = float(np.ptp(q)) if len(q) else 0.0
+    if len(q) < 50 or span == 0.0:
+        return ()
+    trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
+    rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
+    resolution = 2.0 * np.pi / span
+    step = max(1, len(q) // 6000)
+    q, rest = q[::step], rest[::step]
+    finest = min(FINEST_LINES, max(20, len(q) // 4))
+    k = resolution * np.arange(1.0, finest, 0.4)
+    power = np.empty(len(k))
+    for first in range(0, len(k), 64):
+        part = slice(first, first + 64)
+        power[part] = np.abs(np.exp(-1j * np.outer(k[part], q - q.mean())) @ rest)
+    inner = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
+    peaks = np.flatnonzero(inner) + 1
+    best = peaks[np.argsort(-power[peaks])][:ORDERS]
+    return tuple(float(x) for x in k[best])

@@ -1,0 +1,358 @@
+r"""Fit of one hypothesis: the nominal parameters within their tolerances, plus effects, by windowed simulation.
+
+With the standardised parameters z and the start :math:`\xi_w` of each window, both a priori standard normal,
+
+.. math::
+    V(z, \xi) = \sum_w \| r_w(z, \xi_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
+    r_w = \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w)
+
+with the errors averaged over a few samples, filtered by the autoregression F that makes the errors of the best
+hypothesis white, and scaled by their standard deviation. The starts are eliminated window by window (Schur
+complement), so that a step costs one simulation a parameter and one a state. The evidence is Laplace's:
+
+.. math:: \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
+
+References
+----------
+Björck, *Numerical Methods for Least Squares Problems* (1996), section 9.3 (separable problems); MacKay, *Information
+Theory, Inference, and Learning Algorithms* (2003), chapter 28 (Occam factors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Scales, Site
+from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.identification.prepared_record import PreparedRecord
+
+__all__ = ["Candidate", "Fit", "Hypothesis", "NoiseModel", "Nuisance", "Problem", "simulated_outputs"]
+
+Array = NDArray[np.float64]
+
+STEP = 2e-3  # of a standardised parameter, for differences
+START_STEP = 0.02  # of a window's start
+FARTHEST = 8.0  # standardised parameters are kept within this of their priors
+WILD = 1e6  # errors beyond this many standard deviations count as this
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Nominal parameters that are refitted together: label, names, log standard deviation of the common factor."""
+
+    label: str
+    names: tuple[str, ...]
+    spread: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect at a site, with its parameters and starting points for this record."""
+
+    effect: Effect
+    site: Site
+    parameters: tuple[EffectParameter, ...]
+    starts: tuple[Mapping[str, float], ...]
+    scales: Scales
+
+    @property
+    def key(self) -> str:
+        """Id and site."""
+        return f"{self.effect.id} @ {self.site.name}"
+
+    def values(self, z: Array) -> dict[str, float]:
+        """Parameter values of the standardised z."""
+        return {p.name: p.prior.value(float(v)) for p, v in zip(self.parameters, z, strict=True)}
+
+    def standardised(self, values: Mapping[str, float]) -> Array:
+        """z of the values."""
+        return np.array([p.prior.standardised(values[p.name]) for p in self.parameters])
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The nominal model with these effects."""
+
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def key(self) -> str:
+        """Keys of the effects, "none" without any."""
+        return " + ".join(c.key for c in self.candidates) or "none"
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) per measured output."""
+
+    std: Array
+    ar: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """One fitted hypothesis.
+
+    Attributes
+    ----------
+    hypothesis
+        What was fitted.
+    z
+        Standardised parameters: nuisances, then those of each effect.
+    starts
+        Standardised shifts of the window starts, one array (n_windows, n_x) a record.
+    cost
+        V at the solution; ``window_cost`` is the share of each window (residual and start), all records in a row.
+    hessian
+        Of V / 2 over z, starts eliminated, prior included.
+    noise
+        The noise model that V was measured with.
+    """
+
+    hypothesis: Hypothesis
+    z: Array
+    starts: tuple[Array, ...]
+    cost: float
+    window_cost: Array
+    hessian: Array
+    noise: NoiseModel
+    evaluations: int
+
+    @property
+    def evidence(self) -> float:
+        """Laplace's log evidence up to a constant common to all hypotheses."""
+        sign, logdet = np.linalg.slogdet(self.hessian)
+        return -0.5 * self.cost - 0.5 * float(logdet if sign > 0 else 1e6)
+
+    @property
+    def std(self) -> Array:
+        """Posterior standard deviations of z."""
+        return np.sqrt(np.abs(np.diag(np.linalg.pinv(self.hessian))))
+
+
+class Problem:
+    """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows.
+
+    Parameters
+    ----------
+    plant
+        Nominal plant.
+    records
+        Prepared records.
+    nuisances
+        Nominal parameters that every hypothesis refits.
+    chosen
+        For each record the indices of the windows to use.
+    """
+
+    def __init__(
+        self,
+        plant: LinearPlant,
+        records: Sequence[PreparedRecord],
+        nuisances: Sequence[Nuisance],
+        chosen: Sequence[NDArray[np.int_]] | None = None,
+    ) -> None:
+        self.plant, self.records, self.nuisances = plant, tuple(records), tuple(nuisances)
+        self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
+
+    def on(self, records: Sequence[PreparedRecord], chosen: Sequence[NDArray[np.int_]] | None = None) -> Problem:
+        """The same plant and nuisances over other records or windows."""
+        return Problem(self.plant, records, self.nuisances, chosen)
+
+    # --- parameters ------------------------------------------------------------------------------------------------
+
+    def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
+        """Plant factors and effect values of the standardised parameters."""
+        factors = {}
+        for nuisance, value in zip(self.nuisances, z, strict=False):
+            factors.update(dict.fromkeys(nuisance.names, float(np.exp(nuisance.spread * value))))
+        values, at = [], len(self.nuisances)
+        for candidate in hypothesis.candidates:
+            values.append(candidate.values(z[at : at + len(candidate.parameters)]))
+            at += len(candidate.parameters)
+        return factors, values
+
+    def size(self, hypothesis: Hypothesis) -> int:
+        """Number of standardised parameters."""
+        return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
+
+    # --- residuals -------------------------------------------------------------------------------------------------
+
+    def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
+        """One simulator a record."""
+        effects = [(c.effect, c.site) for c in hypothesis.candidates]
+        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0) for r in self.records]
+
+    def errors(
+        self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None
+    ) -> list[Array]:
+        """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples."""
+        factors, values = self.split(hypothesis, z)
+        return [
+            self._record_errors(k, simulator, factors, values, starts[k])
+            for k, simulator in enumerate(simulators or self.simulators(hypothesis))
+        ]
+
+    def _record_errors(
+        self, k: int, simulator: Simulator, factors: Mapping[str, float], values: Sequence[Mapping[str, float]], xi: Array
+    ) -> Array:
+        record, chosen = self.records[k], self.chosen[k]
+        windows = Windows(record.windows.starts[chosen], record.windows.length)
+        x0 = record.x0[chosen] + record.x0_std[chosen] * xi
+        with np.errstate(all="ignore"):
+            motion = simulator.run(factors, values, x0, windows)
+        error = record.measured[chosen] - motion.outputs[:, :, list(record.columns)]
+        return averaged(error, record.thin)
+
+    def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
+        """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
+        return [_whiten(e, noise) for e in errors]
+
+    # --- the fit ---------------------------------------------------------------------------------------------------
+
+    def fit(
+        self,
+        hypothesis: Hypothesis,
+        noise: NoiseModel,
+        z: Array,
+        starts: Sequence[Array] | None = None,
+        iterations: int = 12,
+        tolerance: float = 0.05,
+        fixed: bool = False,
+    ) -> Fit:
+        """Levenberg-Marquardt from z; stops when V falls by less than ``tolerance``.
+
+        With ``fixed`` the parameters stay and only the window starts are fitted (a prediction of data that the fit
+        did not see).
+        """
+        z = np.array(z, dtype=float)
+        n_x = len(self.plant.states)
+        xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
+        simulators = self.simulators(hypothesis)
+        damping, count = 1e-3, 0
+        residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
+        cost = _total(residual, xi, z)
+        hessian = np.eye(len(z))
+        rounds = iterations
+        while True:
+            parts = [self._linearised(k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed) for k in range(len(xi))]
+            count += 1
+            hessian = np.eye(len(z)) + sum(p.hessian for p in parts)
+            if rounds <= 0:
+                break
+            gradient = z + sum(p.gradient for p in parts)
+            improved = 0.0
+            for _ in range(6):
+                dz = np.zeros_like(z)
+                if not fixed:
+                    dz = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+                    dz = np.clip(z + dz, -FARTHEST, FARTHEST) - z
+                there = z + dz
+                moved = [x + p.start_step(dz) for x, p in zip(xi, parts, strict=True)]
+                trial = self.whitened(self.errors(hypothesis, there, moved, simulators), noise)
+                found = _total(trial, moved, there)
+                if found < cost:
+                    improved, cost = cost - found, found
+                    z, xi, residual = there, moved, trial
+                    damping = max(damping * 0.2, 1e-6)
+                    break
+                damping = max(damping, 1e-4) * 8.0
+                if fixed and damping > 1.0:
+                    break
+            rounds -= 1
+            if improved < tolerance:
+                break
+        window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
+        return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count)
+
+    def _linearised(
+        self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
+        noise: NoiseModel, fixed: bool,
+    ) -> _Linearised:  # fmt: skip
+        """Derivatives of one record's residuals by differences, with the window starts eliminated."""
+
+        def moved(there: Array, start: Array, step: float) -> Array:
+            factors, values = self.split(hypothesis, there)
+            error = self._record_errors(k, simulator, factors, values, start)
+            return (_whiten(error, noise) - residual) / step
+
+        n_x = xi.shape[1]
+        x = np.stack([moved(z, xi + START_STEP * unit, START_STEP) for unit in np.eye(n_x)], axis=2)
+        if fixed:
+            j = np.zeros((*residual.shape, len(z)))
+        else:
+            j = np.stack([moved(z + STEP * unit, xi, STEP) for unit in np.eye(len(z))], axis=2)
+        return _Linearised.of(residual, j, x, xi)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Normal equations over z and what turns a step of z into a step of the starts."""
+
+    hessian: Array
+    gradient: Array
+    offset: Array  # (n_windows, n_x)
+    slope: Array  # (n_windows, n_x, n_z)
+
+    @classmethod
+    def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> _Linearised:
+        xt = np.swapaxes(x, 1, 2)
+        jt = np.swapaxes(j, 1, 2)
+        inner = xt @ x + np.eye(x.shape[2])
+        pull = (xt @ residual[:, :, None])[:, :, 0] + xi
+        cross = xt @ j
+        offset = np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
+        slope = np.linalg.solve(inner, cross)
+        crosst = np.swapaxes(cross, 1, 2)
+        hessian = (jt @ j - crosst @ slope).sum(axis=0)
+        gradient = ((jt @ residual[:, :, None])[:, :, 0] - (crosst @ offset[:, :, None])[:, :, 0]).sum(axis=0)
+        return cls(0.5 * (hessian + hessian.T), gradient, offset, slope)
+
+    def start_step(self, dz: Array) -> Array:
+        """Step of the starts that goes with the step dz."""
+        return -(self.offset + self.slope @ dz)
+
+
+def averaged(error: Array, thin: int) -> Array:
+    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known."""
+    count, length, n_y = error.shape
+    points = length // thin
+    blocks = error[:, : points * thin].reshape(count, points, thin, n_y)
+    known = np.isfinite(blocks)
+    if known.all():
+        return blocks.mean(axis=2)
+    number = known.sum(axis=2)
+    total = np.where(known, blocks, 0.0).sum(axis=2)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
+
+def _whiten(errors: Array, noise: NoiseModel) -> Array:
+    order = len(noise.ar)
+    e = errors[:, order:].copy()
+    for lag in range(order):
+        e -= noise.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = np.nan_to_num(e / noise.std, nan=0.0, posinf=WILD, neginf=-WILD)
+    return np.clip(scaled, -WILD, WILD).reshape(len(e), -1)
+
+
+def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:
+    squares = sum(float((r**2).sum()) for r in residual) + sum(float((x**2).sum()) for x in xi)
+    return squares + float(z @ z)
+
+
+def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:
+    """Outputs of the chosen windows under a fit, (n_windows, length, n_measured) a record."""
+    factors, values = problem.split(fit.hypothesis, fit.z)
+    outputs = []
+    for k, simulator in enumerate(problem.simulators(fit.hypothesis)):
+        record, chosen = problem.records[k], problem.chosen[k]
+        x0 = record.x0[chosen] + record.x0_std[chosen] * fit.starts[k]
+        windows = Windows(record.windows.starts[chosen], record.windows.length)
+        outputs.append(simulator.run(factors, values, x0, windows).outputs[:, :, list(record.columns)])
+    return outputs

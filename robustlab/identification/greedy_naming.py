@@ -1,0 +1,292 @@
+"""The greedy search: one effect after the other, each judged on data the fit did not see, then checked backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.naming import Ranked, Ranking, first_noise, rank
+
+__all__ = ["Alternative", "Naming", "Step", "alternatives", "held_out_fit", "name_effects", "rms_percent"]
+
+Array = NDArray[np.float64]
+
+MOST_EFFECTS = 5
+# A new effect must be this much more probable than none, on top of the number of effects that were tried.
+CONVINCING = 4.0
+REFINING = 5.0  # log evidence that a refinement must be ahead of its parent
+HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
+HELD_OUT_FALL = 0.01  # of the held-out error
+COLLAPSED = 0.1  # of the parent's own value: a refinement whose parent term vanished is no refinement of it
+# Rivals.
+EVIDENCE_TIE = 3.0
+WIN_SHARE = 0.05
+CANNOT_TELL = 3.0  # refit distance in noise sigmas
+FAR_BEHIND = 40.0  # log evidence; beyond this the distance is not worth its time
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of the search: its base, its ranking, the effect that was taken (None: stop) and why."""
+
+    base: Hypothesis
+    ranking: Ranking
+    taken: Ranked | None
+    decision: str
+    held_out: float
+
+
+@dataclass(frozen=True, eq=False)
+class Naming:
+    """Result of the search: the hypothesis, its fit, the fit of the bare nominal model, and the steps."""
+
+    fit: Fit
+    bare: Fit
+    steps: tuple[Step, ...]
+    noise: NoiseModel
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """A hypothesis with another effect in the place of ``instead_of``, judged against the named one."""
+
+    candidate: Candidate
+    instead_of: Candidate
+    fit: Fit
+    evidence: float
+    wins: float
+    distance: float
+
+    @property
+    def cannot_be_told(self) -> bool:
+        """True for a rival."""
+        return self.evidence > -EVIDENCE_TIE or self.wins >= WIN_SHARE or self.distance < CANNOT_TELL
+
+
+def name_effects(
+    problem: Problem,
+    held: Problem,
+    candidates: Sequence[Candidate],
+    allowed: Callable[[Problem, Fit, Candidate], bool],
+    progress: Callable[[str], None] | None = None,
+) -> Naming:
+    """Add effects while they are convincing on the fitted data and help on the held-out data.
+
+    Parameters
+    ----------
+    problem, held
+        The windows to fit and the windows to judge on.
+    allowed
+        Says whether a fitted candidate may be named (a parameter within its tolerance is nothing missing).
+    """
+    noise = first_noise(problem)
+    base, z = Hypothesis(()), np.zeros(len(problem.nuisances))
+    steps: list[Step] = []
+    bare = fit = None
+    while True:
+        open_ones = [c for c in candidates if _may_follow(c, base)]
+        ranking = rank(problem, base, z, open_ones, noise, progress)
+        fit = ranking.base.fit
+        if bare is None:
+            bare = fit
+        noise = ranking.noise
+        step = _decided(problem, held, base, ranking, len({c.key for c in open_ones}), allowed)
+        steps.append(step)
+        if progress:
+            progress(step.decision)
+        if step.taken is None:
+            break
+        fit = step.taken.fit
+        base, z = fit.hypothesis, fit.z
+        if len(base.candidates) >= MOST_EFFECTS:
+            break
+    checked = _checked_backwards(problem, fit, noise)
+    return Naming(checked, bare, tuple(steps), noise)
+
+
+def _may_follow(candidate: Candidate, base: Hypothesis) -> bool:
+    """An effect already named, or the parent of a named refinement, or a second coupling, is not looked for again."""
+    for there in base.candidates:
+        same = candidate.site == there.site
+        if candidate.effect.id == there.effect.id and same:
+            return False
+        if there.effect.refines == candidate.effect.id and same:
+            return False
+        if there.effect.refines and there.effect.refines == candidate.effect.refines and same:
+            return False
+        if candidate.effect.structural and there.effect.structural:
+            return False
+    return True
+
+
+def _decided(
+    problem: Problem,
+    held: Problem,
+    base: Hypothesis,
+    ranking: Ranking,
+    tried: int,
+    allowed: Callable[[Problem, Fit, Candidate], bool],
+) -> Step:
+    names = {c.effect.id for c in base.candidates}
+    threshold = CONVINCING + np.log(max(tried, 1))
+    for entry in ranking.ranked:
+        if entry.candidate is None:
+            return Step(base, ranking, None, "stop: nothing is more probable than what is named", np.nan)
+        if entry.evidence - ranking.base.evidence < threshold:
+            return Step(base, ranking, None, "stop: no further effect is convincing", np.nan)
+        if not allowed(problem, entry.fit, entry.candidate):
+            continue
+        chosen = entry
+        parent_id = entry.candidate.effect.refines
+        if parent_id and parent_id not in names:
+            parent = _parent(entry, ranking)
+            if parent is None or parent.evidence - ranking.base.evidence < threshold:
+                continue
+            if entry.evidence - parent.evidence < REFINING or _collapsed(problem, entry, parent):
+                chosen = parent
+        return _judged_on_held_out(held, base, ranking, chosen)
+    return Step(base, ranking, None, "stop: no effect is left", np.nan)
+
+
+def _parent(entry: Ranked, ranking: Ranking) -> Ranked | None:
+    assert entry.candidate is not None
+    for other in ranking.ranked:
+        if (
+            other.candidate is not None
+            and other.candidate.effect.id == entry.candidate.effect.refines
+            and other.candidate.site == entry.candidate.site
+        ):
+            return other
+    return None
+
+
+def _collapsed(problem: Problem, entry: Ranked, parent: Ranked) -> bool:
+    """True where the refinement has no share of its parent left (Stribeck friction with a Coulomb level of zero)."""
+    assert entry.candidate is not None and parent.candidate is not None
+    own = problem.split(entry.fit.hypothesis, entry.fit.z)[1][-1]
+    theirs = problem.split(parent.fit.hypothesis, parent.fit.z)[1][-1]
+    return any(abs(own[name]) < COLLAPSED * abs(value) for name, value in theirs.items() if name in own)
+
+
+def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chosen: Ranked) -> Step:
+    assert chosen.candidate is not None
+    before = held_out_fit(held, ranking.base.fit, ranking.noise)
+    after = held_out_fit(held, chosen.fit, ranking.noise)
+    gain = 0.5 * (before.cost - after.cost) - 0.5 * float(
+        ranking.base.fit.z @ ranking.base.fit.z - chosen.fit.z @ chosen.fit.z
+    )
+    fall_before, fall_after = rms_percent(held, before), rms_percent(held, after)
+    if gain < HELD_OUT_GAIN or fall_after > (1.0 - HELD_OUT_FALL) * fall_before:
+        text = (
+            f"stop: {chosen.id} does not help on held-out data "
+            f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"
+        )
+        return Step(base, ranking, None, text, fall_after)
+    text = f"{chosen.id}: held-out error {fall_before:.4g} % -> {fall_after:.4g} % of the range"
+    return Step(base, ranking, chosen, text, fall_after)
+
+
+def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
+    """The hypothesis on other windows: parameters as fitted, only the window starts are found anew."""
+    return held.fit(fit.hypothesis, noise, fit.z, iterations=8, fixed=True, tolerance=0.5)
+
+
+def rms_percent(problem: Problem, fit: Fit) -> float:
+    """Windowed RMS error over all outputs in percent of their measured ranges."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    ranges = np.nanmax([np.ptp(np.where(np.isfinite(r.y), r.y, r.y[0]), axis=0) for r in problem.records], axis=0)
+    squares = np.concatenate([(e / np.where(ranges > 0, ranges, 1.0)).reshape(-1, len(ranges)) ** 2 for e in errors])
+    return float(100.0 * np.sqrt(np.nanmean(squares)))
+
+
+def _without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
+    """The hypothesis without its k-th effect, and its standardised parameters."""
+    z = list(fit.z[: len(problem.nuisances)])
+    at, kept = len(problem.nuisances), []
+    for j, candidate in enumerate(fit.hypothesis.candidates):
+        own = fit.z[at : at + len(candidate.parameters)]
+        at += len(candidate.parameters)
+        if j != k:
+            kept.append(candidate)
+            z.extend(own)
+    return Hypothesis(tuple(kept)), np.array(z)
+
+
+def _checked_backwards(problem: Problem, fit: Fit, noise: NoiseModel) -> Fit:
+    """Drop effects that later ones have made needless."""
+    fit = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, iterations=4)
+    while len(fit.hypothesis.candidates) > 1:
+        less = []
+        for k in range(len(fit.hypothesis.candidates)):
+            hypothesis, z = _without(problem, fit, k)
+            less.append(problem.fit(hypothesis, noise, z, fit.starts, iterations=8))
+        best = max(less, key=lambda f: f.evidence)
+        if fit.evidence - best.evidence > CONVINCING:
+            return fit
+        fit = best
+    return fit
+
+
+def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
+    """For each named effect, the effects that could stand in its place, with their refit distance for these records.
+
+    The distance is that of EFFECTS.md section 4: the named model predicts the records without noise, the alternative is
+    refitted to that prediction under the priors, and d is the root of what remains in noise sigmas.
+    """
+    found = []
+    for k, named in enumerate(naming.fit.hypothesis.candidates):
+        pool: dict[str, Candidate] = {}
+        for step in naming.steps:
+            for entry in step.ranking.ranked:
+                c = entry.candidate
+                if c is None or entry.evidence - step.ranking.base.evidence < 0.0:
+                    continue
+                if c.key not in pool and all(c.key != other.key for other in naming.fit.hypothesis.candidates):
+                    pool[c.key] = c
+        rest, z = _without(problem, naming.fit, k)
+        rivals = [
+            c
+            for c in pool.values()
+            if _may_follow(c, rest) and not (c.effect.refines == named.effect.id and c.site == named.site)
+        ]
+        found.extend(_judged(problem, naming, named, rest, z, rivals))
+    return found
+
+
+def _judged(
+    problem: Problem, naming: Naming, named: Candidate, rest: Hypothesis, z: Array, rivals: Sequence[Candidate]
+) -> list[Alternative]:
+    from robustlab.identification.rivals import refit_distance
+
+    fits = []
+    for candidate in rivals:
+        hypothesis = Hypothesis((*rest.candidates, candidate))
+        tries = [
+            problem.fit(hypothesis, naming.noise, np.array([*z, *candidate.standardised(s)]), naming.fit.starts, 6)
+            for s in candidate.starts
+        ]
+        fits.append(min(tries, key=lambda f: f.cost))
+    wins = _wins([naming.fit, *fits])
+    found = []
+    for candidate, fit, share in zip(rivals, fits, wins[1:], strict=True):
+        behind = fit.evidence - naming.fit.evidence
+        if behind < -FAR_BEHIND:
+            continue
+        distance = refit_distance(problem, naming.fit, fit)
+        found.append(Alternative(candidate, named, fit, behind, share, distance))
+    return found
+
+
+def _wins(fits: Sequence[Fit]) -> Array:
+    from robustlab.identification.naming import BOOTSTRAPS, SEED
+
+    window = np.array([f.window_cost for f in fits])
+    offset = np.array([f.evidence for f in fits]) + 0.5 * window.sum(axis=1)
+    rng = np.random.default_rng(SEED)
+    n = window.shape[1]
+    counts = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS)
+    return np.bincount(np.argmax(offset[:, None] - 0.5 * window @ counts.T, axis=0), minlength=len(fits)) / BOOTSTRAPS

@@ -1,0 +1,197 @@
+"""Ranking of effects on one record set: fits, evidence, bootstrap, hierarchy.
+
+A step of the naming asks what single effect, added to those already named, explains the records best, and which others
+do as well. All hypotheses are fitted with the nominal parameters free within their tolerances, so that a friction level
+is not bought with a wrong resistance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+
+__all__ = ["Ranking", "Ranked", "first_noise", "rank", "whitening"]
+
+Array = NDArray[np.float64]
+
+WORKERS = 2
+AR_ORDER = 3
+BOOTSTRAPS = 500
+SEED = 20261121
+# Successive halving: iterations of each round, and how many hypotheses enter the next.
+FIRST, SECOND, LAST = 3, 6, 8
+KEPT_SECOND, KEPT_LAST = 12, 8
+PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
+FARTHEST_BEHIND = 0.6  # of the best gain; who gains less in the first round is given a second chance only among the best
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """One hypothesis of a step.
+
+    Attributes
+    ----------
+    candidate
+        The effect that was added; None for the base, with nothing added.
+    fit
+        Its fit under the step's final noise model.
+    evidence
+        Log evidence, relative to the best of the step.
+    wins
+        Share of bootstrap samples of the windows in which its evidence is the largest.
+    """
+
+    candidate: Candidate | None
+    fit: Fit
+    evidence: float
+    wins: float
+
+    @property
+    def id(self) -> str:
+        """Effect id, ``"none"`` for the base."""
+        return self.candidate.effect.id if self.candidate else "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Hypotheses of one step, best first, with the base among them; and the noise model they were judged with."""
+
+    ranked: tuple[Ranked, ...]
+    noise: NoiseModel
+
+    @property
+    def best(self) -> Ranked:
+        """The hypothesis with the largest evidence."""
+        return self.ranked[0]
+
+    @property
+    def base(self) -> Ranked:
+        """The hypothesis with nothing added."""
+        return next(r for r in self.ranked if r.candidate is None)
+
+
+def first_noise(problem: Problem) -> NoiseModel:
+    """White noise of the size the smoother and the resolution of the sensors tell, averaged."""
+    std = []
+    for record in problem.records:
+        single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0))
+        std.append(2.0 * single / np.sqrt(record.thin))
+    return NoiseModel(np.max(std, axis=0), np.zeros((0, std[0].shape[0])))
+
+
+def whitening(problem: Problem, fit: Fit, order: int = AR_ORDER) -> NoiseModel:
+    """Autoregression and innovation size of a fit's errors, output by output."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    n_y = errors[0].shape[2]
+    ar, std = np.zeros((order, n_y)), np.ones(n_y)
+    for j in range(n_y):
+        past = np.concatenate(
+            [
+                np.stack([e[:, order - lag - 1 : e.shape[1] - lag - 1, j] for lag in range(order)], axis=2).reshape(-1, order)
+                for e in errors
+            ]
+        )
+        now = np.concatenate([e[:, order:, j].ravel() for e in errors])
+        known = np.isfinite(past).all(axis=1) & np.isfinite(now)
+        past, now = past[known], now[known]
+        ar[:, j] = np.linalg.lstsq(past, now, rcond=None)[0]
+        rest = now - past @ ar[:, j]
+        std[j] = max(float(np.sqrt(np.mean(rest**2))), 1e-12 * float(np.abs(now).max(initial=1e-300)))
+    return NoiseModel(std, ar)
+
+
+def rank(
+    problem: Problem,
+    base: Hypothesis,
+    base_z: Array,
+    candidates: Sequence[Candidate],
+    noise: NoiseModel,
+    progress: Callable[[str], None] | None = None,
+) -> Ranking:
+    """Fit the base and the base plus each candidate, and rank them by evidence.
+
+    Parameters
+    ----------
+    base, base_z
+        Effects already named, and the standardised parameters they were fitted with.
+    candidates
+        Each is added alone. A refinement takes the place of its parent in the base.
+    noise
+        Noise model of the first rounds; the final one is estimated from the best hypothesis.
+    """
+    base_fit = problem.fit(base, noise, base_z, iterations=LAST)
+    jobs = [
+        (candidate, *_extended(problem, base, base_fit.z, candidate, start))
+        for candidate in candidates
+        for start in candidate.starts
+    ]
+
+    def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
+        return job[0], problem.fit(job[1], noise, job[2], base_fit.starts, FIRST)
+
+    def on(iterations: int, model: NoiseModel) -> Callable[[tuple[Candidate | None, Fit]], tuple[Candidate | None, Fit]]:
+        return lambda c: (c[0], problem.fit(c[1].hypothesis, model, c[1].z, c[1].starts, iterations))
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        fitted = _best_of_each(pool.map(first, jobs))
+        if progress:
+            progress(f"{len(jobs)} starts of {len(fitted)} effects tried")
+        gain = {key: base_fit.cost - fit.cost for key, (_, fit) in fitted.items()}
+        kept = [key for key in sorted(gain, key=gain.__getitem__, reverse=True) if gain[key] > 2.0 * PROMISING]
+        second = list(pool.map(on(SECOND, noise), [fitted[key] for key in kept[:KEPT_SECOND]]))
+        second.sort(key=lambda c: c[1].cost)
+        leader = second[0][1] if second and second[0][1].cost < base_fit.cost else base_fit
+        final_noise = whitening(problem, leader)
+        last: list[tuple[Candidate | None, Fit]] = [(None, base_fit), *second[:KEPT_LAST]]
+        final = list(pool.map(on(LAST, final_noise), last))
+    return _ranked(final, final_noise)
+
+
+def _extended(
+    problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: object
+) -> tuple[Hypothesis, Array]:
+    """The base with the candidate, and the point from which its fit starts."""
+    kept, z = [], list(base_z[: len(problem.nuisances)])
+    at = len(problem.nuisances)
+    for there in base.candidates:
+        own = base_z[at : at + len(there.parameters)]
+        at += len(there.parameters)
+        if candidate.effect.refines == there.effect.id and candidate.site == there.site:
+            values = there.values(own)
+            start = {**start, **{k: v for k, v in values.items() if k in start}}  # type: ignore[dict-item,operator]
+            continue
+        kept.append(there)
+        z.extend(own)
+    hypothesis = Hypothesis((*kept, candidate))
+    return hypothesis, np.array([*z, *candidate.standardised(start)])  # type: ignore[arg-type]
+
+
+def _best_of_each(fits: object) -> dict[str, tuple[Candidate, Fit]]:
+    """The cheapest fit of each effect and site over its starts."""
+    best: dict[str, tuple[Candidate, Fit]] = {}
+    for candidate, fit in fits:  # type: ignore[attr-defined]
+        if candidate.key not in best or fit.cost < best[candidate.key][1].cost:
+            best[candidate.key] = (candidate, fit)
+    return best
+
+
+def _ranked(final: Sequence[tuple[Candidate | None, Fit]], noise: NoiseModel) -> Ranking:
+    evidence = np.array([fit.evidence for _, fit in final])
+    window = np.array([fit.window_cost for _, fit in final])
+    offset = evidence + 0.5 * window.sum(axis=1)
+    rng = np.random.default_rng(SEED)
+    n = window.shape[1]
+    counts = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS)
+    winners = np.argmax(offset[:, None] - 0.5 * window @ counts.T, axis=0)
+    wins = np.bincount(winners, minlength=len(final)) / BOOTSTRAPS
+    order = np.argsort(-evidence)
+    best = evidence[order[0]]
+    return Ranking(
+        tuple(Ranked(final[k][0], final[k][1], float(evidence[k] - best), float(wins[k])) for k in order), noise
+    )

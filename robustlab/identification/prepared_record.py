@@ -1,0 +1,148 @@
+"""A record made ready for the naming of effects: windows, their starting states, the force the nominal model lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.effects.port_model import PortModel
+from robustlab.dynamics.effects.simulator import Windows
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.errors import InputError
+from robustlab.identification.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.record import Record
+
+__all__ = ["PreparedRecord", "prepare", "window_length"]
+
+Array = NDArray[np.float64]
+
+WINDOWS_WANTED = 12
+SHORTEST, LONGEST = 40, 480  # samples of a window
+FEWEST_WINDOWS = 4
+POINTS_PER_WINDOW = 80  # into which the errors of a window are averaged
+START_INFLATION = 30.0  # the smoother has seen the window itself, so its start is told by the fit and not by it
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRecord:
+    """One record, cut into windows.
+
+    Attributes
+    ----------
+    record
+        On a uniform clock.
+    u, y
+        Inputs (n, n_u) and outputs (n, n_measured); NaN where an output has no valid sample.
+    columns
+        Index of each measured output among the plant's outputs.
+    windows
+        All windows, in order of time; those with gaps in the input are left out.
+    x0, x0_std
+        Smoothed states at the window starts and the standard deviation that a fit may move them by,
+        (n_windows, n_x).
+    smoothed
+        What the smoother found along the record.
+    push
+        Directions of the unknown forces, (n_x, n_forces).
+    thin
+        Samples averaged into one point of the error.
+    resolution
+        Smallest step of each measured output, (n_measured,); 0 where it has none.
+    """
+
+    record: Record
+    u: Array
+    y: Array
+    columns: tuple[int, ...]
+    windows: Windows
+    x0: Array
+    x0_std: Array
+    smoothed: SmoothedRecord
+    push: Array
+    thin: int
+    resolution: Array
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return len(self.windows.starts)
+
+    @property
+    def measured(self) -> Array:
+        """Measured outputs in the windows, (n_windows, length, n_measured)."""
+        return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
+
+
+def window_length(plant: LinearPlant, records: list[Record]) -> int:
+    """Samples per window: a twelfth of the shortest record, but at least the slowest time constant where it fits."""
+    n = min(r.n for r in records)
+    poles = plant.state_space().poles()
+    rates = np.abs(poles.real)
+    rates = rates[rates > 1e-9 * max(np.abs(poles).max(initial=0.0), 1e-300)]
+    slowest = round(float(1.0 / rates.min()) / records[0].dt) if len(rates) else 0
+    length = min(max(n // WINDOWS_WANTED, SHORTEST), LONGEST)
+    return min(max(length, min(slowest, 2 * LONGEST)), n // FEWEST_WINDOWS)
+
+
+def prepare(
+    plant: LinearPlant,
+    model: PortModel,
+    record: Record,
+    length: int,
+    valid: dict[str, NDArray[np.bool_]] | None = None,
+) -> PreparedRecord:
+    """Cut a uniform record into windows of ``length`` samples and smooth it.
+
+    Parameters
+    ----------
+    model
+        Ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
+    valid
+        Output name -> mask of the samples that were measured (all where left out).
+
+    Raises
+    ------
+    InputError
+        An input of the plant or every output is missing; fewer than four windows.
+    """
+    missing = [s.name for s in plant.inputs if s.name not in record.inputs]
+    if missing:
+        raise InputError(f"discover {record.name}", f"no input {missing[0]!r}", f"all inputs of {plant.name}")
+    names = [s.name for s in plant.outputs]
+    columns = tuple(k for k, name in enumerate(names) if name in record.outputs)
+    if not columns:
+        raise InputError(
+            f"discover {record.name}", f"outputs {', '.join(record.outputs)}", f"at least one of {', '.join(names)}"
+        )
+    u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
+    y = np.column_stack([record.outputs[names[k]] for k in columns])
+    resolution = np.array([_resolution(column) for column in y.T])
+    for j, k in enumerate(columns):
+        if valid is not None and names[k] in valid:
+            y[~valid[names[k]], j] = np.nan
+    starts = np.arange(0, record.n - length + 1, length, dtype=np.int64)
+    if len(starts) < FEWEST_WINDOWS:
+        raise InputError(
+            f"discover {record.name}", f"{record.n} samples", f"at least {FEWEST_WINDOWS * length} ({FEWEST_WINDOWS} windows)"
+        )
+    joints = [p for p in model.ports.values() if p.kind == "joint"]
+    push = np.column_stack([p.force for p in joints]) if joints else model.B
+    bare = plant.state_space().select(None, [names[k] for k in columns])
+    smoothed = smooth_disturbance(bare, push, record.t, u, y, jumps=False)
+    known = np.isfinite(y).all(axis=1)
+    usable = [s for s in starts if known[s : s + length].mean() > 0.5]
+    windows = Windows(np.array(usable, dtype=np.int64), length)
+    return PreparedRecord(
+        record, u, y, columns, windows, smoothed.x[windows.starts].copy(),
+        START_INFLATION * smoothed.x_std[windows.starts], smoothed, push, max(1, length // POINTS_PER_WINDOW), resolution,
+    )  # fmt: skip
+
+
+def _resolution(y: Array) -> float:
+    """Smallest step between the values of a quantised signal; 0 for one that takes nearly every value once."""
+    values = np.unique(y)
+    if len(values) < 2 or len(values) > 0.98 * len(y):
+        return 0.0
+    return float(np.diff(values).min())
