@@ -1,0 +1,233 @@
+"""Blind cases: a machine with hidden effects, what was measured on it, and what its maker knows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import robustlab as rl
+from robustlab import Record
+
+from .effects import EFFECTS, MOTOR_ONLY, OUTSIDE_EFFECTS, Setting
+from .excitation import KINDS, reference, voltage
+from .machine import Array, Machine
+from .plants import LEVELS, PLANTS, Setup
+from .rig import ALL_EFFECTS, Rig, generator
+
+__all__ = [
+    "CLASSES",
+    "CURRENT_ONLY",
+    "NOISE",
+    "OUTSIDE",
+    "PAIRS",
+    "SERVO_CLASSES",
+    "SERVO_OUTSIDE",
+    "Case",
+    "make_case",
+]
+
+NOISE = tuple(LEVELS)
+# A constant offset of the angle is no more than another zero on a plant that integrates: only a current shows it.
+CURRENT_ONLY = ("sensor-bias",)
+CLASSES = ("none", *(name for name in EFFECTS if name not in CURRENT_ONLY))
+SERVO_CLASSES = tuple(name for name in CLASSES if name not in MOTOR_ONLY)
+OUTSIDE = tuple(OUTSIDE_EFFECTS)
+SERVO_OUTSIDE = tuple(name for name in OUTSIDE if name != "field-weakening")
+PAIRS = (
+    ("coulomb-friction", "input-dead-zone"),
+    ("coulomb-friction", "constant-load"),
+    ("coulomb-friction", "cogging"),
+    ("coulomb-friction", "inertia"),
+    ("coulomb-friction", "quadratic-drag"),
+    ("coulomb-friction", "input-delay"),
+    ("coulomb-friction", "asymmetric-viscous-friction"),
+    ("coulomb-friction", "flexible-coupling"),
+    ("coulomb-friction", "resistance-heating"),
+    ("coulomb-friction", "stiffness"),
+    ("constant-load", "quadratic-drag"),
+    ("input-delay", "input-dead-zone"),
+    ("backlash", "constant-load"),
+    ("input-saturation", "cogging"),
+)
+
+RECORD, HELD_OUT, REPEAT, EXPERIMENT = range(4)  # runs, each with noise of its own
+
+
+@dataclass(frozen=True)
+class Case:
+    """One blind case. What a namer may see: ``plant``, ``record``, and ``repeat`` where it asks for one.
+
+    Attributes
+    ----------
+    plant
+        The user's nominal model (`robustlab.plant`) with its tolerances; it knows of no effect.
+    record, held_out, repeat
+        Measured: the record to explain; another input on the same machine, never used in a fit; the record's input
+        once more with other noise (in closed loop: the same reference, so that u differs a little).
+    record_clean, held_out_clean
+        What the machine answers to the *logged* input, output name -> (n,): with all its effects, those of the
+        sensors too, without disturbance, noise and rounding.
+    effects, true_parameters
+        Names, and name -> its true parameters; empty for "none".
+    perturbed
+        Parameter -> true value over nominal value, within the tolerance; effects come on top of it.
+    machine
+        The true machine.
+    """
+
+    plant: Any
+    record: Record
+    held_out: Record
+    repeat: Record
+    record_clean: Mapping[str, Array]
+    held_out_clean: Mapping[str, Array]
+    effects: tuple[str, ...]
+    true_parameters: Mapping[str, Mapping[str, float]]
+    perturbed: Mapping[str, float]
+    seed: int
+    noise: str
+    excitation: str
+    current: bool
+    closed_loop: bool
+    rig: Rig = field(repr=False)
+
+    @property
+    def machine(self) -> Machine:
+        """The true machine's constants."""
+        return self.rig.machine
+
+    def experiment(self, u: ArrayLike, *, run: int = 0, current: bool | None = None) -> Record:
+        """Measure once more on the same machine, from rest at zero: voltage u (n,), each held for the sample time.
+
+        ``run`` picks the noise; ``current`` adds a current sensor (the case's own choice by default).
+        """
+        got = self.rig.measured(np.asarray(u, dtype=np.float64), EXPERIMENT + run)
+        return self.rig.record(got, f"experiment {run}", self.current if current is None else current)
+
+    def clean(self, u: ArrayLike, *, effects: bool = True) -> dict[str, Array]:
+        """Noise-free outputs (n,) for the voltage u (n,); without effects, those of the perturbed nominal machine."""
+        return self.rig.channels(self.rig.clean(np.asarray(u, dtype=np.float64), effects=effects), self.current)
+
+
+def make_case(
+    effects: str | Sequence[str],
+    seed: int,
+    *,
+    noise: str = "mid",
+    excitation: str = "rich",
+    current: bool = False,
+    plant: str = "dc-motor",
+    duration: float = 4.8,
+    dt: float = 1e-3,
+    closed_loop: bool = False,
+    parameters: Mapping[str, Mapping[str, float]] | None = None,
+) -> Case:
+    """Draw a case; the same arguments give the same case, bit by bit, on the same machine.
+
+    Machine, input and noise have generators of their own, seeded by ``seed`` and the effects' names: cases that differ
+    only in noise level, input or sensors share their perturbed parameters and the draws that do not refer to the input.
+
+    Parameters
+    ----------
+    effects
+        One name of `CLASSES`, `CURRENT_ONLY` or `OUTSIDE`, several names, or "none".
+    noise
+        "low", "mid" or "high" (`plants.LEVELS`).
+    excitation
+        "rich", "square", "oneway", "multisine" or "steps"; the held-out record is of the same kind.
+    current
+        A current sensor, too (not on the servo axis).
+    closed_loop
+        A position controller follows a drawn reference and its voltage is logged as u; ``excitation`` is not used.
+    parameters
+        Effect -> parameters to set instead of their draws, for example ``{"coulomb-friction": {"Fc": 0.02}}``.
+
+    Raises
+    ------
+    ValueError
+        Unknown names, a current where the plant has none, an effect that the plant cannot have.
+    """
+    given = parameters or {}
+    names = _checked(effects, plant, noise, excitation, current, given)
+    setup, n = PLANTS[plant], round(duration / dt)
+    draw = generator(seed, "machine", plant, *names)
+    inputs = generator(seed, "input", plant, excitation, closed_loop, *names)
+
+    def next_input() -> Array:
+        if closed_loop:
+            return reference(n, dt, setup.reach, inputs)
+        return voltage(excitation, n, dt, setup.largest, inputs)
+
+    perturbed = _perturbed(setup, draw)
+    bare = setup.machine({name: value * perturbed[name] for name, (value, _) in setup.nominal.items()})
+    feedback = (*setup.feedback, setup.largest) if closed_loop else None
+    first, second = next_input(), next_input()
+    setting = Setting(setup, bare, first, second, dt, feedback)
+    machine, true = bare, {}
+    for name in names:
+        true[name] = {
+            key: float(v) for key, v in {**ALL_EFFECTS[name].draw(draw, setting), **given.get(name, {})}.items()
+        }
+        machine = ALL_EFFECTS[name].put(machine, true[name], setting)
+    rig = Rig(setup, machine, bare, true, seed, noise, dt, feedback)
+    record = rig.measured(first, RECORD, closed=closed_loop)
+    held_out = rig.measured(second, HELD_OUT, closed=closed_loop)
+    return Case(
+        plant=rl.plant(plant, **setup.nominal),
+        record=rig.record(record, "record", current),
+        held_out=rig.record(held_out, "held-out", current),
+        repeat=rig.record(rig.measured(first, REPEAT, closed=closed_loop), "repeat", current),
+        record_clean=rig.channels(rig.clean(record.u), current),
+        held_out_clean=rig.channels(rig.clean(held_out.u), current),
+        effects=names,
+        true_parameters=true,
+        perturbed=perturbed,
+        seed=seed,
+        noise=noise,
+        excitation="closed-loop" if closed_loop else excitation,
+        current=current,
+        closed_loop=closed_loop,
+        rig=rig,
+    )
+
+
+def _checked(
+    effects: str | Sequence[str],
+    plant: str,
+    noise: str,
+    excitation: str,
+    current: bool,
+    parameters: Mapping[str, Mapping[str, float]],
+) -> tuple[str, ...]:
+    """The effects' names, without "none"; refuses what does not exist."""
+    if plant not in PLANTS:
+        raise ValueError(f"plant {plant!r}: one of {', '.join(PLANTS)}")
+    if noise not in LEVELS:
+        raise ValueError(f"noise {noise!r}: one of {', '.join(LEVELS)}")
+    if excitation not in KINDS:
+        raise ValueError(f"excitation {excitation!r}: one of {', '.join(KINDS)}")
+    electrical = PLANTS[plant].electrical
+    if current and not electrical:
+        raise ValueError(f"{plant} has no current to measure")
+    asked = (effects,) if isinstance(effects, str) else tuple(effects)
+    names = tuple(name for name in asked if name != "none")
+    for name in names:
+        if name not in ALL_EFFECTS:
+            raise ValueError(f"effect {name!r}: 'none' or one of {', '.join(ALL_EFFECTS)}")
+        if not electrical and name in (*MOTOR_ONLY, "field-weakening"):
+            raise ValueError(f"{name} needs a motor; {plant} has none")
+    if len(set(names)) < len(names) or set(parameters) - set(names):
+        raise ValueError("every effect once, and parameters only for effects of the case")
+    return names
+
+
+def _perturbed(setup: Setup, draw: np.random.Generator) -> dict[str, float]:
+    """Factors of the nominal parameters, uniform within the tolerances; one factor for one physical constant."""
+    factors = {name: 1.0 + tolerance * draw.uniform(-1, 1) for name, (_, tolerance) in setup.nominal.items()}
+    for group in setup.together:
+        factors.update(dict.fromkeys(group, factors[group[0]]))
+    return factors

@@ -1,0 +1,407 @@
+"""What can hide in a machine: how large it is drawn, and what it changes.
+
+Draws are in a motor's units (N m, rad, s, V, A); `Setting.torque` and `Setting.length` carry them over to an axis in
+metres. Every effect reads its parameters from a dict, so that a test can set them instead of drawing them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .machine import Array, Machine, Run, simulate
+from .plants import Setup
+
+__all__ = ["EFFECTS", "MOTOR_ONLY", "OUTSIDE_EFFECTS", "Hidden", "Setting", "Timeline"]
+
+Parameters = dict[str, float]
+
+# How far the bristle of "pure Coulomb" friction bends before it slides, in rad: a hundredth of the encoder's step.
+STIFF = 3e-5
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What happens by the clock, alike in every run of a machine: load torque (n,) and whether the driver works."""
+
+    load: Array
+    alive: Array
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a draw may look at: the effect-free machine with its true values, the record's and the held-out input."""
+
+    setup: Setup
+    machine: Machine
+    u: Array
+    other_u: Array
+    dt: float
+    feedback: tuple[float, float, float] | None = None
+
+    @property
+    def length(self) -> float:
+        return self.setup.length
+
+    @property
+    def torque(self) -> float:
+        """Factor from a motor's torque to this plant's force."""
+        return 1.0 / self.setup.length
+
+    @property
+    def frequency(self) -> float:
+        """Bandwidth of the effect-free machine in rad/s."""
+        m = self.machine
+        return (m.b_pos + (m.Kt * m.Ke / m.R if m.winding else 0.0)) / m.J1
+
+    @cached_property
+    def free(self) -> Run:
+        """The effect-free machine along the first record."""
+        return simulate(self.machine, self.u, self.dt, feedback=self.feedback)
+
+    @property
+    def reach(self) -> float:
+        """Largest distance from the start."""
+        return float(np.abs(self.free.phi).max())
+
+    @property
+    def travel(self) -> float:
+        """Distance travelled in all."""
+        return float(np.abs(np.diff(self.free.phi)).sum())
+
+    @property
+    def top_speed(self) -> float:
+        return float(np.abs(self.free.omega).max())
+
+
+Draw = Callable[[np.random.Generator, Setting], Parameters]
+Put = Callable[[Machine, Parameters, Setting], Machine]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect: a draw of its parameters, and the machine that has it (given the machine that has not).
+
+    ``by_the_clock(parameters, n, dt)`` gives the `Timeline` of effects that follow the time instead of the state.
+    """
+
+    draw: Draw
+    put: Put
+    by_the_clock: Callable[[Parameters, int, float], Timeline] | None = None
+
+
+def _sign(r: np.random.Generator) -> float:
+    return float(r.choice([-1.0, 1.0]))
+
+
+def _either(r: np.random.Generator, low: tuple[float, float], high: tuple[float, float]) -> float:
+    """A factor from one of two ranges, each half the time."""
+    return float(r.uniform(*(low if r.random() < 0.5 else high)))
+
+
+def _angle(r: np.random.Generator) -> float:
+    return float(r.uniform(0, 2 * math.pi))
+
+
+def _bristle(m: Machine, force: float, bend: float, damping: float) -> Machine:
+    """LuGre constants of a bristle that carries ``force`` at the bend; light micro-damping (share of critical)."""
+    stiffness = force / bend
+    return m._replace(s0=stiffness, s1=2 * damping * math.sqrt(stiffness * m.J1))
+
+
+def _dry(m: Machine, force: float, s: Setting, **more: float) -> Machine:
+    """Stiff dry friction of the given largest level."""
+    return _bristle(m, force, STIFF * s.length, 0.1)._replace(**more)
+
+
+def _scaled(name: str, low: tuple[float, float], high: tuple[float, float] | None, *fields: str) -> Hidden:
+    return Hidden(
+        lambda r, s: {name: _either(r, low, high or low)},
+        lambda m, p, s: m._replace(**{f: getattr(m, f) * p[name] for f in fields}),
+    )
+
+
+def _coulomb(r: np.random.Generator, s: Setting) -> Parameters:
+    return {"Fc": s.torque * r.uniform(2e-3, 8e-3)}
+
+
+def _stribeck(r: np.random.Generator, s: Setting) -> Parameters:
+    Fc = s.torque * r.uniform(4e-3, 8e-3)
+    return {"Fc": Fc, "dF": Fc * r.uniform(0.7, 1.5), "vs": s.length * r.uniform(6, 20)}
+
+
+def _presliding(r: np.random.Generator, s: Setting) -> Parameters:
+    return {"Fc": s.torque * r.uniform(6e-3, 15e-3), "bend": s.length * r.uniform(0.1, 0.5)}
+
+
+def _asymmetric(r: np.random.Generator, s: Setting) -> Parameters:
+    low = s.machine.b_pos
+    high = low + s.torque / s.length * r.uniform(3e-5, 8e-5)
+    return {"b_pos": high, "b_neg": low} if r.random() < 0.5 else {"b_pos": low, "b_neg": high}
+
+
+def _position_friction(r: np.random.Generator, s: Setting) -> Parameters:
+    Fc = s.torque * r.uniform(3e-3, 7e-3)
+    turns = float(r.choice([1.0, 4.8, 9.371428571428572])) if s.setup.electrical else 1.0
+    return {"Fc": Fc, "P": Fc * r.uniform(0.4, 0.8), "N": s.length * turns, "a": _angle(r)}
+
+
+def _cogging(r: np.random.Generator, s: Setting) -> Parameters:
+    order = float(r.choice([1.0, 2.0, 4.0, 7.0, 13.0]))
+    size = r.uniform(2e-3, 5e-3) * (1.0 + order / 13.0)
+    return {"A": s.torque * size, "n": order / s.length, "a": _angle(r)}
+
+
+def _put_shaft(m: Machine, share: float, stiffness: float, **more: float) -> Machine:
+    """The share of the inertia behind a shaft."""
+    return m._replace(J1=m.J1 * (1 - share), J2=m.J1 * share, k_s=stiffness, **more)
+
+
+def _reduced(m: Machine, share: float) -> float:
+    return m.J1 * share * (1 - share)
+
+
+def _flexible(r: np.random.Generator, s: Setting) -> Parameters:
+    return {"share": r.uniform(0.3, 0.6), "frequency": r.uniform(20, 80), "damping": r.uniform(0.03, 0.12)}
+
+
+def _put_flexible(m: Machine, p: Parameters, s: Setting) -> Machine:
+    w, J = 2 * math.pi * p["frequency"], _reduced(m, p["share"])
+    return _put_shaft(m, p["share"], J * w**2, c_s=2 * p["damping"] * J * w)
+
+
+def _put_backlash(m: Machine, p: Parameters, s: Setting) -> Machine:
+    stiffness = _reduced(m, p["share"]) * (2 * math.pi * p["contact_frequency"]) ** 2
+    return _put_shaft(m, p["share"], stiffness, gap=p["gap"], hc=p["hc"])
+
+
+def _backlash(r: np.random.Generator, s: Setting) -> Parameters:
+    return {
+        "gap": s.length * r.uniform(0.06, 0.25),
+        "share": r.uniform(0.35, 0.6),
+        "contact_frequency": r.uniform(200, 400),
+        "hc": r.uniform(0.05, 0.2) / s.length,
+    }
+
+
+def _put_gear(m: Machine, p: Parameters, s: Setting) -> Machine:
+    w, J = 2 * math.pi * 1000.0, _reduced(m, p["share"])
+    m = _put_shaft(m, p["share"], J * w**2, c_s=2 * 0.3 * J * w, loss=1 / p["eta"] - 1)
+    return _bristle(m, 5e-3 * s.torque, STIFF * s.length, 0.1)
+
+
+def _end_stop(r: np.random.Generator, s: Setting) -> Parameters:
+    """A stop on the side, and within the distance, that both records would reach without it."""
+    other = simulate(s.machine, s.other_u, s.dt, feedback=s.feedback).phi
+    up, down = min(s.free.phi.max(), other.max()), min(-s.free.phi.min(), -other.min())
+    side = 1.0 if up > down else -1.0
+    return {
+        "side": side,
+        "place": side * float(max(up, down)) * r.uniform(0.4, 0.8),
+        "stiffness": s.torque / s.length * r.uniform(2, 10),
+        "hc": r.uniform(0.003, 0.01) / s.length,
+    }
+
+
+def _heating(r: np.random.Generator, s: Setting) -> Parameters:
+    duration = len(s.u) * s.dt
+    rise = r.uniform(0.15, 0.35)
+    p = {"rise": rise, "tau_winding": duration * r.uniform(0.3, 1.0), "tau_housing": duration * r.uniform(3, 8)}
+    p["share_housing"] = r.uniform(0.1, 0.3)
+    # The losses fall as R grows less than i**2 does; three rounds of scaling meet the wanted rise within a per cent.
+    heat = 1.0
+    for _ in range(4):
+        got = simulate(_put_heating(s.machine, {**p, "heat_capacity": heat}, s), s.u, s.dt, feedback=s.feedback)
+        heat *= float(got.temperature.max()) * ALPHA / rise
+    return {**p, "heat_capacity": heat}
+
+
+ALPHA = 0.0039  # copper, per kelvin
+
+
+def _put_heating(m: Machine, p: Parameters, s: Setting) -> Machine:
+    C_w, G = p["heat_capacity"], p["heat_capacity"] / p["tau_winding"]
+    C_h = G / p["share_housing"] * p["tau_winding"]
+    return m._replace(alpha=ALPHA, C_w=C_w, G_wh=G, C_h=C_h, G_ha=C_h / p["tau_housing"])
+
+
+EFFECTS: Mapping[str, Hidden] = {
+    "inertia": _scaled("factor", (0.6, 0.78), (1.25, 1.6), "J1"),
+    "viscous-friction": _scaled("factor", (4.0, 10.0), None, "b_pos", "b_neg"),
+    "torque-constant": _scaled("factor", (0.82, 0.9), (1.1, 1.15), "Kt", "Ke"),
+    "resistance": _scaled("factor", (1.25, 1.5), None, "R"),
+    "resistance-heating": Hidden(_heating, _put_heating),
+    "coulomb-friction": Hidden(_coulomb, lambda m, p, s: _dry(m, p["Fc"], s, Fc=p["Fc"])),
+    "stribeck-friction": Hidden(
+        _stribeck, lambda m, p, s: _dry(m, p["Fc"] + p["dF"], s, Fc=p["Fc"], dF=p["dF"], vs=p["vs"])
+    ),
+    "presliding": Hidden(_presliding, lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.1)._replace(Fc=p["Fc"])),
+    "asymmetric-viscous-friction": Hidden(_asymmetric, lambda m, p, s: m._replace(b_pos=p["b_pos"], b_neg=p["b_neg"])),
+    "constant-load": Hidden(
+        lambda r, s: {"T0": s.torque * _sign(r) * r.uniform(1.5e-3, 6e-3)}, lambda m, p, s: m._replace(T0=p["T0"])
+    ),
+    "quadratic-drag": Hidden(
+        lambda r, s: {"c": s.torque / s.length**2 * r.uniform(4e-8, 1.2e-7)}, lambda m, p, s: m._replace(drag=p["c"])
+    ),
+    "position-dependent-friction": Hidden(
+        _position_friction,
+        lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"]),
+    ),
+    "cogging": Hidden(_cogging, lambda m, p, s: m._replace(A=p["A"], n=p["n"], a_A=p["a"])),
+    "gear-efficiency": Hidden(lambda r, s: {"eta": r.uniform(0.6, 0.85), "share": r.uniform(0.5, 0.7)}, _put_gear),
+    "backlash": Hidden(_backlash, _put_backlash),
+    "flexible-coupling": Hidden(_flexible, _put_flexible),
+    "input-delay": Hidden(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, lambda m, p, s: m._replace(delay=p["delay"])),
+    "input-dead-zone": Hidden(
+        lambda r, s: {"V": s.setup.largest / 24 * r.uniform(0.4, 1.2)}, lambda m, p, s: m._replace(dead=p["V"])
+    ),
+    "brush-drop": Hidden(lambda r, s: {"V": r.uniform(0.3, 1.0)}, lambda m, p, s: m._replace(Vb=p["V"], i_s=4e-3)),
+    "input-saturation": Hidden(
+        lambda r, s: {"limit": s.setup.largest * r.uniform(0.5, 0.8)}, lambda m, p, s: m._replace(limit=p["limit"])
+    ),
+    # A bridge switching at 25 kHz loses two dead times of each period; a supply above its rating gains.
+    "input-gain": Hidden(
+        lambda r, s: {"factor": 1 - 2 * 25e3 * r.uniform(2e-6, 4e-6) if r.random() < 0.5 else r.uniform(1.1, 1.2)},
+        lambda m, p, s: m._replace(amplify=p["factor"]),
+    ),
+    "sensor-gain": _scaled("factor", (0.9, 0.95), (1.05, 1.1), "y_gain"),
+    "sensor-bias": Hidden(
+        lambda r, s: {"angle": s.length * _sign(r) * r.uniform(0.1, 0.3), "current": _sign(r) * r.uniform(0.15, 0.5)},
+        lambda m, p, s: m._replace(y_bias=p["angle"], i_bias=p["current"]),
+    ),
+    "sensor-eccentricity": Hidden(
+        lambda r, s: {"e": s.length * r.uniform(0.02, 0.05), "a": _angle(r)},
+        lambda m, p, s: m._replace(y_e=p["e"], y_a=p["a"], y_n=1.0 / s.length),
+    ),
+    "sensor-delay": Hidden(
+        lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, lambda m, p, s: m._replace(y_delay=p["delay"])
+    ),
+    "stiffness": Hidden(
+        lambda r, s: {"k": s.torque * r.uniform(6e-3, 20e-3) / s.reach}, lambda m, p, s: m._replace(k=p["k"])
+    ),
+    "cubic-stiffness": Hidden(
+        lambda r, s: {"k3": s.torque * r.uniform(10e-3, 30e-3) / s.reach**3}, lambda m, p, s: m._replace(k3=p["k3"])
+    ),
+    "end-stop": Hidden(
+        _end_stop,
+        lambda m, p, s: m._replace(stop=p["side"], x_stop=p["place"], k_stop=p["stiffness"], c_stop=p["hc"]),
+    ),
+}
+
+# Effects of winding, brushes and back-EMF; and the torque constant, which a force-driven axis has only as input gain.
+MOTOR_ONLY = ("torque-constant", "resistance", "resistance-heating", "brush-drop")
+
+
+def _telegraph(p: Parameters, n: int, dt: float) -> Timeline:
+    """A neighbour that starts and stops: +-A, switching at random times that belong to the machine."""
+    r, t, level = np.random.default_rng(int(p["schedule"])), np.arange(n) * dt, np.ones(n)
+    switch, value = 0.0, 1.0
+    while switch < t[-1]:
+        level[t >= switch] = value
+        switch, value = switch + r.exponential(p["dwell"]) + 0.02, -value
+    return Timeline(p["A"] * level, np.ones(n))
+
+
+def _ripple(p: Parameters, n: int, dt: float) -> Timeline:
+    return Timeline(p["A"] * np.cos(2 * math.pi * p["frequency"] * np.arange(n) * dt + p["a"]), np.ones(n))
+
+
+def _dropouts(p: Parameters, n: int, dt: float) -> Timeline:
+    r, t, alive = np.random.default_rng(int(p["schedule"])), np.arange(n) * dt, np.ones(n)
+    at = 0.0
+    while at < t[-1]:
+        at += r.exponential(p["every"]) + 0.05
+        lasts = r.uniform(0.5, 1.5) * p["lasts"]
+        alive[(t >= at) & (t < at + lasts)] = 0.0
+        at += lasts
+    return Timeline(np.zeros(n), alive)
+
+
+def _unchanged(m: Machine, p: Parameters, s: Setting) -> Machine:
+    return m
+
+
+def _put_hysteretic(m: Machine, p: Parameters, s: Setting) -> Machine:
+    return m._replace(k_h=p["k"], share_h=p["elastic"], x_h=p["yield"], gamma_h=p["gamma"])
+
+
+def _resonance(r: np.random.Generator, s: Setting) -> Parameters:
+    return {"share": r.uniform(0.5, 0.6), "frequency": r.uniform(12, 20), "hardening": r.uniform(4, 8)}
+
+
+def _put_resonance(m: Machine, p: Parameters, s: Setting) -> Machine:
+    J, w = _reduced(m, p["share"]), 2 * math.pi * p["frequency"]
+    twist = 0.1 * s.length  # where the cubic part of the spring equals the linear one times the hardening
+    return _put_shaft(
+        m, p["share"], J * w**2, c_s=0.02 * J * w, k3_s=p["hardening"] * J * w**2 / twist**2, cq_s=0.3 * J / s.length
+    )
+
+
+OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
+    "hysteretic-spring": Hidden(
+        lambda r, s: {
+            "k": s.torque * r.uniform(15e-3, 30e-3) / (0.1 * s.reach),
+            "elastic": r.uniform(0.03, 0.06),
+            "yield": s.reach * r.uniform(0.05, 0.1),
+            "gamma": r.uniform(-0.3, 0.2),
+        },
+        _put_hysteretic,
+    ),
+    "field-weakening": Hidden(
+        lambda r, s: {"speed": r.uniform(0.8, 1.3) * 457.0}, lambda m, p, s: m._replace(weakening=p["speed"])
+    ),
+    "telegraph-load": Hidden(
+        lambda r, s: {
+            "A": s.torque * r.uniform(5e-3, 10e-3),
+            "dwell": r.uniform(0.08, 0.2),
+            "schedule": float(r.integers(2**31)),
+        },
+        _unchanged,
+        _telegraph,
+    ),
+    "timed-ripple": Hidden(
+        lambda r, s: {"A": s.torque * r.uniform(4e-3, 8e-3), "frequency": r.uniform(4, 12), "a": _angle(r)},
+        _unchanged,
+        _ripple,
+    ),
+    "wearing-friction": Hidden(
+        lambda r, s: {"final": s.torque * r.uniform(15e-3, 30e-3)},
+        lambda m, p, s: _dry(m, p["final"], s, wear=p["final"] / s.travel),
+    ),
+    "one-sided-magnet": Hidden(
+        lambda r, s: {
+            "A": s.torque * r.uniform(20e-3, 40e-3),
+            "place": float(np.quantile(s.free.phi, r.uniform(0.35, 0.65))),
+            "width": float(np.ptp(s.free.phi)) * r.uniform(0.08, 0.15),
+        },
+        lambda m, p, s: m._replace(magnet=p["A"], x_m=p["place"], w_m=p["width"]),
+    ),
+    "slew-rate-limit": Hidden(
+        lambda r, s: {"rate": s.setup.largest * r.uniform(4, 12)}, lambda m, p, s: m._replace(slew=p["rate"])
+    ),
+    "square-root-drag": Hidden(
+        lambda r, s: {"c": s.torque * r.uniform(20e-3, 40e-3) / math.sqrt(s.top_speed)},
+        lambda m, p, s: m._replace(root_drag=p["c"], root_w=s.length),
+    ),
+    "driver-dropouts": Hidden(
+        lambda r, s: {
+            "every": r.uniform(0.1, 0.25),
+            "lasts": r.uniform(0.015, 0.04),
+            "schedule": float(r.integers(2**31)),
+        },
+        _unchanged,
+        _dropouts,
+    ),
+    "nonlinear-resonance": Hidden(_resonance, _put_resonance),
+    "speed-gated-brake": Hidden(
+        lambda r, s: {
+            "speed": s.top_speed * r.uniform(0.35, 0.5),
+            "b": r.uniform(0.3, 0.6) * s.frequency * s.machine.J1,
+        },
+        lambda m, p, s: m._replace(bite=p["speed"], brake=p["b"]),
+    ),
+}

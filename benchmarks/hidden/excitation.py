@@ -1,0 +1,86 @@
+"""Inputs of the blind tests, drawn from a generator; amplitudes are shares of the largest voltage."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["KINDS", "reference", "voltage"]
+
+Array = NDArray[np.float64]
+
+KINDS = ("rich", "square", "oneway", "multisine", "steps")
+SQUARE = 11.8 / 24.0  # the thesis' +-11.8 V at a 24 V supply
+
+
+def voltage(kind: str, n: int, dt: float, largest: float, rng: np.random.Generator) -> Array:
+    """Voltage (n,) in V.
+
+    ``rich``: levels up to the largest voltage, small levels, slow ramps through zero, small sines, of random dwell;
+    ``square``: +-11.8 V of 24 V, random period; ``oneway``: steps of one sign; ``steps``: levels of both signs;
+    ``multisine``: random-phase odd multisine plus levels.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"excitation {kind!r}: one of {', '.join(KINDS)}")
+    if kind == "square":
+        period = rng.uniform(0.35, 0.7)
+        return largest * SQUARE * np.where(np.arange(n) * dt % period < period / 2, 1.0, -1.0)
+    if kind == "multisine":
+        return _multisine(n, dt, largest, rng)
+    pieces = {"rich": _rich_piece, "oneway": _oneway_piece, "steps": _steps_piece}[kind]
+    u, k = np.zeros(n), 0
+    while k < n:
+        piece = pieces(dt, rng)
+        u[k : k + len(piece)] = piece[: n - k]
+        k += len(piece)
+    return largest * u
+
+
+def reference(n: int, dt: float, reach: float, rng: np.random.Generator) -> Array:
+    """Position (n,) to follow: smooth moves between random places within +-reach, short and long, with rests."""
+    out, k, here = np.zeros(n), 0, 0.0
+    while k < n:
+        move, rest = (int(s / dt) for s in (rng.uniform(0.1, 0.5), rng.uniform(0.02, 0.15)))
+        there = here + rng.uniform(-0.05, 0.05) * reach if rng.random() < 0.3 else rng.uniform(-reach, reach)
+        s = np.arange(1, move + 1) / move
+        piece = np.concatenate([here + (there - here) * s**3 * (10 - 15 * s + 6 * s**2), np.full(rest, there)])
+        out[k : k + len(piece)] = piece[: n - k]
+        k, here = k + len(piece), there
+    return out
+
+
+def _rich_piece(dt: float, rng: np.random.Generator) -> Array:
+    m = int(rng.uniform(0.08, 0.5) / dt)
+    choice = rng.random()
+    if choice < 0.45:
+        return np.full(m, rng.uniform(-1, 1))
+    if choice < 0.65:
+        return np.full(m, rng.uniform(-0.12, 0.12))
+    if choice < 0.85:
+        width = rng.choice([0.3, 0.08])
+        return np.linspace(rng.uniform(-width, width), rng.uniform(-width, width), m)
+    turns = max(1, round(rng.uniform(4, 15) * m * dt))
+    return rng.uniform(0.01, 0.05) * np.sin(2 * math.pi * turns * np.arange(m) / m)
+
+
+def _oneway_piece(dt: float, rng: np.random.Generator) -> Array:
+    return np.full(int(rng.uniform(0.1, 0.5) / dt), rng.uniform(0.25, 1))
+
+
+def _steps_piece(dt: float, rng: np.random.Generator) -> Array:
+    return np.full(int(rng.uniform(0.15, 0.5) / dt), rng.uniform(-1, 1))
+
+
+def _multisine(n: int, dt: float, largest: float, rng: np.random.Generator) -> Array:
+    t, duration = np.arange(n) * dt, n * dt
+    lines = np.arange(1, int(60 * duration), 2) / duration
+    lines = lines[:: max(1, len(lines) // 60)]
+    waves = np.cos(2 * math.pi * np.outer(t, lines) + rng.uniform(0, 2 * math.pi, len(lines))).sum(axis=1)
+    levels, k = np.zeros(n), 0
+    while k < n:
+        m = int(rng.uniform(0.3, 0.8) / dt)
+        levels[k : k + m] = rng.uniform(-0.6, 0.6)
+        k += m
+    return largest * np.clip(0.4 * waves / np.abs(waves).max() + levels, -1, 1)
