@@ -1,4 +1,7 @@
-"""The catalogue: every module of this folder that holds an ``EFFECT``. A new file is found without being named."""
+"""The catalogue: every module of this folder that holds an ``EFFECT``. A new file is found without being named.
+
+An effect that lives elsewhere joins it by `add_effect`, for as long as the process runs.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,17 @@ from pathlib import Path
 from robustlab.dynamics.effects.effect_contract import Effect
 from robustlab.errors import InputError, did_you_mean
 
-__all__ = ["catalogue", "effect"]
+__all__ = ["add_effect", "catalogue", "effect"]
 
 # Modules of this folder that hold no effect.
-MACHINERY = ("__init__", "catalogue", "effect_contract", "law_kernel", "port_model", "simulator", "extended_plant")
+MACHINERY = (
+    "__init__", "catalogue", "effect_contract", "extended_plant", "law_kernel", "load_side", "parameter_effect",
+    "port_model", "simulator",
+)  # fmt: skip
+
+_ADDED: dict[str, Effect] = {}
 
 
-@cache
 def catalogue() -> dict[str, Effect]:
     """Id -> effect, in the order of their ids.
 
@@ -24,6 +31,30 @@ def catalogue() -> dict[str, Effect]:
     InputError
         Two files with one id.
     """
+    return dict(sorted({**_own(), **_ADDED}.items()))
+
+
+def add_effect(added: Effect) -> None:
+    """Put an effect of your own into the catalogue of this process; one of the same id that was added before goes.
+
+    Raises
+    ------
+    InputError
+        No instance of `Effect`, an attribute that is missing, or the id of an effect of robustlab.
+    """
+    if not isinstance(added, Effect):
+        raise InputError("add_effect", f"{added!r}", "an instance of a class derived from Effect")
+    for attribute in ("id", "title", "equation", "site_kind"):
+        if not isinstance(getattr(added, attribute, None), str):
+            raise InputError(f"add_effect: {type(added).__name__}", f"no {attribute}", f"a text as its {attribute}")
+    if added.id in _own():
+        raise InputError("add_effect", f"the id {added.id!r}, which robustlab's own catalogue has", "an id of its own")
+    _ADDED[added.id] = added
+
+
+@cache
+def _own() -> dict[str, Effect]:
+    """The effects of this folder."""
     found: dict[str, Effect] = {}
     for file in sorted(Path(__file__).parent.glob("*.py")):
         if file.stem in MACHINERY:
@@ -34,7 +65,7 @@ def catalogue() -> dict[str, Effect]:
         if candidate.id in found:
             raise InputError(f"effects/{file.name}", f"the id {candidate.id!r}, which another file has", "its own id")
         found[candidate.id] = candidate
-    return dict(sorted(found.items()))
+    return found
 
 
 def effect(name: str) -> Effect:

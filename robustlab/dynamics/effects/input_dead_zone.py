@@ -1,0 +1,37 @@
+r"""Dead zone of the driver: it drops a constant voltage, or needs one before anything comes out.
+
+.. math:: u' = u - d \operatorname{sgn} u \ \text{ for } |u| > d, \qquad u' = 0 \ \text{ otherwise}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.plant_contract import Array
+
+__all__ = ["EFFECT"]
+
+
+class InputDeadZone(Effect):
+    """Symmetric dead zone or drop of an input."""
+
+    id = "input-dead-zone"
+    title = "Dead zone or drop of the driver"
+    equation = "u' = u - d sgn(u), 0 for |u| < d"
+    site_kind = "input"
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        prior = Prior("log", 0.04 * scales.input, 1.0)
+        return (EffectParameter("d", scales.signal_unit, "half width of the dead zone", prior),)
+
+    def input(self, u: Array, values: Mapping[str, float], h: float) -> Array:
+        return np.sign(u) * np.maximum(np.abs(u) - values["d"], 0.0)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        return Footprint(site.name, "input", 0.0, max(0.0, 1.0 - values["d"] / amplitude))
+
+
+EFFECT = InputDeadZone()

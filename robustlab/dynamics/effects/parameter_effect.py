@@ -1,0 +1,127 @@
+r"""Effects that are a misjudged parameter of the plant: one physical quantity, scaled.
+
+.. math:: p' = s\,p \quad\text{for all parameters p of the group}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Prior, Scales, Site
+from robustlab.dynamics.effects.port_model import Port, PortModel, parameter_groups, port_model
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.errors import InputError
+
+__all__ = ["ParameterEffect", "has_ground_term"]
+
+
+class ParameterEffect(Effect):
+    """Scales every parameter of a group (`robustlab.dynamics.effects.port_model.parameter_groups`).
+
+    Attributes
+    ----------
+    spread
+        Standard deviation of log s.
+    quantity
+        What is scaled, in words.
+    """
+
+    site_kind = "parameter"
+    spread: float
+    quantity: str
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        """The factor s."""
+        meaning = f"{self.quantity}, true value over the nominal one"
+        return (EffectParameter("s", "", meaning, Prior("log", 1.0, self.spread)),)
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        """One above and one below the nominal value."""
+        return ({"s": math.exp(self.spread)}, {"s": math.exp(-self.spread)})
+
+    def factors(self, plant: LinearPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
+        """Factor s for each parameter of the group."""
+        if site.kind != "parameter":
+            return {}
+        names = site.name.split("+")  # the label of the group
+        for name in names:
+            if name not in plant.parameters:
+                raise InputError(f"effect {self.id}: site {site.name!r}", "no such parameters", f"of {plant.name}")
+        return dict.fromkeys(names, values["s"])
+
+
+def has_ground_term(plant: LinearPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
+    """Whether parameters of this role already give the joint a force against the ground.
+
+    They do where the force that they give is not zero in a motion that all joints ``rows`` share; ``of`` says whether
+    the motion is that of the ``"velocity"`` or of the ``"position"``. (A spring between two masses is none to ground.)
+    """
+    directions = [getattr(r, of) for r in rows if getattr(r, of) is not None]
+    together = np.sum(directions, axis=0)
+    nominal = port_model(plant).A
+    for group_role, _, names in parameter_groups(plant):
+        if group_role == role:
+            change = port_model(plant, dict.fromkeys(names, 2.0)).A - nominal
+            row = port.velocity @ change
+            if abs(row @ together) > 1e-9 * np.abs(row).sum():
+                return True
+    return False
+
+
+class GroundedEffect(ParameterEffect):
+    """A parameter effect that can also sit at a joint whose equation lacks the term: a force to ground, linear in
+    the joint's position or velocity, whose coefficient is the parameter named `symbol`.
+
+    Attributes
+    ----------
+    symbol
+        Name of the coefficient at a joint.
+    of
+        What the force is proportional to: ``"position"`` or ``"velocity"``.
+    """
+
+    symbol: str
+    of: str
+
+    def at_joint(self, scales: Scales) -> EffectParameter:
+        """The coefficient at a joint, with its prior."""
+        raise NotImplementedError
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        return (self.at_joint(scales),) if scales.force_unit else super().parameters(scales)
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        if not scales.force_unit:
+            return super().starts(scales)
+        prior = self.at_joint(scales).prior
+        return ({self.symbol: prior.value(0.0)}, {self.symbol: prior.value(-1.5)})
+
+    def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
+        joints = tuple(p for p in model.ports.values() if p.kind == "joint" and getattr(p, self.of) is not None)
+        own = tuple(p for p in port_model(plant).ports.values() if p.kind == "joint")
+        nominal = {p.name: p for p in own}
+        missing = tuple(
+            Site("joint", p.name)
+            for p in joints
+            if p.name not in nominal or not has_ground_term(plant, nominal[p.name], self.id, own, self.of)
+        )
+        return (*super().sites(plant, model), *missing)
+
+    def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
+        if site.kind != "joint":
+            return model
+        port = model.ports[site.name]
+        row = getattr(port, self.of)
+        if row is None:
+            raise InputError(
+                f"effect {self.id}: {site.name}", f"a joint without a {self.of}", f"a joint with a {self.of}"
+            )
+        return model.with_state_feedback(port, -values[self.symbol] * row)
+
+    def checked(self, values: Mapping[str, float]) -> dict[str, float]:
+        if self.symbol not in values:
+            return super().checked(values)
+        return self._checked(values, self.parameters(Scales(force_unit="N")))
