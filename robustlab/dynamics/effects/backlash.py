@@ -58,6 +58,7 @@ class Backlash(Effect):
     equation = "F = -m (w^2 e + 2 zeta w e') sgn(delta) outside |delta| <= gap/2, w = 2 pi f, m = share (1 - share) J"
     site_kind = "joint"
     substeps = 4
+    structural = True
 
     def fits(self, port: Any) -> bool:
         return "." not in port.name

@@ -33,6 +33,7 @@ class FlexibleCoupling(Effect):
     title = "Flexible coupling"
     equation = "F = -w^2 m delta - 2 zeta w m delta', w = 2 pi f, m = share (1 - share) J"
     site_kind = "joint"
+    structural = True
 
     def fits(self, port: Any) -> bool:
         return "." not in port.name

@@ -29,18 +29,21 @@ class SensorEccentricity(Effect):
     title = "Eccentric or misaligned position sensor"
     equation = "y' = y + c cos(k y) + s sin(k y)"
     site_kind = "output"
+    spatial = True
 
     def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
         return tuple(Site("output", s.name) for s in plant.outputs if s.unit in POSITION_UNITS)
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         order = self._orders(scales)[0]
+        # A line of a record is known to a part of its resolution, one period over the range of the reading.
+        doubt = min(0.3, max(1e-3, 0.2 * math.pi / (scales.output * order))) if scales.orders else 3e-3
         size = Prior("linear", 0.0, 0.01 / order)
         per = f"1/{scales.signal_unit}" if scales.signal_unit else ""
         return (
             EffectParameter("c", scales.signal_unit, "error in phase with cos k y", size),
             EffectParameter("s", scales.signal_unit, "error in phase with sin k y", size),
-            EffectParameter("k", per, "spatial frequency", Prior("log", order, 0.01)),
+            EffectParameter("k", per, "spatial frequency", Prior("log", order, doubt)),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
