@@ -1,0 +1,266 @@
+# pyright: reportMissingParameterType=false
+# (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
+r"""Compiled square-root Kalman filter and Rauch-Tung-Striebel smoother.
+
+.. math:: z_{k+1} = \Phi z_k + f_k + w_k, \quad w_k \sim N(0, L_{\kappa(k)}^T L_{\kappa(k)}), \qquad
+          y_k = H z_k + e_k, \quad e_k \sim N(0, \operatorname{diag} \sigma^2)
+
+Covariances are carried as square roots, P = S S^T, so that a diffuse start and units of 1e-8 lose no digits. Outputs
+enter one at a time (Potter), which makes a missing sample a skipped update. The time update is one QR decomposition,
+
+.. math:: \begin{pmatrix} S_f^T \Phi^T & S_f^T \\ L & 0 \end{pmatrix} = Q
+          \begin{pmatrix} S_p^T & W \\ 0 & V \end{pmatrix}, \qquad
+          G = W^T S_p^{-1}, \quad \operatorname{cov}(z_k | z_{k+1}) = V^T V,
+
+whose parts are the predicted root, the smoother's gain and what the smoother adds: nothing is ever subtracted. Once
+the roots repeat from sample to sample they are kept, and only the means run on.
+
+References
+----------
+Kailath, Sayed, Hassibi, *Linear Estimation* (2000), chapter 12; Park, Kailath, "New square-root smoothing algorithms",
+IEEE TAC 41 (1996); de Jong, Penzer, "Diagnosing shocks in time series", JASA 93 (1998).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+# Roots that change by less than this share of their rows are taken as repeating.
+REPEATS = 1e-12
+
+
+@njit(nogil=True, error_model="numpy")
+def _triangle(m, columns):
+    """Householder reduction of the first ``columns`` columns of m to an upper triangle with diagonal >= 0."""
+    rows, width = m.shape
+    for j in range(columns):
+        norm = 0.0
+        for i in range(j, rows):
+            norm += m[i, j] * m[i, j]
+        norm = math.sqrt(norm)
+        if norm == 0.0:
+            continue
+        alpha = -norm if m[j, j] > 0 else norm
+        head = m[j, j] - alpha
+        beta = -1.0 / (alpha * head)
+        for c in range(j + 1, width):
+            total = head * m[j, c]
+            for i in range(j + 1, rows):
+                total += m[i, j] * m[i, c]
+            total *= beta
+            m[j, c] -= total * head
+            for i in range(j + 1, rows):
+                m[i, c] -= total * m[i, j]
+        m[j, j] = alpha
+        for i in range(j + 1, rows):
+            m[i, j] = 0.0
+        if alpha < 0:
+            for c in range(j, width):
+                m[j, c] = -m[j, c]
+
+
+@njit(nogil=True, error_model="numpy")
+def _update(z, S, h, sigma, v, gain, direction):
+    """Potter's update by one output with innovation v: changes z and S, fills ``gain``; the innovation's variance."""
+    n = len(z)
+    a = sigma * sigma
+    for j in range(n):
+        total = 0.0
+        for i in range(n):
+            total += S[i, j] * h[i]
+        direction[j] = total
+        a += total * total
+    shrink = 1.0 / (a + sigma * math.sqrt(a))
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += S[i, j] * direction[j]
+        gain[i] = total / a
+        z[i] += gain[i] * v
+        total *= shrink
+        for j in range(n):
+            S[i, j] -= total * direction[j]
+    return a
+
+
+@njit(nogil=True, error_model="numpy")
+def _advance(work, phi, S, root, S_new, G, rest):
+    """The QR decomposition of the module's header: predicted root, smoother's gain, and what the smoother adds."""
+    n = len(S)
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for c in range(n):
+                total += phi[j, c] * S[c, i]
+            work[i, j], work[i, n + j] = total, S[j, i]
+            work[n + i, j], work[n + i, n + j] = root[i, j], 0.0
+    _triangle(work, n)
+    for i in range(n):
+        for j in range(n):
+            S_new[i, j] = work[j, i] if j <= i else 0.0
+            total = 0.0
+            for c in range(n, 2 * n):
+                total += work[c, n + i] * work[c, n + j]
+            rest[i, j] = total
+    for i in range(n):  # row i of G solves G_i S_p = W_i^T
+        for j in range(n - 1, -1, -1):
+            total = work[j, n + i]
+            for c in range(j + 1, n):
+                total -= G[i, c] * S_new[c, j]
+            G[i, j] = total / S_new[j, j]
+
+
+@njit(nogil=True, error_model="numpy")
+def _repeats(S_new, S):
+    for i in range(len(S)):
+        change, size = 0.0, 0.0
+        for j in range(i + 1):
+            change = max(change, abs(S_new[i, j] - S[i, j]))
+            size = max(size, abs(S_new[i, j]))
+        if change > REPEATS * size:
+            return False
+    return True
+
+
+@njit(
+    "(f8[:,::1],f8[:,:,::1],i8[::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[:,::1],b1,f8[:,::1],f8[:,::1],"
+    "f8[:,::1],i8[::1],f8[:,:,::1],f8[:,:,::1],f8[:,:,::1],f8[:,::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def forward(
+    phi, roots, kind, forced, H, y, sigma, S0, keep, innovation, predicted, filtered, slot, root, G, rest, last
+):
+    """Run the filter from zero mean and the root S0; ``last`` receives the filtered root of the last sample.
+
+    ``innovation`` (n, n_y) receives v / sqrt(a), NaN where y is. With ``keep`` the other arrays are filled for the
+    smoother, else they may be empty. Returns the sum of log a and of v^2 / a over all but the first n_z full updates.
+    """
+    n, n_y, n_z = y.shape[0], y.shape[1], len(phi)
+    z, z_next, S = np.zeros(n_z), np.zeros(n_z), S0.copy()
+    S_pred, S_new, work = S0.copy(), np.zeros((n_z, n_z)), np.zeros((2 * n_z, 2 * n_z))
+    gain, variance, direction = np.zeros((n_y, n_z)), np.zeros(n_y), np.zeros(n_z)
+    one_G, one_rest = np.zeros((n_z, n_z)), np.zeros((n_z, n_z))
+    frozen, place, seen = False, -1, 0  # seen: samples with all outputs
+    logs, squares, count = 0.0, 0.0, 0
+    for k in range(n):
+        complete = True
+        for i in range(n_y):
+            complete = complete and not math.isnan(y[k, i])
+        frozen = frozen and complete and kind[k] == 0
+        if keep:
+            predicted[k] = z
+        if not frozen:
+            place += 1
+            S[:] = S_pred
+            if keep:
+                root[place] = S_pred
+        slot_k = place
+        for i in range(n_y):
+            if math.isnan(y[k, i]):
+                innovation[k, i] = np.nan
+                continue
+            v = y[k, i]
+            for c in range(n_z):
+                v -= H[i, c] * z[c]
+            if frozen:
+                for c in range(n_z):
+                    z[c] += gain[i, c] * v
+            else:
+                variance[i] = _update(z, S, H[i], sigma[i], v, gain[i], direction)
+            innovation[k, i] = v / math.sqrt(variance[i])
+            if seen >= n_z:
+                logs += math.log(variance[i])
+                squares += v * v / variance[i]
+                count += 1
+        seen += complete
+        if keep:
+            filtered[k] = z
+            slot[k] = slot_k
+        if k == n - 1:
+            last[:] = S
+            break
+        if not frozen:
+            _advance(work, phi, S, roots[kind[k]], S_new, one_G, one_rest)
+            if keep:
+                G[place], rest[place] = one_G, one_rest
+            frozen = complete and kind[k] == 0 and _repeats(S_new, S_pred)
+            S_pred[:] = S_new
+        for i in range(n_z):
+            total = forced[k, i]
+            for c in range(n_z):
+                total += phi[i, c] * z[c]
+            z_next[i] = total
+        z[:] = z_next
+    return logs, squares, count
+
+
+@njit(nogil=True, error_model="numpy")
+def _solve_covariance(S, b):
+    """Overwrite b with (S S^T)^-1 b for a lower triangle S."""
+    n = len(b)
+    for i in range(n):
+        for j in range(i):
+            b[i] -= S[i, j] * b[j]
+        b[i] /= S[i, i]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            b[i] -= S[j, i] * b[j]
+        b[i] /= S[i, i]
+
+
+@njit(
+    "(f8[:,::1],f8[:,::1],i8[::1],f8[:,:,::1],f8[:,:,::1],f8[:,:,::1],f8[:,::1],i8,f8[:,::1],f8[:,:,::1],f8[:,::1],"
+    "f8[:,::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def backward(predicted, filtered, slot, root, G, rest, last, n_x, mean, covariance, shock, precision):
+    """Smoothed mean (n, n_z) and covariance (n, n_z, n_z), and what speaks for a jump of the states from n_x on.
+
+    ``shock[k, j]`` is the score of a jump of state n_x + j between samples k and k + 1 and ``precision`` its variance:
+    their quotient estimates the jump, and shock / sqrt(precision) is standard normal where there is none.
+    """
+    n, n_z = filtered.shape
+    mean[n - 1] = filtered[n - 1]
+    covariance[n - 1] = last @ last.T
+    error, column = np.zeros(n_z), np.zeros(n_z)
+    half = np.zeros((n_z, n_z))
+    for k in range(n - 2, -1, -1):
+        after = covariance[k + 1]
+        for i in range(n_z):
+            error[i] = mean[k + 1, i] - predicted[k + 1, i]
+        gain, add, out = G[slot[k]], rest[slot[k]], covariance[k]
+        for i in range(n_z):
+            total = filtered[k, i]
+            for j in range(n_z):
+                total += gain[i, j] * error[j]
+                part = 0.0
+                for c in range(n_z):
+                    part += gain[i, c] * after[c, j]
+                half[i, j] = part
+            mean[k, i] = total
+        for i in range(n_z):
+            for j in range(i + 1):
+                total = add[i, j]
+                for c in range(n_z):
+                    total += half[i, c] * gain[j, c]
+                out[i, j] = total
+                out[j, i] = total
+        S = root[slot[k + 1]]
+        for q in range(shock.shape[1]):
+            column[:] = 0.0
+            column[n_x + q] = 1.0
+            _solve_covariance(S, column)
+            score, spread = 0.0, column[n_x + q]
+            for i in range(n_z):
+                score += column[i] * error[i]
+                for j in range(n_z):
+                    spread -= column[i] * after[i, j] * column[j]
+            shock[k, q] = score
+            precision[k, q] = max(spread, 0.0)
