@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ Array = NDArray[np.float64]
 STEP = 2e-3  # of a standardised parameter, for differences
 START_STEP = 0.02  # of a window's start
 FARTHEST = 8.0  # standardised parameters are kept within this of their priors
+TRIES = 8  # damped steps before a fit gives up
+LONGEST_STEP = 2.0  # of a standardised parameter in one step
 WILD = 1e6  # errors beyond this many standard deviations count as this
 
 
@@ -242,18 +245,12 @@ class Problem:
         while True:
             parts = [self._linearised(k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed) for k in range(len(xi))]
             count += 1
-            hessian = np.eye(len(z)) + sum(p.hessian for p in parts)
+            hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
             if rounds <= 0:
                 break
-            gradient = z + sum(p.gradient for p in parts)
             improved = 0.0
-            for _ in range(6):
-                dz = np.zeros_like(z)
-                if not fixed:
-                    dz = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-                    dz = np.clip(z + dz, -FARTHEST, FARTHEST) - z
-                there = z + dz
-                moved = [x + p.start_step(dz) for x, p in zip(xi, parts, strict=True)]
+            for _ in range(TRIES):
+                there, moved = self._stepped(z, xi, parts, damping, fixed)
                 trial = self.whitened(self.errors(hypothesis, there, moved, simulators), noise)
                 found = _total(trial, moved, there)
                 if found < cost:
@@ -261,14 +258,26 @@ class Problem:
                     z, xi, residual = there, moved, trial
                     damping = max(damping * 0.2, 1e-6)
                     break
-                damping = max(damping, 1e-4) * 8.0
-                if fixed and damping > 1.0:
-                    break
+                damping = max(damping, 1e-4) * 10.0
             rounds -= 1
             if improved < tolerance:
                 break
         window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count)
+
+    @staticmethod
+    def _stepped(
+        z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], damping: float, fixed: bool
+    ) -> tuple[Array, list[Array]]:
+        """Parameters and window starts after one damped step."""
+        reduced = [p.reduced(damping) for p in parts]
+        dz = np.zeros_like(z)
+        if not fixed:
+            hessian = np.eye(len(z)) + sum(r.hessian for r in reduced)
+            hessian[np.diag_indices(len(z))] += damping * (1.0 + sum(p.diagonal for p in parts))
+            dz = -np.linalg.solve(hessian, z + sum(r.gradient for r in reduced))
+            dz = np.clip(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP), -FARTHEST, FARTHEST) - z
+        return z + dz, [x - r.offset - r.slope @ dz for x, r in zip(xi, reduced, strict=True)]
 
     def _linearised(
         self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
@@ -290,32 +299,48 @@ class Problem:
         return _Linearised.of(residual, j, x, xi)
 
 
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """Normal equations over z and what turns a step of z into a step of the starts."""
+class _Reduced(NamedTuple):
+    """Normal equations over z after the starts are eliminated, and the step of the starts: -(offset + slope dz)."""
 
     hessian: Array
     gradient: Array
     offset: Array  # (n_windows, n_x)
     slope: Array  # (n_windows, n_x, n_z)
 
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Products of the derivatives J over z and X over the starts of one record, window by window."""
+
+    jj: Array  # J^T J summed, (n_z, n_z)
+    jr: Array  # J^T r summed, (n_z,)
+    xx: Array  # X^T X + 1, (n_windows, n_x, n_x)
+    xj: Array  # X^T J, (n_windows, n_x, n_z)
+    xr: Array  # X^T r + xi, (n_windows, n_x)
+
     @classmethod
     def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> _Linearised:
         xt = np.swapaxes(x, 1, 2)
-        jt = np.swapaxes(j, 1, 2)
-        inner = xt @ x + np.eye(x.shape[2])
-        pull = (xt @ residual[:, :, None])[:, :, 0] + xi
-        cross = xt @ j
-        offset = np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
-        slope = np.linalg.solve(inner, cross)
-        crosst = np.swapaxes(cross, 1, 2)
-        hessian = (jt @ j - crosst @ slope).sum(axis=0)
-        gradient = ((jt @ residual[:, :, None])[:, :, 0] - (crosst @ offset[:, :, None])[:, :, 0]).sum(axis=0)
-        return cls(0.5 * (hessian + hessian.T), gradient, offset, slope)
+        flat = j.reshape(-1, j.shape[2])
+        return cls(
+            flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
+            (xt @ residual[:, :, None])[:, :, 0] + xi,
+        )  # fmt: skip
 
-    def start_step(self, dz: Array) -> Array:
-        """Step of the starts that goes with the step dz."""
-        return -(self.offset + self.slope @ dz)
+    @property
+    def diagonal(self) -> Array:
+        """Of J^T J."""
+        return np.diag(self.jj)
+
+    def reduced(self, damping: float) -> _Reduced:
+        """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
+        n_x = self.xx.shape[1]
+        inner = self.xx + damping * self.xx * np.eye(n_x)
+        both = np.linalg.solve(inner, np.concatenate([self.xr[:, :, None], self.xj], axis=2))
+        offset, slope = both[:, :, 0], both[:, :, 1:]
+        hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
+        gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
+        return _Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
 
 
 def averaged(error: Array, thin: int) -> Array:

@@ -28,7 +28,7 @@ SEED = 20261121
 FIRST, SECOND, LAST = 3, 6, 8
 KEPT_SECOND, KEPT_LAST = 12, 8
 PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
-FARTHEST_BEHIND = 0.6  # of the best gain; who gains less in the first round is given a second chance only among the best
+MANY_WINDOWS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +132,15 @@ def rank(
         for start in candidate.starts
     ]
 
+    half = problem.on(problem.records, [c[::2] for c in problem.chosen]) if _many(problem) else problem
+    half_starts = [x[::2] for x in base_fit.starts] if _many(problem) else base_fit.starts
+    half_base = half.fit(base, noise, base_fit.z, half_starts, 1)
+
     def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
-        return job[0], problem.fit(job[1], noise, job[2], base_fit.starts, FIRST)
+        return job[0], half.fit(job[1], noise, job[2], half_starts, FIRST)
+
+    def second_of(entry: tuple[Candidate, Fit]) -> tuple[Candidate | None, Fit]:
+        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, SECOND)
 
     def on(iterations: int, model: NoiseModel) -> Callable[[tuple[Candidate | None, Fit]], tuple[Candidate | None, Fit]]:
         return lambda c: (c[0], problem.fit(c[1].hypothesis, model, c[1].z, c[1].starts, iterations))
@@ -142,15 +149,20 @@ def rank(
         fitted = _best_of_each(pool.map(first, jobs))
         if progress:
             progress(f"{len(jobs)} starts of {len(fitted)} effects tried")
-        gain = {key: base_fit.cost - fit.cost for key, (_, fit) in fitted.items()}
+        gain = {key: half_base.cost - fit.cost for key, (_, fit) in fitted.items()}
         kept = [key for key in sorted(gain, key=gain.__getitem__, reverse=True) if gain[key] > 2.0 * PROMISING]
-        second = list(pool.map(on(SECOND, noise), [fitted[key] for key in kept[:KEPT_SECOND]]))
+        second = list(pool.map(second_of, [fitted[key] for key in kept[:KEPT_SECOND]]))
         second.sort(key=lambda c: c[1].cost)
         leader = second[0][1] if second and second[0][1].cost < base_fit.cost else base_fit
         final_noise = whitening(problem, leader)
         last: list[tuple[Candidate | None, Fit]] = [(None, base_fit), *second[:KEPT_LAST]]
         final = list(pool.map(on(LAST, final_noise), last))
     return _ranked(final, final_noise)
+
+
+def _many(problem: Problem) -> bool:
+    """True where half the windows are enough for a first look."""
+    return sum(len(c) for c in problem.chosen) >= MANY_WINDOWS
 
 
 def _extended(

@@ -1,0 +1,326 @@
+"""`discover`: name the effect that a model lacks, from measured records.
+
+The way: the records are checked and cut into windows; every effect of the catalogue is fitted by simulation, always
+together with the nominal parameters within their tolerances; the most probable one is named if it also helps on data
+that no fit has seen; the search goes on on top of it until nothing helps any more. What could stand in its place for
+these very records is named with it, and what no effect explains is called unknown.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.effects.effect_contract import Site
+from robustlab.dynamics.effects.port_model import linear_plant_of, parameter_groups, port_model
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.errors import InputError
+from robustlab.identification.candidates import candidates
+from robustlab.identification.discovery_result import (
+    Discovery,
+    EffectValue,
+    Gap,
+    NamedEffect,
+    NamingStep,
+    NominalValue,
+    Rival,
+    StepEntry,
+    Verdict,
+)
+from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
+from robustlab.identification.greedy_naming import Alternative, Naming, alternatives, held_out_fit, name_effects
+from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
+from robustlab.identification.prepared_record import PreparedRecord, prepare, window_length
+from robustlab.record import Record
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+
+__all__ = ["discover"]
+
+Array = NDArray[np.float64]
+
+HELD_OUT_EVERY = 4  # without a held-out record, every fourth window is kept from the fit
+INTERVAL = 1.96  # standard deviations of a 95 % interval
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """Prepared records and which of their windows are fitted and which are held out."""
+
+    problem: Problem
+    held: Problem
+    held_text: str
+
+
+def discover(
+    plant: Any,
+    records: Record | Sequence[Record],
+    held_out: Record | Sequence[Record] | None = None,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    window: float | None = None,
+    period: float | None = None,
+    repeats: Sequence[Record] = (),
+    exclude: Sequence[str] = (),
+    progress: Callable[[str], None] | None = None,
+) -> Discovery:
+    """Name what a model lacks.
+
+    Parameters
+    ----------
+    plant
+        A linear `Plant`, a continuous `StateSpaceModel` or ``control.StateSpace`` whose velocity, position and current
+        states carry their units (rad/s, m/s, A).
+    records
+        One record or several of the same machine; any subset of the plant's outputs.
+    held_out
+        Records that the fit never sees and the gap is judged on; without them every fourth window is held out.
+    tolerances
+        Parameter -> relative tolerance, over those that the plant states. A parameter without any is given a usual one
+        (5 %; friction 100 %), which the result says.
+    window
+        Length of the windows in s (a twelfth of the shortest record where left out).
+    period, repeats
+        Period of the excitation in s, or further records with the same input: for a noise floor without a model.
+    exclude
+        Effect ids that are not to be tried.
+    progress
+        Called with a line of text now and then.
+
+    Returns
+    -------
+    Discovery
+        ``.verdict``, ``.effects``, ``.rivals``, ``.gap_before``, ``.gap_after``, ``.model``, ``.next_experiment``.
+
+    Raises
+    ------
+    InputError
+        Records that do not fit the plant or are too short; a wrong sign, unit or swapped channel.
+    NoTrustworthyNumber
+        Records that say nothing: no excitation, dead sensors.
+    """
+    began = time.perf_counter()
+    linear = _linear(plant)
+    measured = [records] if isinstance(records, Record) else list(records)
+    kept_out = [] if held_out is None else [held_out] if isinstance(held_out, Record) else list(held_out)
+    if not measured:
+        raise InputError("discover", "no record", "at least one")
+    findings = _checked(linear, [*measured, *kept_out])
+    stated = stated_tolerances(linear, tolerances)
+    model = port_model(linear)
+    data = _data(linear, model, measured, kept_out, nuisance_parameters(linear, stated), window)
+    pool = [c for c in candidates(linear, model, data.problem.records) if c.effect.id not in exclude]
+    limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(linear)}
+
+    def allowed(problem: Problem, fit: Fit, candidate: Candidate) -> bool:
+        return beyond_tolerance(problem, fit, candidate, limits)
+
+    naming = name_effects(data.problem, data.held, pool, allowed, progress)
+    rivals = [
+        a
+        for a in alternatives(data.problem, naming)
+        if a.cannot_be_told and beyond_tolerance(data.problem, a.fit, a.candidate, limits)
+    ]
+    return _result(linear, data, naming, rivals, stated, findings, pool, measured, repeats, period, began)
+
+
+def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
+    """False for a parameter effect whose total factor lies within the parameter's tolerance: nothing is missing then."""
+    if candidate.site.kind != "parameter":
+        return True
+    factors, values = problem.split(fit.hypothesis, fit.z)
+    k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
+    own = candidate.effect.factors(problem.plant, candidate.site, values[k])
+    name = next(iter(own))
+    total = np.log(factors.get(name, 1.0) * own[name])
+    return bool(abs(total) > np.log1p(limits[candidate.site.name]))
+
+
+def _linear(plant: Any) -> LinearPlant:
+    if isinstance(plant, (LinearPlant, StateSpaceModel)):
+        return linear_plant_of(plant, "discover")
+    from robustlab.dynamics.plant_contract import Plant
+
+    if isinstance(plant, Plant):
+        raise InputError(
+            "discover", f"the nonlinear plant {plant.name}", "a linear one", "linearise it first: rl.linearise(plant, at=...)"
+        )
+    return linear_plant_of(as_model(plant, "discover"), "discover")
+
+
+def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Any, ...]:
+    """Findings on the records; raises where one forbids a naming."""
+    from robustlab.identification.suitability import suitability
+
+    findings: list[Any] = []
+    for record in records:
+        found = suitability(plant, record)
+        found.require()
+        findings.extend(found.findings)
+    return tuple(findings)
+
+
+def _data(
+    plant: LinearPlant, model: Any, records: Sequence[Record], held_out: Sequence[Record], nuisances: Any,
+    window: float | None,
+) -> _Data:  # fmt: skip
+    from robustlab.identification.resampling import uniform
+
+    dt = records[0].dt
+    uniformed = [uniform(r, None if r.is_uniform else dt) for r in (*records, *held_out)]
+    everything = [u.record for u in uniformed]
+    length = window_length(plant, everything) if window is None else max(8, round(window / dt))
+    prepared = [prepare(plant, model, u.record, length, dict(u.valid)) for u in uniformed]
+    fitted, judged = prepared[: len(records)], prepared[len(records) :]
+    if judged:
+        problem = Problem(plant, fitted, nuisances)
+        return _Data(problem, problem.on(judged), ", ".join(r.name for r in held_out))
+    apart = [np.arange(r.count) % HELD_OUT_EVERY == HELD_OUT_EVERY // 2 for r in fitted]
+    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart])
+    held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
+    return _Data(problem, held, f"every {HELD_OUT_EVERY}th window of the records, kept from the fit")
+
+
+# --- the result ------------------------------------------------------------------------------------------------------
+
+
+def _result(
+    plant: LinearPlant, data: _Data, naming: Naming, rivals: Sequence[Alternative],
+    stated: Mapping[str, tuple[float, bool]], findings: tuple[Any, ...], pool: Sequence[Candidate],
+    records: Sequence[Record], repeats: Sequence[Record], period: float | None, began: float,
+) -> Discovery:  # fmt: skip
+    problem, held, fit = data.problem, data.held, naming.fit
+    gaps, series = _gaps(held, naming)
+    effects = tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates)))
+    verdict, complete, structure = _verdict(problem, naming, gaps, bool(rivals))
+    overall = {key: _overall(gaps, key) for key in ("nominal", "refitted", "updated")}
+    return Discovery(
+        status=Status.CONVERGED if verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
+        verdict=verdict,
+        complete=complete,
+        effects=effects,
+        rivals=tuple(_rival(problem, a) for a in rivals),
+        nominal=_nominal(problem, fit, stated),
+        gap_before=overall["nominal"],
+        gap_refitted=overall["refitted"],
+        gap_after=overall["updated"],
+        gaps=gaps,
+        held_out=data.held_text,
+        plant=plant.name,
+        records=tuple(r.name for r in records),
+        window=problem.records[0].windows.length * problem.records[0].record.dt,
+        steps=tuple(_step(s) for s in naming.steps),
+        candidates=tuple(dict.fromkeys(c.effect.id for c in pool)),
+        structure=structure,
+        findings=findings,
+        series=series,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]]:
+    """Windowed errors on held-out data of the three models, and their signals."""
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), naming.noise, 0)
+    models = {
+        "nominal": held_out_fit(held, as_given, naming.noise),
+        "refitted": held_out_fit(held, naming.bare, naming.noise),
+        "updated": held_out_fit(held, naming.fit, naming.noise),
+    }
+    outputs = {key: simulated_outputs(held, fit) for key, fit in models.items()}
+    measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
+    gaps: dict[str, Gap] = {}
+    first = held.records[0]
+    order = (first.windows.starts[held.chosen[0]][:, None] + np.arange(first.windows.length)).ravel()
+    series: dict[str, Any] = {"t": first.record.t[order], "outputs": {}}
+    for name, unit in first.record.inputs and [(s.name, s.unit) for s in held.plant.inputs]:
+        series.setdefault("inputs", {})[name] = first.record.inputs[name][order]
+    for j, column in enumerate(first.columns):
+        signal = held.plant.outputs[column]
+        rms = {
+            key: float(np.sqrt(np.nanmean(np.concatenate([(m - y)[:, :, j].ravel() for m, y in zip(measured, values, strict=True)]) ** 2)))
+            for key, values in outputs.items()
+        }
+        span = max(float(np.nanmax(r.y[:, j]) - np.nanmin(r.y[:, j])) for r in held.records)
+        gaps[signal.name] = Gap(signal.name, signal.unit, span, rms["nominal"], rms["refitted"], rms["updated"])
+        series["outputs"][signal.name] = {
+            "measured": measured[0][:, :, j].ravel(),
+            **{key: values[0][:, :, j].ravel() for key, values in outputs.items()},
+        }
+    return gaps, series
+
+
+def _overall(gaps: Mapping[str, Gap], key: str) -> float:
+    """RMS over the outputs of the error in percent of the range."""
+    shares = [getattr(g, key) / (g.range or 1.0) for g in gaps.values()]
+    return float(100.0 * np.sqrt(np.mean(np.square(shares))))
+
+
+def _verdict(problem: Problem, naming: Naming, gaps: Mapping[str, Gap], has_rivals: bool) -> tuple[Verdict, bool, dict[str, Any]]:
+    named = bool(naming.fit.hypothesis.candidates)
+    if not named:
+        return "no missing effect", True, {}
+    return ("ambiguous" if has_rivals else "named"), True, {}
+
+
+def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
+    """Parameters of the k-th effect with posterior intervals."""
+    candidate = fit.hypothesis.candidates[k]
+    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k])
+    z, std = fit.z[at : at + len(candidate.parameters)], fit.std[at : at + len(candidate.parameters)]
+    found = []
+    for p, centre, spread in zip(candidate.parameters, z, std, strict=True):
+        ends = sorted(p.prior.value(centre + side * INTERVAL * spread) for side in (-1.0, 1.0))
+        found.append(EffectValue(p.name, p.prior.value(centre), p.unit, ends[0], ends[1], p.meaning))
+    return tuple(found)
+
+
+def _named(problem: Problem, naming: Naming, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
+    candidate = naming.fit.hypothesis.candidates[k]
+    taken = [s for s in naming.steps if s.taken is not None and s.taken.candidate is not None]
+    step = next((s for s in taken if s.taken.candidate.key == candidate.key), None)  # type: ignore[union-attr]
+    own = [a for a in rivals if a.instead_of.key == candidate.key]
+    confidence = max(0.0, 1.0 - sum(a.wins for a in own))
+    evidence = step.taken.evidence - step.ranking.base.evidence if step and step.taken else 0.0
+    effect = candidate.effect
+    return NamedEffect(
+        effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(problem, naming.fit, k),
+        confidence, evidence, tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
+    )  # fmt: skip
+
+
+def _rival(problem: Problem, a: Alternative) -> Rival:
+    k = len(a.fit.hypothesis.candidates) - 1
+    effect = a.candidate.effect
+    return Rival(
+        effect.id, effect.title, a.candidate.site.name, a.instead_of.effect.id, a.distance, a.evidence, float(a.wins),
+        _effect_values(problem, a.fit, k),
+    )  # fmt: skip
+
+
+def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]]) -> tuple[NominalValue, ...]:
+    factors, _ = problem.split(fit.hypothesis, fit.z)
+    std = {
+        name: nuisance.spread * spread
+        for nuisance, spread in zip(problem.nuisances, fit.std, strict=False)
+        for name in nuisance.names
+    }
+    found = []
+    for name, p in problem.plant.parameters.items():
+        factor, spread = factors.get(name, 1.0), std.get(name, 0.0)
+        ends = sorted(p.value * factor * float(np.exp(side * INTERVAL * spread)) for side in (-1.0, 1.0))
+        found.append(NominalValue(name, p.value, p.value * factor, p.unit, ends[0], ends[1], *stated[name]))
+    return tuple(found)
+
+
+def _step(step: Any) -> NamingStep:
+    entries = tuple(
+        StepEntry(r.id, r.candidate.site.name if r.candidate else "", r.evidence, r.wins) for r in step.ranking.ranked
+    )
+    return NamingStep(
+        tuple(c.effect.id for c in step.base.candidates), entries, step.decision, float(step.held_out)
+    )
