@@ -5,20 +5,20 @@ r"""Dry friction: a force of constant size against the motion that holds the joi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GV, V, law
+from robustlab.dynamics.effects.law_kernel import GV, V0, V, law
+from robustlab.dynamics.effects.step_solutions import dry_mean_force
 
 __all__ = ["EFFECT", "dry_force"]
 
 
 @law
 def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Stick (p = (F_c,)) if a force within F_c stops the port by the end of the step."""
-    if abs(seen[V]) <= seen[GV] * p[0]:
-        return -seen[V] / seen[GV]
-    return -p[0] if seen[V] > 0.0 else p[0]
+    """Mean over the step of p = (F_c,), exact for a constant drive, with sticking and reversals."""
+    return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], 0.0, 1.0)
 
 
 class CoulombFriction(Effect):
@@ -28,7 +28,6 @@ class CoulombFriction(Effect):
     title = "Coulomb (dry) friction"
     equation = "f = -Fc sgn(v), |f| <= Fc at rest"
     site_kind = "joint"
-    substeps = 2
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("log", 0.1 * scales.force, 1.2)
@@ -40,7 +39,7 @@ class CoulombFriction(Effect):
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function of the relay for a sinusoidal speed of this amplitude: 4 Fc / (pi a); the sector of all
         # speeds up to the amplitude reaches from there down to nothing at all above it, as damping.
-        gain = 4.0 * values["Fc"] / (3.141592653589793 * amplitude)
+        gain = 4.0 * values["Fc"] / (math.pi * amplitude)
         return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"])
 
 

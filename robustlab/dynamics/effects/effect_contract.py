@@ -101,6 +101,8 @@ class Scales:
         Half the range of the site's output.
     current
         Largest absolute current.
+    lowest, highest
+        Extremes of the position; None where not known.
     dt, duration
         Sample time and length of the record in s.
     orders
@@ -112,6 +114,8 @@ class Scales:
     force: float = 1.0
     speed: float = 1.0
     position: float = 1.0
+    lowest: float | None = None
+    highest: float | None = None
     inertia: float = 1.0
     input: float = 1.0
     output: float = 1.0

@@ -1,0 +1,53 @@
+r"""Viscous friction that differs between the directions: the plant's own, more one way and less the other.
+
+.. math:: f = -\Delta F_v\, |v|
+
+that is, :math:`+\Delta F_v` on the viscous coefficient forwards and :math:`-\Delta F_v` backwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.law_kernel import GV, V0, V, law
+
+__all__ = ["EFFECT", "asymmetric_force"]
+
+# The half that pushes along is cut at this share of the velocity per half step: beyond, it would gather speed faster
+# than the step can follow (a time constant below the step).
+MOST_PUSH = 0.5
+
+
+@law
+def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Force of p = (dF_v,) at the mean of the velocities at the start and the end of the step."""
+    free = 0.5 * (seen[V0] + seen[V])  # mean velocity without the force
+    gain = 0.5 * seen[GV] * p[0]
+    opposing = gain if free > 0.0 else -gain
+    return -p[0] * abs(free) / (1.0 + max(opposing, -MOST_PUSH))
+
+
+class AsymmetricViscousFriction(Effect):
+    """Viscous friction that depends on the direction."""
+
+    id = "asymmetric-viscous-friction"
+    title = "Direction-dependent viscous friction"
+    equation = "f = -dFv |v|: viscous coefficient +dFv forwards, -dFv backwards"
+    site_kind = "joint"
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        unit = f"{scales.force_unit} s/{scales.speed_unit.removesuffix('/s')}" if scales.force_unit else ""
+        prior = Prior("linear", 0.0, 0.3 * scales.force / scales.speed)
+        return (EffectParameter("dFv", unit, "half of the difference of the directions' coefficients", prior),)
+
+    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
+        return (Law(asymmetric_force, site.name, (values["dFv"],)),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Sector of -dFv |v| over v: either sign, at any amplitude.
+        size = abs(values["dFv"])
+        return Footprint(site.name, "speed", -size, size)
+
+
+EFFECT = AsymmetricViscousFriction()

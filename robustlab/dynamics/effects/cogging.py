@@ -1,0 +1,77 @@
+r"""Cogging, torque ripple: a force that is periodic in the position and the same both ways.
+
+.. math:: f = A_c \cos kq + A_s \sin kq
+
+Over a step it is the mean over the way of the step, at the way that the force itself brings about; its work is then
+exactly the difference of the potential, so that the step neither makes nor loses energy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numba as nb
+
+from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.law_kernel import GQ, Q0, Q, law
+from robustlab.dynamics.effects.spatial_wave import order_prior, orders_or_usual, wave_mean
+from robustlab.dynamics.effects.step_solutions import bracket, guess, is_open, narrowed
+
+__all__ = ["EFFECT", "cogging_force"]
+
+
+@nb.njit(cache=True)
+def _residual(force, args):  # type: ignore[no-untyped-def]
+    q0, q_free, gq, cosine, sine, k = args
+    return force - wave_mean(q0, q_free + gq * force, cosine, sine, k)
+
+
+@law
+def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (A_c, A_s, k)."""
+    most = abs(p[0]) + abs(p[1])
+    args = (seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2])
+    b = bracket(-most, _residual(-most, args), most, _residual(most, args))
+    while is_open(b):
+        force = guess(b)
+        b = narrowed(b, force, _residual(force, args))
+    return b[0]
+
+
+class Cogging(Effect):
+    """A conservative force that is periodic in the position."""
+
+    id = "cogging"
+    title = "Cogging (force ripple)"
+    equation = "f = Ac cos(k q) + As sin(k q)"
+    site_kind = "joint"
+    spatial = True
+
+    def fits(self, port: Any) -> bool:
+        return port.position is not None
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        wave = Prior("linear", 0.0, 0.2 * scales.force)
+        unit = f"rad/{scales.position_unit}" if scales.position_unit else ""
+        return (
+            EffectParameter("Ac", scales.force_unit, "cosine part", wave),
+            EffectParameter("As", scales.force_unit, "sine part", wave),
+            EffectParameter("k", unit, "spatial frequency", order_prior(scales)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        # Both parts start at zero, where every phase is equally near.
+        return tuple({"Ac": 0.0, "As": 0.0, "k": k} for k in orders_or_usual(scales))
+
+    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
+        return (Law(cogging_force, site.name, (values["Ac"], values["As"], values["k"])),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Its slope over the position, a stiffness of either sign, lies within k A; its size within A.
+        size = math.hypot(values["Ac"], values["As"])
+        return Footprint(site.name, "position", -values["k"] * size, values["k"] * size, offset=size)
+
+
+EFFECT = Cogging()

@@ -1,0 +1,128 @@
+r"""End stops: springs with damping beyond the limits of the travel, which push and never pull.
+
+For the upper stop, with the depth :math:`\delta = q - q_\max`,
+
+.. math:: f = -\max(0,\ k_c\, \delta + d_c\, v) \quad (\delta > 0), \qquad f = 0 \quad (\delta \le 0)
+
+and its mirror image at the lower one. Over a step the spring's force is the one whose work is exactly the difference of
+its potential :math:`k_c \max(\delta, 0)^2 / 2`, so that an undamped stop returns what it took even where a step is too
+long to see the contact; the damping acts at the end velocity for the share of the way in contact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numba as nb
+
+from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.law_kernel import GQ, GV, Q0, Q, V, law
+from robustlab.dynamics.effects.step_solutions import bracket, guess, is_open, narrowed
+
+__all__ = ["EFFECT", "stop_force"]
+
+
+@nb.njit(cache=True)
+def _residual(push, args):  # type: ignore[no-untyped-def]
+    """Excess of a push over the one of the contact that it leaves."""
+    before, free, v_free, gq, gv, stiffness, damping = args
+    after, v = free - gq * push, v_free - gv * push
+    if before <= 0.0 and after <= 0.0:
+        return push
+    if before >= 0.0 and after >= 0.0:
+        spring, share = 0.5 * stiffness * (before + after), 1.0
+    else:
+        inside = max(before, after)
+        share = inside / abs(after - before)
+        spring = 0.5 * stiffness * inside * share
+    return push - max(0.0, spring + share * damping * v)
+
+
+@nb.njit(cache=True)
+def _push(before, free, v_free, gq, gv, stiffness, damping):  # type: ignore[no-untyped-def]
+    if before <= 0.0 and free <= 0.0:
+        return 0.0
+    most = stiffness * max(before, free, 0.0) + damping * max(v_free, 0.0)
+    args = (before, free, v_free, gq, gv, stiffness, damping)
+    b = bracket(0.0, _residual(0.0, args), most, _residual(most, args))
+    while is_open(b):
+        push = guess(b)
+        b = narrowed(b, push, _residual(push, args))
+    return b[0]
+
+
+@law
+def stop_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
+    """Parameters p = (q_min, q_max, k_c, d_c)."""
+    upper = _push(seen[Q0] - p[1], seen[Q] - p[1], seen[V], seen[GQ], seen[GV], p[2], p[3])
+    if upper > 0.0:
+        return -upper
+    return _push(p[0] - seen[Q0], p[0] - seen[Q], -seen[V], seen[GQ], seen[GV], p[2], p[3])
+
+
+class EndStop(Effect):
+    """Limits of the travel, with an elastic and damped contact."""
+
+    id = "end-stop"
+    title = "End stop"
+    equation = "f = -max(0, kc (q - q_max) + dc v) beyond q_max, mirrored below q_min"
+    site_kind = "joint"
+    substeps = 4
+
+    def fits(self, port: Any) -> bool:
+        return port.position is not None
+
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        lower, upper = _extremes(scales)
+        limit = 0.5 * scales.position
+        stiffness, damping = _contact(scales)
+        per_position = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
+        per_speed = f"{scales.force_unit} s/{scales.position_unit}" if scales.position_unit else ""
+        return (
+            EffectParameter("q_min", scales.position_unit, "lower limit", Prior("linear", lower, limit)),
+            EffectParameter("q_max", scales.position_unit, "upper limit", Prior("linear", upper, limit)),
+            EffectParameter("kc", per_position, "stiffness of the contact", Prior("log", stiffness, 2.5)),
+            EffectParameter("dc", per_speed, "damping of the contact", Prior("log", damping, 2.0)),
+        )
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        # The upper stop, the lower one, and both, each a little inside of what the record reaches.
+        lower, upper = _extremes(scales)
+        inside, far = 0.02 * scales.position, 0.5 * scales.position
+        stiffness, damping = _contact(scales)
+        return tuple(
+            {"q_min": q_min, "q_max": q_max, "kc": stiffness, "dc": damping}
+            for q_min, q_max in (
+                (lower - far, upper - inside),
+                (lower + inside, upper + far),
+                (lower + inside, upper - inside),
+            )
+        )
+
+    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
+        return (Law(stop_force, site.name, (values["q_min"], values["q_max"], values["kc"], values["dc"])),)
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+        # Slope of the force over the position: 0 between the limits, kc beyond them (the damping is left out).
+        reached = amplitude > min(abs(values["q_min"]), abs(values["q_max"]))
+        return Footprint(site.name, "position", 0.0, values["kc"] if reached else 0.0)
+
+
+def _extremes(scales: Scales) -> tuple[float, float]:
+    """Lowest and highest position of the record; around zero where not known."""
+    half = 0.5 * scales.position
+    return (
+        -half if scales.lowest is None else scales.lowest,
+        half if scales.highest is None else scales.highest,
+    )
+
+
+def _contact(scales: Scales) -> tuple[float, float]:
+    """Stiffness that gives by 1 % of the range under the record's force, and three tenths of its critical damping."""
+    stiffness = scales.force / (0.01 * scales.position)
+    return stiffness, 2.0 * 0.3 * math.sqrt(stiffness * scales.inertia)
+
+
+EFFECT = EndStop()
