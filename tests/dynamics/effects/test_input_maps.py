@@ -1,0 +1,118 @@
+"""Input maps in closed form, and delays against shifted responses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.effects.effect_contract import Scales, Site
+from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+
+signals = hnp.arrays(np.float64, st.integers(2, 60), elements=st.floats(-12, 12))
+sizes = st.floats(0.01, 12)
+
+
+def mapped(name, u, values, h=1e-3):
+    return effect(name).input(u, values, h)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(signals, sizes)
+def test_dead_zone_and_saturation_of_one_width_make_up_the_input(u, d):
+    parts = mapped("input-dead-zone", u, {"d": d}) + mapped("input-saturation", u, {"u_max": d})
+    np.testing.assert_allclose(parts, u, rtol=1e-15, atol=1e-15)
+
+
+def test_dead_zone_and_saturation_by_hand():
+    u = np.array([-3.0, -0.5, 0.0, 0.4, 2.0])
+    np.testing.assert_allclose(mapped("input-dead-zone", u, {"d": 0.5}), [-2.5, 0, 0, 0, 1.5])
+    np.testing.assert_allclose(mapped("input-saturation", u, {"u_max": 1.5}), [-1.5, -0.5, 0, 0.4, 1.5])
+    np.testing.assert_allclose(mapped("input-gain", u, {"s": 0.9}), [-2.7, -0.45, 0, 0.36, 1.8])
+
+
+@settings(deadline=None)  # the first call compiles
+@given(signals, sizes, st.sampled_from(["input-dead-zone", "input-saturation", "input-gain"]))
+def test_the_footprint_is_a_sector_that_holds(u, size, name):
+    values = {{"input-dead-zone": "d", "input-saturation": "u_max", "input-gain": "s"}[name]: size}
+    amplitude = float(np.abs(u).max()) or 1.0
+    sector = effect(name).footprint(Site("input", "u"), values, amplitude)
+    seen = mapped(name, u, values)
+    bounds = np.sort(np.stack([sector.gain_lower * u, sector.gain_upper * u]), axis=0)
+    assert (seen >= bounds[0] - 1e-12).all()
+    assert (seen <= bounds[1] + 1e-12).all()
+
+
+@pytest.mark.parametrize("steps", [0, 1, 7])
+def test_a_delay_of_whole_steps_shifts(steps):
+    u = np.random.default_rng(1).normal(size=50)
+    late = mapped("input-delay", u, {"d": steps * 1e-3})
+    np.testing.assert_allclose(late[steps:], u[: 50 - steps], atol=1e-13)
+    np.testing.assert_allclose(late[:steps], u[0], atol=1e-13)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(signals, st.floats(0, 0.1))
+def test_a_delay_keeps_the_mean_over_every_step(u, d):
+    # the integral of a held signal is a broken line through its sums; shifted and sampled it is np.interp
+    h = 1e-3
+    t = h * np.arange(len(u) + 1)
+    total = np.concatenate([[0.0], h * np.cumsum(u)])
+    shifted = np.where(t < d, u[0] * (t - d), np.interp(t - d, t, total))
+    np.testing.assert_allclose(mapped("input-delay", u, {"d": d}, h), np.diff(shifted) / h, atol=1e-9)
+
+
+def test_the_speed_of_a_free_mass_under_a_delayed_step_is_exact():
+    plant = rl.plant("mass-spring-damper", m=2.0, c=0.0, k=0.0)
+    n, dt, d = 100, 1e-2, 0.0537
+    u = np.zeros((n, 1))
+    u[20:] = 6.0
+    simulator = Simulator(plant, [(effect("input-delay"), Site("input", "f"))], u, dt)
+    found = simulator.run({}, [{"d": d}], np.zeros((1, 2)), Windows(np.array([0]), n)).outputs[0, :, 1]
+    t = dt * np.arange(n)
+    after = t >= 0.2 + d
+    np.testing.assert_allclose(found[after], 3.0 * (t[after] - 0.2 - d), atol=1e-12)
+    assert np.abs(found[t <= 0.2]).max() == 0.0
+
+
+def test_a_delayed_step_response_is_the_step_response_late():
+    motor = rl.plant("dc-motor")
+    n, dt, late = 400, 5e-4, 13
+    u = np.zeros((n, 1))
+    u[50:] = 11.8
+    whole = Windows(np.array([0]), n)
+    plain = Simulator(motor, [], u, dt).run({}, [], np.zeros((1, 3)), whole).outputs[0]
+    delayed = Simulator(motor, [(effect("input-delay"), Site("input", "u"))], u, dt)
+    found = delayed.run({}, [{"d": late * dt}], np.zeros((1, 3)), whole).outputs[0]
+    np.testing.assert_allclose(found[late:], plain[:-late], rtol=1e-9, atol=1e-10)
+
+
+def test_what_goes_straight_through_is_mapped_too():
+    model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[4.0]], 0.0, ["u"], ["y"], [("x", "m")])
+    from robustlab.dynamics.effects.port_model import linear_plant_of
+
+    simulator = Simulator(
+        linear_plant_of(model), [(effect("input-gain"), Site("input", "u"))], np.array([[1.0], [0.0]]), 0.1
+    )
+    found = simulator.run({}, [{"s": 0.5}], np.zeros((1, 1)), Windows(np.array([0]), 2)).outputs[0, :, 0]
+    np.testing.assert_allclose(found, [2.0, 0.5 * (1 - np.exp(-0.1))], rtol=1e-12)
+
+
+def test_a_saturation_is_below_what_was_commanded():
+    effective = effect("input-saturation")
+    (limit,) = effective.parameters(Scales(input=10.0, signal_unit="V"))
+    assert limit.unit == "V"
+    for z in (-5.0, 0.0, 5.0):
+        assert 0.0 < limit.prior.value(z) < 10.0
+    assert limit.prior.value(0.0) == pytest.approx(7.5)
+
+
+def test_a_negative_delay_is_named():
+    with pytest.raises(InputError, match="a delay of 0 s or more"):
+        mapped("input-delay", np.ones(3), {"d": -1e-3})

@@ -1,0 +1,112 @@
+"""Output maps in closed form, and where they can be seen at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.effects.effect_contract import Scales, Site
+from robustlab.dynamics.effects.port_model import port_model
+from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.errors import InputError
+
+Y = np.array([[0.0, 1.0, 2.5], [-1.0, 0.2, 4.0]])
+
+
+def mapped(name, y, values, h=1e-3):
+    return effect(name).output(y, values, h)
+
+
+def test_closed_forms():
+    np.testing.assert_allclose(mapped("sensor-gain", Y, {"s": 1.2}), 1.2 * Y)
+    np.testing.assert_allclose(mapped("sensor-bias", Y, {"b": -0.3}), Y - 0.3)
+    np.testing.assert_allclose(mapped("quantisation", Y, {"lsb": 0.4}), [[0, 0.8, 2.4], [-0.8, 0.0, 4.0]], atol=1e-15)
+
+
+def test_an_eccentricity_repeats_every_turn_and_has_the_amplitude_of_its_parts():
+    y = np.linspace(0, 2 * np.pi, 4001)[None]
+    values = {"c": 0.003, "s": 0.004, "k": 1.0}
+    error = mapped("sensor-eccentricity", y, values) - y
+    assert np.abs(error).max() == pytest.approx(0.005, rel=1e-6)
+    np.testing.assert_allclose(error, 0.005 * np.cos(y - np.arctan2(4, 3)), atol=1e-15)
+    np.testing.assert_allclose(mapped("sensor-eccentricity", y + 2 * np.pi, values) - y - 2 * np.pi, error, atol=1e-14)
+    assert effect("sensor-eccentricity").footprint(Site("output", "y"), values, 1.0).offset == pytest.approx(0.005)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.floats(0, 0.05), st.floats(-5, 5), st.floats(-5, 5))
+def test_a_delayed_straight_line_is_exact_from_the_first_sample(d, slope, start):
+    t = 1e-3 * np.arange(30)
+    y = np.stack([start + slope * t, slope - start * t])
+    late = np.stack([start + slope * (t - d), slope - start * (t - d)])
+    np.testing.assert_allclose(mapped("sensor-delay", y, {"d": d}), late, atol=1e-11)
+
+
+def test_a_delayed_sine_is_right_to_the_error_of_interpolation():
+    t, w, d = 1e-3 * np.arange(300), 40.0, 0.00437
+    found = mapped("sensor-delay", np.sin(w * t)[None], {"d": d})[0]
+    inside = t >= d
+    assert np.abs(found - np.sin(w * (t - d)))[inside].max() <= (w * 1e-3) ** 2 / 8 * 1.001
+
+
+def test_a_single_sample_has_nothing_to_interpolate():
+    np.testing.assert_array_equal(mapped("sensor-delay", np.ones((2, 1)), {"d": 0.1}), np.ones((2, 1)))
+
+
+def test_only_the_named_output_is_mapped():
+    motor = rl.plant("dc-motor")
+    u = np.full((200, 1), 6.0)
+    whole = Windows(np.array([0]), 200)
+    plain = Simulator(motor, [], u, 1e-3).run({}, [], np.zeros((1, 3)), whole).outputs
+    simulator = Simulator(motor, [(effect("sensor-gain"), Site("output", "omega"))], u, 1e-3)
+    found = simulator.run({}, [{"s": 1.1}], np.zeros((1, 3)), whole).outputs
+    np.testing.assert_allclose(found, plain * [1.0, 1.1, 1.0], rtol=1e-12)
+
+
+def test_a_bias_is_offered_only_where_no_initial_state_takes_it():
+    def outputs(name):
+        plant = rl.plant(name)
+        return [s.name for s in effect("sensor-bias").sites(plant, port_model(plant))]
+
+    assert outputs("dc-motor") == ["omega", "i"]  # the zero of the angle is free
+    assert outputs("servo-axis") == ["v"]
+    assert outputs("mass-spring-damper") == ["q", "v"]  # the spring knows where zero is
+    assert outputs("two-mass") == ["phi1", "phi2"]  # one of two angles: the twist would show
+
+
+def test_a_biased_angle_of_a_free_shaft_is_another_start():
+    motor = rl.plant("dc-motor")
+    u = np.random.default_rng(3).normal(size=(300, 1))
+    whole = Windows(np.array([0]), 300)
+    biased = Simulator(motor, [(effect("sensor-bias"), Site("output", "phi"))], u, 1e-3)
+    shifted = Simulator(motor, [], u, 1e-3).run({}, [], np.array([[0.2, 0.0, 0.0]]), whole).outputs
+    np.testing.assert_allclose(biased.run({}, [{"b": 0.2}], np.zeros((1, 3)), whole).outputs, shifted, atol=1e-12)
+
+
+def test_eccentricity_sits_on_positions_and_starts_at_the_lines_of_the_record():
+    motor = rl.plant("dc-motor")
+    eccentric = effect("sensor-eccentricity")
+    assert eccentric.sites(motor, port_model(motor)) == (Site("output", "phi"),)
+    starts = eccentric.starts(Scales(output=30.0, orders=(4.0, 13.0), signal_unit="rad"))
+    assert [s["k"] for s in starts] == [4.0, 13.0]
+    once = eccentric.parameters(Scales(output=30.0, signal_unit="rad"))
+    assert {p.name: p.prior.value(0.0) for p in once}["k"] == 1.0
+    assert [p.unit for p in once] == ["rad", "rad", "1/rad"]
+
+
+def test_quantisation_is_no_name():
+    assert not effect("quantisation").nameable
+    assert effect("sensor-gain").nameable
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "message"),
+    [("sensor-delay", {"d": -1e-3}, "a delay of 0 s or more"), ("quantisation", {"lsb": 0.0}, "a positive step")],
+)
+def test_bad_values_are_named(name, values, message):
+    with pytest.raises(InputError, match=message):
+        mapped(name, Y, values)

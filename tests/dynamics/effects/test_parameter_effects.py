@@ -1,0 +1,124 @@
+"""Parameter effects against plants that are built anew with the scaled values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.effects.effect_contract import Scales, Site
+from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
+from robustlab.dynamics.effects.simulator import Simulator
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+
+CASES = [
+    ("dc-motor", "inertia", "J", ("J",)),
+    ("dc-motor", "viscous-friction", "Kf", ("Kf",)),
+    ("dc-motor", "torque-constant", "Km+Kb", ("Km", "Kb")),
+    ("dc-motor", "resistance", "R", ("R",)),
+    ("linear-actuator", "inertia", "J+J_nut+m_screw+m_cart", ("J", "J_nut", "m_screw", "m_cart")),
+    ("two-mass", "inertia", "J2", ("J2",)),
+    ("two-mass", "stiffness", "k", ("k",)),
+    ("mass-spring-damper", "viscous-friction", "c", ("c",)),
+]
+
+
+def matrices(plant, effects, values):
+    return Simulator(plant, effects, np.zeros((2, len(plant.inputs))), 1e-3).model({}, values)
+
+
+@pytest.mark.parametrize(("name", "identity", "label", "scaled"), CASES)
+@pytest.mark.parametrize("s", [0.3, 1.0, 2.7])
+def test_the_model_is_the_plant_with_those_values(name, identity, label, scaled, s):
+    plant = rl.plant(name)
+    site = Site("parameter", label)
+    assert site in effect(identity).sites(plant, port_model(plant))
+    found = matrices(plant, [(effect(identity), site)], [{"s": s}])
+    rebuilt = rl.plant(name, **{p: s * plant.parameters[p].value for p in scaled}).state_space()
+    np.testing.assert_allclose(found.A, rebuilt.A, rtol=1e-12)
+    np.testing.assert_allclose(found.B, rebuilt.B, rtol=1e-12)
+
+
+def test_factors_of_a_fit_and_of_an_effect_multiply():
+    motor = rl.plant("dc-motor")
+    simulator = Simulator(motor, [(effect("resistance"), Site("parameter", "R"))], np.zeros((2, 1)), 1e-3)
+    found = simulator.model({"R": 1.1}, [{"s": 1.5}])
+    np.testing.assert_allclose(found.A, motor.with_parameters(R=1.1 * 1.5 * 2.07).state_space().A, rtol=1e-12)
+
+
+def test_stiffness_at_a_joint_is_a_spring_to_ground():
+    motor = rl.plant("dc-motor", J=2e-5)
+    site = Site("joint", "omega")
+    assert effect("stiffness").sites(motor, port_model(motor)) == (site,)
+    found = matrices(motor, [(effect("stiffness"), site)], [{"k": 0.4}])
+    expected = motor.state_space().A.copy()
+    expected[1, 0] -= 0.4 / 2e-5
+    np.testing.assert_allclose(found.A, expected, rtol=1e-12)
+
+
+def test_viscous_friction_at_a_joint_that_has_none():
+    plant = rl.plant("mass-spring-damper", c=0.0)
+    site = Site("joint", "v")
+    assert effect("viscous-friction").sites(plant, port_model(plant)) == (site,)
+    found = matrices(plant, [(effect("viscous-friction"), site)], [{"b": 3.5}])
+    np.testing.assert_allclose(found.A, rl.plant("mass-spring-damper", c=3.5).state_space().A, rtol=1e-12)
+
+
+def test_a_spring_between_two_masses_is_none_to_ground():
+    two, chain = rl.plant("two-mass"), rl.plant("mass-spring-damper", m=[1.0, 2.0])
+    sites = [str(s) for s in effect("stiffness").sites(two, port_model(two))]
+    assert sites == ["k", "omega1", "omega2"]
+    grounded = [s for s in effect("stiffness").sites(chain, port_model(chain)) if s.kind == "joint"]
+    assert [s.name for s in grounded] == ["v2"]  # the first mass hangs on a wall already
+
+
+def test_a_bare_model():
+    a = np.array([[0.0, 1.0], [-9.0, -0.6]])
+    model = StateSpaceModel(
+        a, [[0.0], [2.0]], np.eye(2), np.zeros((2, 1)), 0.0, ["u"], ["q", "v"], [("q", "m"), ("v", "m/s")]
+    )
+    plant = linear_plant_of(model)
+    sites = effect("viscous-friction").sites(plant, port_model(plant))
+    assert sites == (Site("parameter", "damping_v"),)
+    found = matrices(plant, [(effect("viscous-friction"), sites[0])], [{"s": 3.0}])
+    np.testing.assert_allclose(found.A, [[0.0, 1.0], [-9.0, -1.8]], rtol=1e-12)
+
+
+def test_parameters_follow_the_kind_of_site():
+    stiffness = effect("stiffness")
+    at_joint = Scales(force=2.0, position=0.5, force_unit="N m", position_unit="rad")
+    assert [(p.name, p.unit) for p in stiffness.parameters(at_joint)] == [("k", "N m/rad")]
+    assert [(p.name, p.unit) for p in stiffness.parameters(Scales())] == [("s", "")]
+    assert stiffness.checked({"k": 1}) == {"k": 1.0}
+    assert stiffness.checked({"s": 1}) == {"s": 1.0}
+    for start in stiffness.starts(at_joint):
+        assert start.keys() == {"k"}
+    friction = effect("viscous-friction").parameters(Scales(force_unit="N", speed_unit="m/s"))
+    assert [(p.name, p.unit) for p in friction] == [("b", "N/(m/s)")]
+
+
+@pytest.mark.parametrize(
+    ("site", "values", "message"),
+    [
+        (Site("parameter", "M"), {"s": 1.0}, "no such parameters"),
+        (Site("joint", "omega"), {"k": 1.0}, "without a position"),
+    ],
+)
+def test_sites_that_do_not_fit_are_named(site, values, message):
+    # a motor without its angle: its joint has no position
+    a = [[-5.0]]
+    plant = linear_plant_of(StateSpaceModel(a, [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["w"], [("omega", "rad/s")]))
+    assert effect("stiffness").sites(plant, port_model(plant)) == ()
+    with pytest.raises(InputError, match=message):
+        matrices(plant, [(effect("stiffness"), site)], [values])
+
+
+def test_unknown_and_missing_values_are_named():
+    with pytest.raises(InputError, match="no such parameter"):
+        effect("inertia").checked({"t": 1.0})
+    with pytest.raises(InputError, match="no value for 's'"):
+        effect("inertia").checked({})
+    with pytest.raises(InputError, match="nan"):
+        effect("stiffness").checked({"k": np.nan})
