@@ -336,6 +336,41 @@ class CompareStep(StepBase):
     position: str | None = Field(None, description="Output over which the error is sorted by position.")
 
 
+class SheetPointEntry(Strict):
+    """One operating point of a data sheet; quantities that it does not print are left out."""
+
+    name: StepName
+    voltage: float | None = Field(None, description="V")
+    speed: float | None = Field(None, description="rad/s; m/s for a linear axis.")
+    current: float | None = Field(None, description="A")
+    torque: float | None = Field(None, description="N m (N) of the load, positive against a positive speed.")
+    tolerance: Annotated[float, Field(ge=0, lt=1)] = Field(0.01, description="What the printed numbers may be off.")
+    source: Text = ""
+
+
+class DataSheetStep(StepBase):
+    """Check printed operating points against the equilibrium of a plant; contradictions are named."""
+
+    do: Literal["data-sheet"]
+    of: ToPlant
+    points: Annotated[list[SheetPointEntry], Field(min_length=1, max_length=100)]
+
+
+class CoverStep(StepBase):
+    """Does the envelope of an uncertain model's members hold a record?"""
+
+    do: Literal["cover"]
+    of: ToUncertain
+    record: ToRecord
+    n: Count = 20
+    vertices: Count = 0
+    rate: Positive | None = Field(None, description="s, over which mean rates of the outputs are judged as well.")
+    allowance: dict[str, Annotated[float, Field(ge=0)]] = Field(
+        {}, description="What the sensor of an output may be off, in its unit."
+    )
+    seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
+
+
 # --- published numbers -----------------------------------------------------------------------------------------------
 
 
@@ -364,6 +399,8 @@ Step = Annotated[
     | CloseLoopStep
     | RecordStep
     | CompareStep
+    | DataSheetStep
+    | CoverStep
     | PublishedNumbersStep,
     Field(discriminator="do"),
 ]

@@ -32,5 +32,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "close-loop": design.close_loop,
     "record": measurement.record,
     "compare": measurement.compare,
+    "data-sheet": measurement.data_sheet,
+    "cover": measurement.cover,
     "published-numbers": published.published_numbers,
 }

@@ -1,13 +1,13 @@
-"""Steps on measurements: reading a record, comparing a model with it."""
+"""Steps on measurements: reading a record, comparing a model or a set of models with it, checking a data sheet."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import CompareStep, RecordStep
+from robustlab.recipe.schema import CompareStep, CoverStep, DataSheetStep, RecordStep
 
-__all__ = ["compare", "record"]
+__all__ = ["compare", "cover", "data_sheet", "record"]
 
 
 def record(step: RecordStep, work: Workspace) -> Outcome:
@@ -67,3 +67,58 @@ def _errors(unit: str, sizes: tuple[float, float, float, float, float]) -> str:
     peak, peak_percent, rms, rms_percent, fit = sizes
     peak_text = f"peak {quantity(peak, unit, 3)} ({peak_percent:.3g} % of the range)"
     return f"{peak_text}, rms {quantity(rms, unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"
+
+
+def data_sheet(step: DataSheetStep, work: Workspace) -> Outcome:
+    """Printed operating points against the equilibrium of a plant: what contradicts it, and which effect would not."""
+    from robustlab.identification.steady_state import SheetPoint, compare_steady_state
+
+    points = [SheetPoint(**vars(p)) for p in step.points]
+    found = compare_steady_state(work.values[step.of], points)
+    work.keep(found)
+    facts = [Fact(p.name, ", ".join(f"{k} {quantity(v)}" for k, v in p.stated.items()), p.source) for p in points]
+    for c in found.checks:
+        told = "contradicted" if c.contradicted else "agrees within the tolerances"
+        if c.contradicted:
+            named = [f"{c.effect} ({quantity(c.factor, digits=3)} times off)"] if c.effect else []
+            told += f"; explained by {' or '.join([*named, *c.rivals]) or 'no effect alone'}"
+        facts.append(Fact(f"{c.point}: {c.balance} balance", told))
+    count = len(found.contradictions)
+    summary = f"{len(found.checks)} balances of {step.of} checked at {len(points)} points; {count} contradicted."
+    return Outcome(found, summary, found.to_json(), tuple(facts), found.status, text=found.summary())
+
+
+def cover(step: CoverStep, work: Workspace) -> Outcome:
+    """Whether a record lies in the envelope of an uncertain model's members, and by how much it does not."""
+    from robustlab.identification.envelope import cover as cover_record
+    from robustlab.report.envelope_figures import envelope_figure
+
+    seed = work.seed if step.seed is None else step.seed
+    found = cover_record(
+        work.uncertain(step.of),
+        work.record(step.record),
+        n=step.n,
+        vertices=step.vertices,
+        seed=seed,
+        rate=step.rate,
+        allowance=step.allowance,
+    )
+    work.keep(found)
+    facts: list[Fact] = []
+    for name, s in found.signals.items():
+        miss = "" if not s.miss else f"; misses by {quantity(s.miss, s.unit, 3)} ({s.miss_percent:.3g} %)"
+        facts.append(Fact(f"{name}: inside the envelope", f"{100 * s.share:.3g} % of the time{miss}"))
+        facts.append(Fact(f"{name}: gap of the nominal model", f"{quantity(s.gap, s.unit, 3)} ({s.gap_percent:.3g} %)"))
+        reach = f"{quantity(s.reach, s.unit, 3)} ({s.reach_percent:.3g} %)"
+        facts.append(Fact(f"{name}: how far the set reaches", reach))
+        caption = (
+            f"{name}: the record, and below it the record minus the nominal model, in the envelope of all members."
+        )
+        work.draw(envelope_figure(s), name, caption)
+    verdict = "lies in the envelope" if found.covered else "is not covered"
+    summary = f"{step.record} {verdict} of {found.members} members of {step.of} (seed {seed})."
+    notes = (
+        "Sampled, not proved: members that were not drawn may reach further.",
+        "Covered is not explained: a set that is wide enough covers anything.",
+    )
+    return Outcome(found, summary, found.to_json(series=False), tuple(facts), found.status, notes, found.summary())

@@ -1,0 +1,95 @@
+"""The recipes on the thesis' data sheet and on chapter 11, and the code of their page."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.recipe.load import load_recipe, parse_recipe
+from robustlab.recipe.run import run_recipe
+from robustlab.recipe.shipped import recipe_path
+
+ROOT = Path(__file__).parents[2]
+HEAD = 'schema = "robustlab.recipe/1"\nname = "r"\n[step.motor]\ndo = "plant"\nplant = "dc-motor"\n'
+
+
+def unmet(result):
+    return [q["text"] for q in result.data["requirements"] if not q["met"]]
+
+
+def numbers(result, step):
+    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
+
+
+def test_the_data_sheet_contradicts_the_thesis_friction(tmp_path):
+    result = run_recipe(load_recipe(recipe_path("motor-data-sheet")), tmp_path / "out")
+    assert unmet(result) == []
+    assert result.exit_code == 0
+    check = numbers(result, "sheet")["points"]["no-load"]["torque"]
+    assert check["effect"] == "viscous-friction"
+    assert round(check["factor"], 1) == 7.9
+    assert numbers(result, "sheet")["unchecked"] == ["rated"]
+    page = (result.folder / "report.html").read_text(encoding="utf-8")
+    assert "7.9 times too large" in page
+
+
+def test_with_the_right_friction_nothing_is_contradicted(tmp_path):
+    settings = ["motor.parameters.Kf=6.11e-6"]
+    result = run_recipe(load_recipe(recipe_path("motor-data-sheet"), settings), tmp_path / "out")
+    assert numbers(result, "sheet")["contradictions"] == 0
+    assert result.exit_code == 1  # the requirements state the contradiction
+
+
+def test_chapter_11(tmp_path):
+    result = run_recipe(load_recipe(recipe_path("chapter-11")), tmp_path / "out")
+    assert unmet(result) == []
+    assert result.exit_code == 0
+    shares = {
+        name: numbers(result, name)["signals"]["phi"]["share"]
+        for name in ("cover_11_1", "cover_11_2", "cover_11_3", "cover_six", "cover_wide")
+    }
+    assert max(shares["cover_11_1"], shares["cover_11_2"], shares["cover_11_3"], shares["cover_six"]) < 0.1
+    assert shares["cover_wide"] == 1.0
+    assert (result.folder / "evidence/cover_six.h5").is_file()
+    assert (result.folder / "figures/cover_wide_rich-phi-rate.svg").is_file()
+    # the table of docs/covering.md
+    table = (ROOT / "docs/covering.md").read_text(encoding="utf-8")
+    for name in ("cover_11_1", "cover_11_2", "cover_six"):
+        assert f"| {numbers(result, name)['signals']['phi']['miss_percent']:.1f} % |" in table
+
+
+def test_the_code_of_the_page_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    text = (ROOT / "docs/covering.md").read_text(encoding="utf-8")
+    names: dict[str, object] = {}
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        exec(block, names)
+    shown = re.search(r"```\n(no-load.*?)```", text, flags=re.DOTALL).group(1)
+    printed = capsys.readouterr().out
+    assert printed.startswith(shown)
+    assert "inside the envelope of 36 members" in printed
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        ('[step.s]\ndo = "data-sheet"\nof = "motor"\npoints = []\n', "points"),
+        ('[step.s]\ndo = "data-sheet"\nof = "motor"\npoints = [{ name = "p", volts = 1.0 }]\n', "volts: unknown key"),
+        ('[step.s]\ndo = "cover"\nof = "motor"\nrecord = "motor"\n', "gives plant, expected a step that gives"),
+        ('[step.s]\ndo = "cover"\nof = "motor"\nrecord = "motor"\nrate = 0.0\n', "rate"),
+    ],
+)
+def test_faults_of_a_recipe_are_named(step, message):
+    with pytest.raises(InputError) as caught:
+        parse_recipe(HEAD + step)
+    assert message in f"{caught.value} {caught.value.more}"
+
+
+def test_a_point_that_states_too_little_names_the_step(tmp_path):
+    file = tmp_path / "r.toml"
+    file.write_text(HEAD + '[step.s]\ndo = "data-sheet"\nof = "motor"\npoints = [{ name = "p", voltage = 1.0 }]\n')
+    with pytest.raises(InputError, match=r"step\.s: point 'p': states voltage"):
+        run_recipe(load_recipe(file), tmp_path / "out")

@@ -1,0 +1,168 @@
+"""Coverage of a record by the envelope of an uncertain model's members: closed forms of a first-order lag."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.envelope import cover
+from robustlab.report.envelope_figures import envelope_figure
+from robustlab.result import Status, plain
+from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+T = np.linspace(0.0, 5.0, 1001)
+STEP = (T >= 0.5).astype(float)  # rest first: the initial state is then known
+RISE = np.where(T >= 0.5, 1 - np.exp(-(T - 0.5)), 0.0)
+END = 1 - np.exp(-4.5)
+
+
+def gain(radius: float) -> UncertainModel:
+    """y' = -y + (1 + radius delta) u: the step response is 1 + radius delta times RISE."""
+    M = rl.StateSpaceModel(
+        [[-1.0]], [[radius, 1.0]], [[0.0], [1.0]], [[0.0, 1.0], [0.0, 0.0]], 0.0, ["w", "u"], ["z", "y"]
+    )
+    return UncertainModel(M, [RealScalar("gain")])
+
+
+def record(size: float) -> rl.Record:
+    return rl.Record(T, {"u": STEP}, {"y": size * RISE}, {"u": "V", "y": "m"}, "lag")
+
+
+def test_a_member_is_covered_and_its_gap_is_known():
+    found = cover(gain(0.2), record(1.15), n=0, vertices=2)
+    y = found.signals["y"]
+    assert found.status is Status.CONVERGED
+    assert found.covered
+    assert (y.share, y.miss, y.miss_side) == (1.0, 0.0, "")
+    assert np.isnan(y.miss_time)
+    assert y.gap == pytest.approx(0.15 * END)
+    assert y.reach == pytest.approx(0.2 * END)
+    assert y.gap_percent == pytest.approx(100 * 0.15 / 1.15)
+
+
+@pytest.mark.parametrize(("size", "side"), [(1.3, "above"), (0.7, "below")])
+def test_a_miss_has_size_side_and_time(size, side):
+    found = cover(gain(0.2), record(size), n=0, vertices=2)
+    y = found.signals["y"]
+    assert not found.covered
+    assert y.miss == pytest.approx(0.1 * END)
+    assert (y.miss_side, y.miss_time) == (side, pytest.approx(5.0))
+    assert y.share == pytest.approx(101 / 1001)  # the rest at the start, where nothing has moved yet
+    assert f"{side} at 5 s" in found.summary()
+
+
+def test_the_allowance_is_what_the_sensor_may_be_off():
+    bare, allowed = (cover(gain(0.2), record(1.3), n=0, vertices=2, allowance=a) for a in (None, {"y": 0.0501}))
+    assert allowed.signals["y"].miss == pytest.approx(bare.signals["y"].miss - 0.0501, abs=1e-9)
+    # inside while 0.1 (1 - exp(-(t - 0.5))) <= 0.0501
+    assert allowed.signals["y"].share == pytest.approx((0.5 - np.log(1 - 0.501)) / 5.0, abs=2e-3)
+    assert cover(gain(0.2), record(1.3), n=0, vertices=2, allowance={"y": 0.101}).covered
+
+
+def test_more_members_never_cover_less():
+    few, many = (cover(gain(0.2), record(1.15), n=n, seed=3).signals["y"] for n in (2, 40))
+    assert few.share <= many.share
+    assert (many.lower <= few.lower).all()
+    assert (many.upper >= few.upper).all()
+
+
+def test_the_rate_is_the_mean_rate():
+    """From the step on, the mean rate over 0.5 s is (1 - exp(-0.5)) / 0.5 exp(-(t - 0.5)), t the window's start."""
+    found = cover(gain(0.2), record(1.3), n=0, vertices=2, rate=0.5, allowance={"y": 0.01})
+    rate = found.signals["y-rate"]
+    moving = rate.t >= 0.75 - 1e-9
+    factor = (1 - np.exp(-0.5)) / 0.5 * np.exp(-(rate.t[moving] - 0.75))
+    np.testing.assert_allclose(rate.measured[moving], 1.3 * factor, rtol=1e-9)
+    np.testing.assert_allclose(rate.upper[moving], 1.2 * factor, rtol=1e-9)
+    assert rate.unit == "m/s"
+    assert rate.allowance == pytest.approx(0.04)
+    assert rate.miss == pytest.approx(0.1 * factor[0] - 0.04)
+    assert rate.miss_time == pytest.approx(0.75)
+
+
+def test_all_members_start_where_the_record_starts():
+    """A record that is under way: from 3 at t = 0 without input, every member decays alike."""
+    under_way = rl.Record(T, {"u": np.zeros(len(T))}, {"y": 3.0 * np.exp(-T)}, {"u": "V", "y": "m"}, "decay")
+    found = cover(gain(0.2), under_way, n=5, allowance={"y": 1e-9})
+    assert found.covered
+    np.testing.assert_allclose(found.signals["y"].nominal, 3.0 * np.exp(-T), atol=1e-9)
+
+
+def test_an_operating_point_is_taken_off_and_put_back():
+    from robustlab.statespace import OperatingPoint
+
+    base = gain(0.2)
+    shifted = UncertainModel(base.M, base.blocks, OperatingPoint(np.zeros(1), np.array([2.0]), np.array([7.0])))
+    there = rl.Record(T, {"u": 2.0 + STEP}, {"y": 7.0 + 1.15 * RISE}, name="shifted")
+    found, plain_one = cover(shifted, there, n=0, vertices=2), cover(base, record(1.15), n=0, vertices=2)
+    assert found.covered
+    for key in ("measured", "nominal", "lower", "upper"):
+        np.testing.assert_allclose(
+            getattr(found.signals["y"], key), getattr(plain_one.signals["y"], key) + 7.0, atol=1e-9
+        )
+
+
+def test_it_can_be_kept_and_drawn(tmp_path):
+    found = cover(gain(0.2), record(1.3), n=3, rate=0.1)
+    json.dumps(plain(found), allow_nan=False)
+    assert "measured" not in found.to_json(series=False)["signals"]["y"]
+    rl.save(tmp_path / "cover.h5", found)
+    assert rl.load(tmp_path / "cover.h5").data["signals"]["y"]["miss_side"] == "above"
+    below = envelope_figure(found.signals["y"]).axes[1]
+    assert [t.get_text() for t in below.figure.legends[0].get_texts()] == [
+        "envelope of all members",
+        "nominal",
+        "record",
+        "largest miss",
+    ]
+    np.testing.assert_allclose(below.lines[1].get_ydata(), found.signals["y"].measured - found.signals["y"].nominal)
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"allowance": {"Y": 0.1}}, "no such compared output"),
+        ({"allowance": {"y": -0.1}}, "not negative"),
+        ({"allowance": {"y": float("nan")}}, "not negative"),
+        ({"rate": 1e-9}, "rate over"),
+        ({"rate": 4.0}, "rate over"),
+        ({"rate": float("inf")}, "rate over"),
+        ({"n": 0}, "no samples and no vertices"),
+    ],
+)
+def test_bad_options(options, message):
+    with pytest.raises(InputError, match=message):
+        cover(gain(0.2), record(1.0), **options)
+
+
+def test_what_is_no_set_or_has_no_response_in_time():
+    with pytest.raises(InputError, match="expected an UncertainModel"):
+        cover(rl.plant("dc-motor"), record(1.0))
+    complex_set = UncertainModel(gain(0.2).M, [ComplexScalar("gain")])
+    with pytest.raises(InputError, match="is complex"):
+        cover(complex_set, record(1.0))
+
+
+def test_signals_and_clock_that_do_not_fit():
+    with pytest.raises(InputError, match="no input 'u'"):
+        cover(gain(0.2), rl.Record(T, {"v": T}, {"y": T}))
+    with pytest.raises(InputError, match="no output in common"):
+        cover(gain(0.2), rl.Record(T, {"u": T}, {"q": T}))
+    with pytest.raises(InputError, match="not uniform"):
+        cover(gain(0.2), rl.Record(T**2, {"u": T}, {"y": T}))
+
+
+def test_a_member_that_outgrows_double_precision():
+    M = rl.StateSpaceModel(
+        [[400.0]], [[0.2, 1.0]], [[0.0], [1.0]], [[0.0, 1.0], [0.0, 0.0]], 0.0, ["w", "u"], ["z", "y"]
+    )
+    with pytest.raises(NoTrustworthyNumber, match="outgrows"):
+        cover(UncertainModel(M, [RealScalar("gain")]), record(1.0), n=2)
