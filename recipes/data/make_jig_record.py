@@ -9,7 +9,8 @@ them, the comparison would prove nothing. What this jig has and the nominal mode
 - a driver that loses 0.6 V;
 - parameters off their nominal values, all within the tolerances of the thesis (R 10 %, L 10 %, motor constant 5 %,
   Kf 35 %, masses and inertias 10 %): R +3 %, L -5 %, motor constant -1 %, Kf -15 %, rotor +4 %, nut -5 %, screw +3 %;
-  the cart, whose mass the thesis does not print, has 0.6 kg;
+  the cart, whose mass the thesis does not print, has 0.6 kg (the motor constant was chosen so that the gap on the
+  square wave has about the size that the thesis reports; the others at will);
 - an encoder of 2000 counts a turn on the motor with 1 mrad of jitter of its edges, and in the rich records a current
   sensor with 20 mA of noise and a resolution of 5 mA.
 
