@@ -58,13 +58,14 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     a, b = wide.A.copy(), wide.B.copy()
     a[n + 1] = drive.velocity @ split.A @ np.eye(n, n + 2)  # the load is free: the rate grows as the drive's does
     b[n + 1] = drive.velocity @ split.B
-    ports = {name: _on_drive(p, drive.velocity @ split.ports[name].force) for name, p in wide.ports.items()}
+    ports = {name: _on_drive(p, float(drive.velocity @ split.ports[name].force)) for name, p in wide.ports.items()}
     drive = ports[joint]
     load = _load(drive, 1.0 / (share * _inertia(port)))
     reduced = share * (1.0 - share) * _inertia(port)
     gap = replace(
         drive,
         name=f"{joint}.{relative}",
+        kind="relative",
         unit=f"{drive.speed_unit.removesuffix('/s')}/s2",
         position_unit=drive.speed_unit.removesuffix("/s"),
         force=reduced * (drive.force - load.force),

@@ -37,7 +37,7 @@ class Port:
     name
         State whose velocity (or current) it is.
     kind
-        ``"joint"`` or ``"current"``.
+        ``"joint"``, ``"current"``, or ``"relative"`` (between two sides that an effect has made of a joint).
     unit, speed_unit, position_unit
         Of the force, of the velocity or current, of the position (empty without one).
     force
@@ -49,7 +49,7 @@ class Port:
     """
 
     name: str
-    kind: Literal["joint", "current"]
+    kind: Literal["joint", "current", "relative"]
     unit: str
     speed_unit: str
     position_unit: str
@@ -131,7 +131,7 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
         values[name] *= factor
     e, f, g, c, d = plant.matrices(values)
     n, n_u = len(plant.states), len(plant.inputs)
-    solved = np.linalg.solve(e, np.hstack([f, g, np.eye(n)]))
+    solved = np.asarray(np.linalg.solve(e, np.hstack([f, g, np.eye(n)])), dtype=float)
     a, b, push = solved[:, :n], solved[:, n : n + n_u], solved[:, n + n_u :]
     ports = {}
     for k, (name, unit) in enumerate(plant.states):

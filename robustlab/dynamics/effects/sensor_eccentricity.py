@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.port_model import PortModel
+from robustlab.dynamics.effects.spatial_wave import order_prior
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import Array
 
@@ -36,14 +38,14 @@ class SensorEccentricity(Effect):
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         order = self._orders(scales)[0]
-        # A line of a record is known to a part of its resolution, one period over the range of the reading.
-        doubt = min(0.3, max(1e-3, 0.2 * math.pi / (scales.output * order))) if scales.orders else 3e-3
+        seen = order_prior(replace(scales, position=2.0 * scales.output))
+        line = seen if scales.orders else Prior("log", order, 3e-3)  # once a turn is known
         size = Prior("linear", 0.0, 0.01 / order)
-        per = f"1/{scales.signal_unit}" if scales.signal_unit else ""
+        per = f"rad/{scales.signal_unit}" if scales.signal_unit else ""
         return (
             EffectParameter("c", scales.signal_unit, "error in phase with cos k y", size),
             EffectParameter("s", scales.signal_unit, "error in phase with sin k y", size),
-            EffectParameter("k", per, "spatial frequency", Prior("log", order, doubt)),
+            EffectParameter("k", per, "spatial frequency", line),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:

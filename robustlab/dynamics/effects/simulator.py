@@ -169,6 +169,6 @@ class Simulator:
             if len(self._exponentials) > KEPT_EXPONENTIALS:
                 self._exponentials.clear()
             n = len(a)
-            both = expm(np.block([[a, np.eye(n)], [np.zeros((n, 2 * n))]]) * h)
+            both: Array = np.asarray(expm(np.block([[a, np.eye(n)], [np.zeros((n, 2 * n))]]) * h), dtype=float)
             self._exponentials[key] = both[:n, :n].copy(), both[:n, n:].copy()
         return self._exponentials[key]

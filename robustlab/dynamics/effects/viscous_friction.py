@@ -23,7 +23,7 @@ class ViscousFriction(GroundedEffect):
     of = "velocity"
 
     def at_joint(self, scales: Scales) -> EffectParameter:
-        unit = f"{scales.force_unit}/({scales.speed_unit})" if scales.speed_unit else ""
+        unit = f"{scales.force_unit} s/{scales.speed_unit.removesuffix('/s')}" if scales.speed_unit else ""
         prior = Prior("log", 0.1 * scales.force / scales.speed, 1.5)
         return EffectParameter("b", unit, "viscous friction to ground", prior)
 

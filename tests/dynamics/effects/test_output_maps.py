@@ -95,7 +95,7 @@ def test_eccentricity_sits_on_positions_and_starts_at_the_lines_of_the_record():
     assert [s["k"] for s in starts] == [4.0, 13.0]
     once = eccentric.parameters(Scales(output=30.0, signal_unit="rad"))
     assert {p.name: p.prior.value(0.0) for p in once}["k"] == 1.0
-    assert [p.unit for p in once] == ["rad", "rad", "1/rad"]
+    assert [p.unit for p in once] == ["rad", "rad", "rad/rad"]
 
 
 def test_quantisation_is_no_name():

@@ -96,7 +96,7 @@ def test_parameters_follow_the_kind_of_site():
     for start in stiffness.starts(at_joint):
         assert start.keys() == {"k"}
     friction = effect("viscous-friction").parameters(Scales(force_unit="N", speed_unit="m/s"))
-    assert [(p.name, p.unit) for p in friction] == [("b", "N/(m/s)")]
+    assert [(p.name, p.unit) for p in friction] == [("b", "N s/m")]
 
 
 @pytest.mark.parametrize(
