@@ -16,8 +16,10 @@ Below it the record tells d, above it does not. Bandwidths and noise maximise th
 common factor of all variances in closed form).
 
 Dry friction makes d jump. Jumps are found by the score of a shock at each sample; each is given a variance of its
-own, spread over the samples at which it may have happened, and the estimation is repeated. So the bands grow where d
-jumped, and only there.
+own, spread over the samples at which it may have happened, and the smoother runs again. So the bands grow where d
+jumped, and only there. The intensity stays that of the walk without jumps: with all jumps explained the likelihood
+would ask for a nearly constant force between them, and a force that creeps while a joint sticks would be smoothed away
+under bands much too narrow.
 
 Units of the states are those of the model; the unit of d_j is that of ``ports[:, j] * d_j`` over the state's rate.
 
@@ -47,8 +49,9 @@ Array = NDArray[np.float64]
 WHERE = "smooth_disturbance"
 
 GRID = 9  # bandwidths tried before the search
-JUMP = 4.5  # a shock beyond this many standard deviations is a jump
-JUMP_ROUNDS = 6
+SHOCK = 3.0  # a shock beyond this many standard deviations is given a variance of its own
+JUMP = 4.5  # and beyond this many it is called a jump
+JUMP_ROUNDS = 4
 MOST_JUMPS = 0.05  # of all samples may belong to jumps; beyond, d is rough everywhere and the random walk says so
 PLACE = 9.0  # a jump may be at any sample whose squared score is within this of the peak's
 START_HORIZON = 30  # samples within which a state at its prior's size would move the outputs by 10 times their range
@@ -159,14 +162,13 @@ def smooth_disturbance(
     if bandwidth is not None:
         given = np.log(_positive("bandwidth", np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,))))
     with np.errstate(over="ignore", invalid="ignore"):
-        choice = _searched(task, given, None)
+        choice = _searched(task, given)
         result = _smoothed(task, choice)
         for _ in range(JUMP_ROUNDS if jumps else 0):
             found = _jumps(task, choice, result)
             if found is None:
                 break
             task = found
-            choice = _searched(task, given, choice)
             result = _smoothed(task, choice)
     return _as_record(task, choice, result)
 
@@ -189,7 +191,7 @@ class _Task:
     guess: Array
     known_noise: bool
     shock: Array
-    sizes: Array = field(default_factory=lambda: np.zeros((0, 3)))  # time, port, size of the jumps
+    sizes: Array = field(default_factory=lambda: np.zeros((0, 4)))  # time, port, size and statistic of the shocks
 
     @property
     def m(self) -> int:
@@ -320,7 +322,7 @@ def _compressed(rows: Array) -> Array:
     """The n x n triangle with the same R^T R."""
     n = rows.shape[1]
     missing = np.zeros((max(0, n - len(rows)), n))
-    return np.linalg.qr(np.vstack([rows, missing]), mode="r")
+    return np.asarray(np.linalg.qr(np.vstack([rows, missing]), mode="r"), dtype=np.float64)
 
 
 def _size(y: Array) -> Array:
@@ -408,29 +410,28 @@ def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, f
     )  # fmt: skip
 
 
-def _searched(task: _Task, given: Array | None, near: _Choice | None) -> _Choice:
-    """Bandwidths and noise of the greatest likelihood; ``near`` is where to begin."""
-    known = task.known_noise
-    best = _maximised(task, given, near, known, task.guess if near is None else near.sigma)
-    if not known and (best.sigma < task.floor).any():
-        best = _maximised(task, given, best, True, np.maximum(best.sigma, task.floor))
+def _searched(task: _Task, given: Array | None) -> _Choice:
+    """Bandwidths (their logarithms, where given) and noise of the greatest likelihood."""
+    best = _maximised(task, given, task.known_noise, task.guess)
+    if not task.known_noise and (best.sigma < task.floor).any():
+        best = _maximised(task, given, True, np.maximum(best.sigma, task.floor))
     if not math.isfinite(best.log_likelihood):
         raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
     return best
 
 
-def _maximised(task: _Task, given: Array | None, near: _Choice | None, known: bool, sigma: Array) -> _Choice:
+def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _Choice:
+    """Best bandwidths and, unless the noise is known, ratios of the outputs' noise and a common factor."""
     from scipy.optimize import minimize
 
-    free_bandwidth, n_ratio = task.m if given is None else 0, 0 if known else task.model.n_outputs - 1
+    n_width, n_ratio = task.m if given is None else 0, 0 if known else task.model.n_outputs - 1
     low, high = task.span()
     best = _Choice(np.zeros(task.m), sigma, -np.inf)
 
     def cost(point: Array) -> float:
         nonlocal best
-        width = np.clip(point[:free_bandwidth], low, high) if given is None else given
-        ratio = np.concatenate([[0.0], np.clip(point[free_bandwidth:], -12.0, 12.0)]) if n_ratio else 0.0
-        noise = sigma * np.exp(ratio)
+        width = np.clip(point[:n_width], low, high) if given is None else given
+        noise = sigma * np.exp(np.clip(np.concatenate([[0.0], point[n_width:]]), -12.0, 12.0)) if n_ratio else sigma
         logs, squares, count = _filtered(task, width, noise)
         scale = 1.0 if known else math.sqrt(squares / count)
         value = -0.5 * (logs + (squares if known else count * (2.0 * math.log(scale) + 1.0)))
@@ -438,21 +439,14 @@ def _maximised(task: _Task, given: Array | None, near: _Choice | None, known: bo
             best = _Choice(width, noise * scale, value)
         return -value if math.isfinite(value) else 1e300
 
-    if given is None and near is None:
-        for width in np.linspace(low, high, GRID):
-            cost(np.concatenate([np.full(task.m, width), np.zeros(n_ratio)]))
-    elif near is not None and given is None:
-        cost(np.concatenate([near.bandwidth, np.zeros(n_ratio)]))
-    else:
-        cost(np.zeros(n_ratio))
-    size = free_bandwidth + n_ratio
+    tried = np.linspace(low, high, GRID) if n_width else np.zeros(1)
+    for width in tried:
+        cost(np.concatenate([np.full(n_width, width), np.zeros(n_ratio)]))
+    size = n_width + n_ratio
     if size and math.isfinite(best.log_likelihood):
-        at = np.concatenate([best.bandwidth if given is None else np.zeros(0), np.zeros(n_ratio)])
-        corners = np.vstack([at, at + 0.7 * np.eye(size)])
-        minimize(
-            cost, at, method="Nelder-Mead",
-            options={"initial_simplex": corners, "xatol": 0.03, "fatol": 0.1, "maxfev": 40 * size},
-        )  # fmt: skip
+        at = np.concatenate([best.bandwidth[:n_width], np.zeros(n_ratio)])
+        options = {"initial_simplex": np.vstack([at, at + 0.7 * np.eye(size)]), "xatol": 0.03, "fatol": 0.1}
+        minimize(cost, at, method="Nelder-Mead", options=options | {"maxfev": 40 * size})
     return best
 
 
@@ -487,13 +481,13 @@ def _jumps(task: _Task, choice: _Choice, run: _Run) -> _Task | None:
         loud = np.abs(statistic[:, j])
         while True:
             k = int(np.argmax(loud))
-            if not loud[k] > JUMP:
+            if not loud[k] > SHOCK:
                 break
             size = run.score[k, j] / run.precision[k, j]
             first, last = max(0, k - reach), min(len(loud), k + reach + 1)
             may_be = first + np.flatnonzero(loud[first:last] ** 2 > loud[k] ** 2 - PLACE)
             shock[may_be, j] += size**2 / len(may_be)
-            sizes.append((task.t[k], j, size))
+            sizes.append((task.t[k], j, size, loud[k]))
             loud[max(0, k - 4 * reach) : k + 4 * reach + 1] = 0.0
     if len(sizes) == len(task.sizes) or (shock > 0).sum() > MOST_JUMPS * shock.size:
         return None
@@ -514,6 +508,6 @@ def _as_record(task: _Task, choice: _Choice, run: _Run) -> SmoothedRecord:
         bandwidth=np.exp(choice.bandwidth),
         intensity=_intensities(task, choice.bandwidth, choice.sigma),
         innovations=run.innovation,
-        jumps=tuple(Jump(float(a), int(b), float(c)) for a, b, c in sorted(map(tuple, task.sizes))),
+        jumps=tuple(Jump(float(a), int(b), float(c)) for a, b, c, d in sorted(map(tuple, task.sizes)) if d > JUMP),
         log_likelihood=choice.log_likelihood,
     )

@@ -1,0 +1,265 @@
+"""The smoother against a dense Gaussian estimate written independently, against known torques, and on stick-slip."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
+from robustlab.dynamics.simulation import simulate
+from robustlab.errors import InputError
+from robustlab.identification import disturbance_smoother as ds
+from robustlab.identification.disturbance_smoother import smooth_disturbance
+from robustlab.statespace import OperatingPoint, StateSpaceModel
+
+J, FRICTION, K, R, L = 2e-4, 1e-5, 0.05, 1.0, 3e-4
+H = 1e-3
+
+
+def motor(outputs=("phi",)):
+    """Motor with an electrical state of 0.3 ms and an integrator."""
+    a = [[0, 1, 0], [0, -FRICTION / J, K / J], [0, -K / L, -R / L]]
+    rows = {"phi": [1, 0, 0], "omega": [0, 1, 0], "i": [0, 0, 1]}
+    return StateSpaceModel(
+        a,
+        [[0], [0], [1 / L]],
+        [rows[name] for name in outputs],
+        np.zeros((len(outputs), 1)),
+        inputs=[("u", "V")],
+        outputs=list(outputs),
+        states=["phi", "omega", "i"],
+    )
+
+
+def slow_motor():
+    """The same motor without its inductance."""
+    a = [[0, 1], [0, -(FRICTION + K * K / R) / J]]
+    return StateSpaceModel(
+        a, [[0], [K / R / J]], [[1, 0]], [[0]], inputs=["u"], outputs=["phi"], states=["phi", "omega"]
+    )
+
+
+PORT = np.array([[0.0], [1 / J], [0.0]])
+
+
+def record(model, t, u, torque, noise, seed=0):
+    """Outputs of the model with the torque at its port, and its states."""
+    wide = StateSpaceModel(
+        model.A,
+        np.hstack([model.B, PORT]),
+        np.vstack([model.C, np.eye(3)]),
+        np.zeros((model.n_outputs + 3, 2)),
+    )
+    y = np.column_stack(list(simulate(wide, t, {"u1": u, "u2": torque}).outputs.values()))
+    rng = np.random.default_rng(seed)
+    clean, x = y[:, : model.n_outputs], y[:, model.n_outputs :]
+    return clean + np.asarray(noise) * rng.standard_normal(clean.shape), x
+
+
+def dense(model, ports, h, u, y, sigma, q, start, rounding):
+    """Posterior of all states and forces at once: the joint Gaussian of the whole record, one solve."""
+    n, n_x, m = len(u), model.n_states, ports.shape[1]
+    n_z = n_x + m
+    f = np.zeros((n_z, n_z))
+    f[:n_x, :n_x], f[:n_x, n_x:] = model.A, ports
+    b = np.vstack([model.B, np.zeros((m, model.n_inputs))])
+    block = np.zeros((2 * n_z, 2 * n_z))  # Van Loan's block exponential
+    block[:n_z, :n_z], block[n_z:, n_z:] = -f * h, f.T * h
+    block[n_x:n_z, n_z + n_x :] = np.diag(q) * h
+    e = expm(block)
+    phi = e[n_z:, n_z:].T
+    noise = phi @ e[:n_z, n_z:] + np.diag((rounding * start) ** 2)
+    gamma = expm(np.block([[f * h, b * h], [np.zeros((model.n_inputs, n_z + model.n_inputs))]]))[:n_z, n_z:]
+    mean, power = [np.zeros(n_z)], [np.eye(n_z)]
+    for k in range(n - 1):
+        mean.append(phi @ mean[-1] + gamma @ u[k])
+        power.append(phi @ power[-1])
+    prior = np.zeros((n, n, n_z, n_z))
+    p = np.diag(start**2)
+    for k in range(n):
+        for i in range(k, n):
+            prior[i, k] = power[i - k] @ p
+            prior[k, i] = prior[i, k].T
+        p = phi @ p @ phi.T + noise
+    big = prior.transpose(0, 2, 1, 3).reshape(n * n_z, n * n_z)
+    rows = np.kron(np.eye(n), np.hstack([model.C, np.zeros((model.n_outputs, m))]))
+    seen = np.isfinite(y).ravel()
+    rows, value = rows[seen], y.ravel()[seen]
+    cross = big @ rows.T
+    gain = np.linalg.solve(rows @ cross + np.diag(np.tile(sigma**2, n)[seen]), cross.T).T
+    centre = np.concatenate(mean)
+    found, cov = centre + gain @ (value - rows @ centre), big - gain @ cross.T
+    pieces = [slice(k * n_z, (k + 1) * n_z) for k in range(n)]
+    return found.reshape(n, n_z), np.stack([cov[piece, piece] for piece in pieces])
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_equals_the_dense_gaussian_posterior(m, monkeypatch):
+    # A moderate prior, so that the dense solve keeps its digits.
+    monkeypatch.setattr(ds, "START_FACTOR", 1.0)
+    monkeypatch.setattr(ds, "ROUNDING", 1e-4)
+    rng = np.random.default_rng(3)
+    a = np.array([[0.0, 1.0, 0.0], [-2.0, -0.4, 0.3], [0.5, 0.0, -3.0]])
+    model = StateSpaceModel(a, [[0.0], [1.0], [0.2]], [[1, 0, 0], [0, 0, 1]], [[0.0], [0.5]])
+    ports = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])[:, :m]
+    n, h = 40, 0.1
+    t, u = h * np.arange(n), rng.standard_normal((n, 1))
+    y = np.cumsum(rng.standard_normal((n, 2)), axis=0)
+    y[5, 0] = y[9] = np.nan
+    y[20:23, 1] = np.nan
+    sigma = np.array([0.3, 0.2])
+    found = smooth_disturbance(model, ports, t, u, y, sigma, bandwidth=0.8, jumps=False)
+    start = ds._prepared(model, ports, t, u, y, sigma).start
+    mean, cov = dense(model, ports, h, u, y - u @ model.D.T, sigma, found.intensity, start, 1e-4)
+    std = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    np.testing.assert_allclose(found.x, mean[:, :3], atol=1e-8 * np.abs(mean).max())
+    np.testing.assert_allclose(found.d, mean[:, 3:], atol=1e-8 * np.abs(mean).max())
+    np.testing.assert_allclose(found.x_std, std[:, :3], rtol=1e-8)
+    np.testing.assert_allclose(found.d_std, std[:, 3:], rtol=1e-8)
+    np.testing.assert_allclose(found.covariance, cov[:, :3, :3], atol=1e-8 * cov[:, :3, :3].max())
+
+
+def test_the_walks_root_is_van_loans_integral():
+    y = np.random.default_rng(0).random((50, 1))
+    task = ds._prepared(motor(), PORT, H * np.arange(50), np.zeros((50, 1)), y, None)
+    f = np.zeros((4, 4))
+    f[:3, :3], f[:3, 3:] = motor().A, PORT
+    block = np.zeros((8, 8))
+    block[:4, :4], block[4:, 4:], block[3, 7] = -f * H, f.T * H, H
+    e = expm(block)
+    q = e[4:, 4:].T @ e[:4, 4:]
+    root = task.port_roots[0]
+    scale = np.sqrt(np.diag(q))
+    np.testing.assert_allclose(root.T @ root / np.outer(scale, scale), q / np.outer(scale, scale), atol=1e-9)
+
+
+def test_a_linear_plant_without_disturbance_leaves_no_force():
+    t = H * np.arange(4000)
+    u = np.repeat(np.random.default_rng(5).uniform(-3, 3, 80), 50)
+    inside = []
+    for seed in range(8):
+        y, _ = record(motor(), t, u, np.zeros(4000), 1e-3, seed)
+        found = smooth_disturbance(motor(), PORT, t, u[:, None], y)
+        inside.append(np.abs(found.d[:, 0]) < 3 * found.d_std[:, 0])
+        assert found.noise_std[0] == pytest.approx(1e-3, rel=0.05)
+        assert found.jumps == ()
+    assert np.mean(inside) > 0.97
+
+
+def test_a_sinusoidal_load_and_the_unmeasured_states_are_recovered():
+    t = H * np.arange(5000)
+    u = np.repeat(np.random.default_rng(6).uniform(-3, 3, 100), 50)
+    torque = 0.01 * np.sin(2 * np.pi * 2.0 * t)
+    y, x = record(motor(("phi", "i")), t, u, torque, [1e-3, 0.02])
+    found = smooth_disturbance(motor(("phi", "i")), PORT, t, u[:, None], y)
+    error = (found.d[:, 0] - torque) / found.d_std[:, 0]
+    assert np.mean(np.abs(error) < 3) > 0.98
+    assert np.sqrt(np.mean((found.d[200:-200, 0] - torque[200:-200]) ** 2)) < 0.1 * np.std(torque)
+    np.testing.assert_allclose(found.noise_std, [1e-3, 0.02], rtol=0.05)
+    assert np.mean(np.abs(found.x - x) < 3 * found.x_std) > 0.98
+    white = found.innovations[50:]
+    assert white.std() == pytest.approx(1.0, abs=0.03)
+    assert abs(np.mean(white[1:, 0] * white[:-1, 0])) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("plant", "u", "noise", "lsb"),
+    [
+        (motor, lambda t: 4 * np.where(t % 1 < 0.5, 1.0, -1.0), 2e-3, 0.0),
+        (slow_motor, lambda t: 4 * np.where(t % 1 < 0.5, 1.0, -1.0), 1e-5, 0.0),
+        (slow_motor, lambda t: 1.2 * np.sin(2 * np.pi * 1.3 * t), 2e-4, 2 * np.pi / 2000),
+        (slow_motor, lambda t: 1.2 * np.sin(2 * np.pi * 1.3 * t), 2e-3, 0.0),
+        (slow_motor, lambda t: 0.8 * np.sin(2 * np.pi * 0.4 * t), 1e-5, 0.0),
+    ],
+)
+def test_stick_slip_leaves_the_speed_within_its_bands(plant, u, noise, lsb):
+    model, t = plant(), H * np.arange(5000)
+    voltage = u(t)
+    truth = simulate_with_friction(model, [DryFriction("omega", 0.02, 0.028, inertia=J)], t, {"u": voltage})
+    for seed in range(3):
+        y = truth.x[:, 0] + noise * np.random.default_rng(seed).standard_normal(5000)
+        y = np.round(y / lsb) * lsb if lsb else y
+        found = smooth_disturbance(model, PORT[: model.n_states], t, voltage[:, None], y[:, None])
+        assert np.mean(np.abs(found.x[:, 1] - truth.x[:, 1]) < 3 * found.x_std[:, 1]) >= 0.99
+        assert np.mean(np.abs(found.d[:, 0] - truth.force[:, 0]) < 3 * found.d_std[:, 0]) >= 0.98
+        assert found.jumps
+
+
+def test_an_unobservable_state_is_told_by_its_std():
+    t = H * np.arange(2000)
+    y, _ = record(motor(("omega",)), t, np.ones(2000), np.zeros(2000), 0.01)
+    found = smooth_disturbance(motor(("omega",)), PORT, t, np.ones((2000, 1)), y)
+    assert np.isfinite(found.x_std).all()
+    assert (found.x_std[:, 0] > np.ptp(y) * 2.0).all()
+    assert found.x_std[500, 1] < 0.01
+
+
+def test_gaps_are_bridged_with_wider_bands():
+    t = H * np.arange(3000)
+    torque = 0.01 * np.sin(2 * np.pi * t)
+    y, x = record(motor(), t, np.zeros(3000), torque, 1e-3)
+    y[1000:1100] = np.nan
+    found = smooth_disturbance(motor(), PORT, t, np.zeros((3000, 1)), y)
+    assert np.isnan(found.innovations[1000:1100]).all()
+    assert found.x_std[1050, 0] > 3 * found.x_std[500, 0]
+    assert (np.abs(found.x[1000:1100, 0] - x[1000:1100, 0]) < 4 * found.x_std[1000:1100, 0]).all()
+
+
+def test_deviations_from_the_operating_point():
+    t = H * np.arange(1000)
+    y, _ = record(motor(), t, np.ones(1000), np.zeros(1000), 1e-3)
+    base = motor()
+    point = OperatingPoint(np.zeros(3), np.array([7.0]), np.array([-30.0]))
+    moved = StateSpaceModel(base.A, base.B, base.C, base.D, operating_point=point)
+    one = smooth_disturbance(base, PORT, t, np.ones((1000, 1)), y)
+    two = smooth_disturbance(moved, PORT, t, np.full((1000, 1), 8.0), y - 30.0)
+    np.testing.assert_allclose(two.d, one.d, atol=1e-6)
+
+
+def test_quantised_rest_keeps_the_noise_of_the_resolution():
+    t = H * np.arange(2000)
+    y = np.round(5e-3 * np.sin(2 * np.pi * 0.1 * t) / 1e-3) * 1e-3
+    found = smooth_disturbance(motor(), PORT, t, np.zeros((2000, 1)), y[:, None])
+    assert found.noise_std[0] >= 1e-3 / np.sqrt(12) * (1 - 1e-9)
+
+
+def test_speed_of_a_pass():
+    a = np.zeros((4, 4))
+    a[:3, :3], a[3, 3] = motor().A, -50.0
+    model = StateSpaceModel(a, [[0], [0], [1 / L], [1.0]], [[1, 0, 0, 0.0]], [[0]])
+    t = H * np.arange(5000)
+    y = np.cumsum(np.random.default_rng(0).standard_normal(5000))[:, None] * 1e-3
+    task = ds._prepared(model, np.vstack([PORT, [[0.0]]]), t, np.zeros((5000, 1)), y, None)
+    choice = ds._Choice(np.array([np.log(20.0)]), task.guess, 0.0)
+    ds._smoothed(task, choice)
+    best = np.inf
+    for _ in range(5):
+        start = time.process_time()
+        ds._smoothed(task, choice)
+        best = min(best, time.process_time() - start)
+    assert best < 0.03
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"model": StateSpaceModel([[0.5]], [[1]], [[1]], [[0]], dt=0.1)}, "continuous"),
+        ({"ports": np.ones((2, 1))}, "ports: shape"),
+        ({"ports": np.zeros((3, 0))}, "ports: shape"),
+        ({"ports": np.zeros((3, 1))}, "no output responds"),
+        ({"u": np.zeros((99, 1))}, "u: shape"),
+        ({"y": np.zeros((100, 2))}, "y: shape"),
+        ({"y": np.full((100, 1), np.nan)}, "0 samples"),
+        ({"y": np.full((100, 1), np.inf)}, "infinite"),
+        ({"t": np.arange(100.0) ** 1.1}, "uniform clock"),
+        ({"t": np.zeros(100)}, "uniform clock"),
+        ({"noise_std": [0.0]}, "positive"),
+        ({"noise_std": [1.0, 1.0]}, "shape"),
+        ({"bandwidth": [-1.0]}, "positive"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    usual = {"model": motor(), "ports": PORT, "t": H * np.arange(100), "u": np.zeros((100, 1)), "y": np.ones((100, 1))}
+    with pytest.raises(InputError, match=message):
+        smooth_disturbance(**(usual | change))
