@@ -15,7 +15,7 @@ class Stiffness(GroundedEffect):
     """The plant's own stiffness scaled, or a spring to ground where the plant has none."""
 
     id = "stiffness"
-    title = "Stiffness"
+    title = "Stiffness, misjudged or missing"
     equation = "k' = s k; f = -k q at a joint without a spring"
     spread = 0.4
     quantity = "stiffness"

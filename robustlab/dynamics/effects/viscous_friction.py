@@ -15,7 +15,7 @@ class ViscousFriction(GroundedEffect):
     """The plant's own coefficient scaled, or viscous friction to ground where the plant has none."""
 
     id = "viscous-friction"
-    title = "Misjudged viscous friction"
+    title = "Viscous friction, misjudged or missing"
     equation = "b' = s b; f = -b v at a joint without friction"
     spread = 1.5
     quantity = "viscous friction"

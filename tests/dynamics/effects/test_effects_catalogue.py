@@ -1,0 +1,170 @@
+"""What holds for every effect of the catalogue."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import add_effect, catalogue, effect
+from robustlab.dynamics.effects.effect_contract import Effect, Footprint, Scales, Site
+from robustlab.dynamics.effects.port_model import port_model
+from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.errors import InputError
+
+IDS = [
+    "inertia",
+    "viscous-friction",
+    "torque-constant",
+    "resistance",
+    "resistance-heating",
+    "coulomb-friction",
+    "stribeck-friction",
+    "presliding",
+    "asymmetric-viscous-friction",
+    "constant-load",
+    "quadratic-drag",
+    "position-dependent-friction",
+    "cogging",
+    "gear-efficiency",
+    "backlash",
+    "flexible-coupling",
+    "input-delay",
+    "input-dead-zone",
+    "brush-drop",
+    "input-saturation",
+    "input-gain",
+    "sensor-gain",
+    "sensor-bias",
+    "sensor-eccentricity",
+    "sensor-delay",
+    "quantisation",
+    "stiffness",
+    "cubic-stiffness",
+    "end-stop",
+]
+PLANTS = ["dc-motor", "servo-axis", "two-mass", "mass-spring-damper", "linear-actuator"]
+AT_JOINT = {"force_unit": "N m", "speed_unit": "rad/s", "position_unit": "rad"}
+SCALES = {
+    "joint": Scales(force=0.02, speed=50.0, position=20.0, inertia=1e-5, **AT_JOINT),
+    "current": Scales(force=12.0, speed=3.0, current=3.0, force_unit="V", speed_unit="A"),
+    "input": Scales(input=12.0, signal_unit="V"),
+    "output": Scales(output=10.0, signal_unit="rad"),
+    "parameter": Scales(),
+}
+
+
+def test_the_catalogue_is_that_of_the_specification():
+    assert sorted(catalogue()) == sorted(IDS)
+    assert list(catalogue()) == sorted(catalogue())
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_file_id_and_words(name):
+    known = effect(name)
+    assert type(known).__module__.endswith("." + name.replace("-", "_"))
+    assert known.title
+    assert known.equation
+    assert known.refines is None or known.refines in IDS
+    assert known.structural == (name in ("backlash", "flexible-coupling"))
+    assert known.nameable == (name != "quantisation")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [*((n, None) for n in IDS), ("stiffness", "joint"), ("viscous-friction", "joint")]
+)
+def test_priors_go_both_ways_and_starts_are_complete_and_likely(name, kind):
+    known = effect(name)
+    scales = SCALES[kind or known.site_kind]
+    parameters = {p.name: p.prior for p in known.parameters(scales)}
+    assert len(parameters) == len(known.parameters(scales))
+    for prior in parameters.values():
+        for z in (-1.7, 0.0, 0.9):
+            assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-9)
+    assert 1 <= len(known.starts(scales)) <= 6
+    for start in known.starts(scales):
+        assert start.keys() == parameters.keys()
+        for symbol, value in start.items():
+            assert abs(parameters[symbol].standardised(value)) < 4.0, symbol
+        assert known.checked(start) == start
+
+
+@pytest.mark.parametrize("plant_name", PLANTS)
+@pytest.mark.parametrize("name", IDS)
+def test_it_runs_at_each_of_its_sites(name, plant_name):
+    known, plant = effect(name), rl.plant(plant_name)
+    model = port_model(plant)
+    u = np.random.default_rng(2).normal(size=(60, len(plant.inputs)))
+    for site in known.sites(plant, model):
+        where = Scales()
+        if site.kind in ("joint", "current"):
+            port = model.ports[site.name]
+            assert port.kind == site.kind
+            inertia = 1.0 / float(port.velocity @ port.force)
+            where = Scales(inertia=inertia, **AT_JOINT)
+        values = known.starts(where)[0]
+        simulator = Simulator(plant, [(known, site)], u, 1e-3)
+        windows = Windows(np.array([0, 30]), 30)
+        motion = simulator.run({}, [values], np.zeros((2, len(plant.states))), windows)
+        assert np.isfinite(motion.outputs).all()
+        footprint = known.footprint(site, values, 0.7)
+        if footprint is not None:
+            assert isinstance(footprint, Footprint)
+            assert footprint.gain_lower <= footprint.gain_upper
+            assert all(np.isfinite(getattr(footprint, f.name)) for f in fields(footprint) if f.type == "float")
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_missing_unknown_and_nan_values_are_named(name):
+    known = effect(name)
+    values = known.starts(SCALES[known.site_kind])[0]
+    first = next(iter(values))
+    for bad in ({**values, "no_such": 1.0}, {**values, first: np.nan}):
+        with pytest.raises(InputError, match=known.id):
+            known.checked(bad)
+    with pytest.raises(InputError, match="no value for"):
+        known.checked({})
+
+
+def test_an_unknown_effect_is_answered_with_the_closest():
+    with pytest.raises(InputError, match="coulomb-friction"):
+        effect("coulomb-fricton")
+
+
+class Wind(Effect):
+    id, title, equation, site_kind = "wind", "Wind", "f = w", "joint"
+
+    def parameters(self, scales):
+        return ()
+
+
+class Nameless(Wind):
+    title = None
+
+
+class Taken(Wind):
+    id = "inertia"
+
+
+def test_effects_of_ones_own_join_and_are_replaced(monkeypatch):
+    from robustlab.dynamics.effects import catalogue as module
+
+    monkeypatch.setattr(module, "_ADDED", {})
+    first, second = Wind(), Wind()
+    add_effect(first)
+    assert effect("wind") is first
+    add_effect(second)
+    assert effect("wind") is second
+    assert list(catalogue()) == sorted([*IDS, "wind"])
+    assert effect("wind").sites(rl.plant("dc-motor"), port_model(rl.plant("dc-motor"))) == (Site("joint", "omega"),)
+
+
+@pytest.mark.parametrize(
+    ("added", "message"),
+    [(Wind, "an instance of a class"), (Nameless(), "no title"), (Taken(), "the id 'inertia'")],
+)
+def test_what_cannot_join_is_named(added, message):
+    with pytest.raises(InputError, match=message):
+        add_effect(added)
