@@ -43,6 +43,13 @@ GapsOption = Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock w
 def check(
     file: FileArgument,
     *,
+    model: Annotated[
+        str | None,
+        typer.Option("--model", help="Model file or plant: is the record fit for naming?", show_default=False),
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
+    ] = None,
     group: GroupOption = None,
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
@@ -57,14 +64,19 @@ def check(
     """Read a record and say what is in it and what is odd about it.
 
     Example: robustlab data check run3.csv --inputs u --outputs q
+    Example: robustlab data check run3.csv --model servo-axis
     """
     from robustlab.identification.record_quality import check_record
+    from robustlab.identification.suitability import suitability
 
+    if settings and not model:
+        raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")
+    system = _plant_or_model(model, settings or []) if model else None
     record = _record(
         file,
         group=group,
         dt=dt,
-        inputs=inputs,
+        inputs=inputs or (",".join(_input_names(system)) if system is not None else None),
         outputs=outputs,
         clock=clock,
         unit=unit,
@@ -80,7 +92,14 @@ def check(
         (c.name, c.side, c.unit or "?", f"{c.least:.6g}", f"{c.greatest:.6g}", f"{c.rms:.6g}") for c in found.channels
     ]
     lines = [f"{record.name}: {clock_line}", table(rows, ("signal", "side", "unit", "least", "greatest", "rms"))]
-    emit("data check", found.to_json(), "\n".join([*lines, *(f"remark: {text}" for text in found.remarks)]), as_json)
+    lines += [f"remark: {text}" for text in found.remarks]
+    fit = suitability(system, record) if system is not None else None
+    if fit is None:
+        emit("data check", found.to_json(), "\n".join(lines), as_json)
+        return
+    result = {**found.to_json(), "suitability": fit.to_json()}
+    emit("data check", result, "\n".join([*lines, fit.summary()]), as_json)
+    fit.require()
 
 
 @app.command()
@@ -148,6 +167,14 @@ def compare(
     window: Annotated[
         float | None, typer.Option("--window", help="Length of the windows in s.", show_default=False)
     ] = None,
+    period: Annotated[
+        float | None,
+        typer.Option("--period", help="Period of the record in s; found if a signal repeats.", show_default=False),
+    ] = None,
+    repeat: Annotated[
+        list[str] | None,
+        typer.Option("--repeat", help="Further record with the same input, for the noise floor.", show_default=False),
+    ] = None,
     figures: Annotated[
         str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).", show_default=False)
     ] = None,
@@ -162,20 +189,26 @@ def compare(
     from robustlab.statespace import as_model
 
     system = _plant_or_model(model, settings or [])
-    record = _record(
-        data,
-        group=group,
-        dt=dt,
-        inputs=inputs or ",".join(as_model(system, model).input_names),
-        outputs=outputs,
-        clock=clock,
-        unit=unit,
-        delimiter=delimiter,
-        decimal=decimal,
-        allow_gaps=allow_gaps,
+    first, *others = (
+        _record(
+            file,
+            group=group,
+            dt=dt,
+            inputs=inputs or ",".join(as_model(system, model).input_names),
+            outputs=outputs,
+            clock=clock,
+            unit=unit,
+            delimiter=delimiter,
+            decimal=decimal,
+            allow_gaps=allow_gaps,
+        )
+        for file in (data, *(repeat or []))
     )
-    found = compare_with(system, record, window=window)
-    files = [*(_draw(found, figures) if figures else []), *([_keep(found, out, (model, data))] if out else [])]
+    found = compare_with(system, first, window=window, period=period, repeats=others)
+    files = [
+        *(_draw(found, figures) if figures else []),
+        *([_keep(found, out, (model, data, *(repeat or [])))] if out else []),
+    ]
     for file in files:
         note(f"wrote {file}")
     emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), as_json)
@@ -196,6 +229,13 @@ def _plant_or_model(name: str, settings: list[str]) -> Any:
             f"--set {settings[0]}", f"{name} is no plant", f"one of {known}", did_you_mean(name, plant_names())
         )
     return load(name)
+
+
+def _input_names(system: Any) -> list[str]:
+    from robustlab.dynamics import Plant
+    from robustlab.statespace import as_model
+
+    return [s.name for s in (system if isinstance(system, Plant) else as_model(system)).inputs]
 
 
 def _draw(found: Comparison, folder: str) -> list[str]:

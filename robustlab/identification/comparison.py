@@ -7,7 +7,7 @@ best, so that a model with an integrator is judged by its faults and not by the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,20 +15,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.best_linear_approximation import (
+    BestLinearApproximation,
+    arbitrary_bla,
+    periodic_bla,
+)
 from robustlab.identification.evidence import Evidence
 from robustlab.identification.initial_state import InitialState, starting_state
 from robustlab.identification.input_disturbance import InputDisturbance, input_disturbance
 from robustlab.identification.localisation import (
     Bin,
+    DirectionError,
     Motion,
     Spectrum,
+    amplitude_edges,
     bins,
+    directions,
     motion_of,
     position_edges,
     spectrum,
     speed_edges,
     time_shares,
 )
+from robustlab.identification.noise_floor import NoiseFloor, noise_floor
+from robustlab.identification.noise_gap import NoiseGap, noise_gaps
+from robustlab.identification.nonlinearity import EvenOdd, even_odd, judged_lines
 from robustlab.identification.record_quality import channel_warnings
 from robustlab.identification.residual_tests import InputCorrelation, Whiteness, input_correlation, whiteness
 from robustlab.identification.response import Response, Stretch, response_of
@@ -165,6 +176,20 @@ class Comparison(Evidence):
         Input name -> the addition to it that would explain the record piece by piece, `InputDisturbance`.
     warnings
         What a reader must know before trusting the numbers.
+    direction
+        Output name -> windowed error moving backward, at rest, moving forward; empty where no speed is known.
+    amplitude
+        Output name -> input name -> bins of the windowed error over the magnitude of the input (its deviation from the
+        operating point); inputs that are constant are left out.
+    noise, noise_reason
+        Noise floor where the record repeats, else None and the reason why there is none.
+    against_noise
+        Output name -> `NoiseGap`; empty without a noise floor.
+    linear, linear_reason
+        Output name -> input name -> `BestLinearApproximation` beside the model's response; the reason where one is
+        missing.
+    nonlinearity
+        Even/odd test; its ``reason`` says why it could not be made, or not wholly.
     """
 
     status: Status
@@ -185,6 +210,14 @@ class Comparison(Evidence):
     recursive: Mapping[str, Array]
     disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
+    direction: Mapping[str, Mapping[str, DirectionError]]
+    amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
+    noise: NoiseFloor | None
+    noise_reason: str
+    against_noise: Mapping[str, NoiseGap]
+    linear: Mapping[str, Mapping[str, BestLinearApproximation]]
+    linear_reason: str
+    nonlinearity: EvenOdd
 
     def summary(self) -> str:
         """The result as a few lines of text."""
@@ -205,6 +238,17 @@ class Comparison(Evidence):
             "speed": {"signal": self.motion.speed_source, "unit": self.motion.speed_unit, "bins": self.speed},
             "position": {"signal": self.motion.position_name, "unit": self.motion.position_unit, "bins": self.position},
             "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
+            "direction": self.direction,
+            "amplitude": self.amplitude,
+            "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
+            "linear": {
+                "reason": self.linear_reason,
+                "outputs": {
+                    y: {u: g.to_json() if series else g.band_table() for u, g in row.items()}
+                    for y, row in self.linear.items()
+                },
+            },
+            "nonlinearity": self.nonlinearity,
             "disturbance": self.disturbance,
             "residual_reference": REFERENCE,
             "residual": self.residual,
@@ -232,6 +276,8 @@ def compare(
     lags: int = LAGS,
     speed: str | None = None,
     position: str | None = None,
+    period: float | None = None,
+    repeats: Sequence[Record] = (),
 ) -> Comparison:
     """Compare a plant or model with a measured record at all outputs they share.
 
@@ -252,6 +298,11 @@ def compare(
         Number of lags of the residual tests.
     speed, position
         Recorded outputs over which the error is sorted; chosen by their units where left out.
+    period
+        Period of the record in s. Left out: found where an input, or a recorded signal that the model does not know
+        (the controller's reference), repeats exactly; in closed loop without a recorded reference it must be stated.
+    repeats
+        Further records with the same input, for the noise floor.
 
     Returns
     -------
@@ -261,7 +312,8 @@ def compare(
     Raises
     ------
     InputError
-        An input of the model or every output is missing, a wrong sample time, a window that does not fit.
+        An input of the model or every output is missing, a wrong sample time, a window that does not fit; a stated
+        period or repeat that the inputs contradict.
     UnitMismatch
         Model and record state different units of a signal.
     NoTrustworthyNumber
@@ -293,6 +345,11 @@ def compare(
     windows = windowed_simulation(response, whole, length)
     motion = motion_of(record, speed, position, length)
     piece = max(length // PIECES_PER_WINDOW, min(length, SHORTEST_WINDOW))
+    localised = _localised(whole, response, free, windows, motion, lags=min(lags, record.n // 4))
+    others = tuple(response_of(plant, other).with_units(other) for other in repeats)
+    noise, noise_reason = _noise(record, others, response, period)
+    rms = {name: (gap.rms, gap.windowed_rms) for name, gap in localised["outputs"].items()}
+    linear, linear_reason = _linear(record, response, whole, noise)
     return Comparison(
         status=Status.CONVERGED,
         model=_name(plant),
@@ -306,26 +363,88 @@ def compare(
         recursive={name: windows.residual[:, k] for k, name in enumerate(response.output_names)},
         disturbance={name: input_disturbance(response, name, whole, piece, motion) for name in whole.u},
         warnings=_warnings(response, record, initial, motion),
-        **_localised(whole, response.outputs, free, windows, motion, lags=min(lags, record.n // 4)),
+        noise=noise,
+        noise_reason=noise_reason,
+        against_noise=noise_gaps(response, whole, others, noise, length, rms) if noise else {},
+        linear=linear,
+        linear_reason=linear_reason,
+        nonlinearity=_even_odd(record, response, noise),
+        **localised,
     )
 
 
+def _noise(
+    record: Record, repeats: tuple[Record, ...], response: Response, period: float | None
+) -> tuple[NoiseFloor | None, str]:
+    """Noise floor, or why there is none."""
+    try:
+        return noise_floor(record, period=period, repeats=repeats, outputs=response.output_names), ""
+    except NoTrustworthyNumber as none:
+        return None, f"{none.found}; {none.hint}" if none.hint else none.found
+
+
+def _linear(
+    record: Record, response: Response, whole: Stretch, noise: NoiseFloor | None
+) -> tuple[dict[str, dict[str, BestLinearApproximation]], str]:
+    """Best linear approximation of every output from every input that moves, or why there is none."""
+    moving = [name for name, u in whole.u.items() if np.ptp(u)]
+    if not moving:
+        return {}, "no input moves"
+    source = _excitation(response, noise)
+    result: dict[str, dict[str, BestLinearApproximation]] = {}
+    for k, name in enumerate(response.output_names):
+        model = response.model.select(inputs=list(whole.u), outputs=[name])
+        if noise is None or source is None or len(moving) > 1:
+            result[name] = arbitrary_bla(whole.t, whole.u, whole.y[:, k], model)
+            continue
+        lines, kind = judged_lines(noise.periodic(record[source]))
+        u, y = noise.periodic(whole.u[moving[0]]), noise.periodic(whole.y[:, k])
+        line = periodic_bla(u, y, record.dt, model.select(inputs=moving), lines[kind == 0])
+        result[name] = {moving[0]: line} if line else {}
+    return result, "" if all(result.values()) else "too few samples, or no line excited above the noise"
+
+
+def _excitation(response: Response, noise: NoiseFloor | None) -> str | None:
+    """The one signal whose periods excite the system: the reference that repeats, else the model's input."""
+    if noise is None or noise.source != "periods":
+        return None
+    sources = noise.signal.split(", ") if noise.signal else list(response.model.input_names)
+    return sources[0] if len(sources) == 1 else None
+
+
+def _even_odd(record: Record, response: Response, noise: NoiseFloor | None) -> EvenOdd:
+    """Even/odd test of the outputs, and of the inputs that a controller corrects."""
+    source = _excitation(response, noise)
+    if noise is None or source is None:
+        several = noise is not None and noise.source == "periods"
+        reason = "several signals excite at once" if several else "the record holds no repeated periods"
+        return EvenOdd({}, "", f"the excitation does not allow it: {reason}")
+    judged = [*response.output_names, *(name for name in noise.input_std if name != source)]
+    return even_odd(noise, record[source], {name: record[name] for name in judged}, record.dt)
+
+
 def _localised(
-    whole: Stretch, outputs: tuple[Signal, ...], free: Array, windows: WindowedSimulation, motion: Motion, *, lags: int
+    whole: Stretch, response: Response, free: Array, windows: WindowedSimulation, motion: Motion, *, lags: int
 ) -> dict[str, Any]:
-    """Gap, windows, speed, position, frequency and residual tests of every output."""
+    """Gap, windows, speed, direction, position, amplitude, frequency and residual tests of every output."""
     result: dict[str, dict[str, Any]] = {
-        key: {} for key in ("outputs", "windows", "speed", "position", "frequency", "residual")
+        key: {}
+        for key in ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
     }
     t, u, y = whole.t, whole.u, whole.y
-    for k, (name, unit) in enumerate(outputs):
+    point = response.model.operating_point
+    offset = dict(zip(response.model.input_names, point.u, strict=True)) if point else {}
+    size = {name: np.abs(x - offset.get(name, 0.0)) for name, x in u.items() if np.ptp(x)}
+    for k, (name, unit) in enumerate(response.outputs):
         error, local = y[:, k] - free[:, k], y[:, k] - windows.y[:, k]
         result["outputs"][name] = _gap(Signal(name, unit), t, y[:, k], error, local)
         result["windows"][name] = _window_errors(t, error, local, windows.edges)
         if motion.speed is not None:
             result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
+            result["direction"][name] = directions(motion.speed, local)
         if motion.position is not None:
             result["position"][name] = bins(motion.position, local, position_edges(motion.position))
+        result["amplitude"][name] = {key: bins(value, local, amplitude_edges(value)) for key, value in size.items()}
         result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]

@@ -21,6 +21,7 @@ from robustlab.identification.evidence import Evidence
 from robustlab.identification.initial_state import weighted_least_squares
 from robustlab.identification.localisation import REST, Motion
 from robustlab.identification.response import Response, Stretch
+from robustlab.record import UNIFORM_TOLERANCE
 
 __all__ = ["InputDisturbance", "input_disturbance"]
 
@@ -70,9 +71,13 @@ def input_disturbance(response: Response, name: str, whole: Stretch, length: int
     edges = np.arange(0, len(t) + 1, length)
     value, std = np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
     before = after = 0.0
+    # The responses are the same in all pieces where the clock is uniform.
+    step = np.diff(t)
+    uniform = len(t) >= length and bool(np.abs(step - step.mean()).max() <= UNIFORM_TOLERANCE * step.mean())
+    shared = _responses(response, name, t[:length]) if uniform else None
     for k, (first, last) in enumerate(pairwise(edges.tolist())):
         piece = whole.cut(first, last)
-        free, held = response.free_response(piece.t), response.step_response(name, piece.t)
+        free, held = shared or _responses(response, name, piece.t)
         error = piece.y - response.simulate(piece.t, piece.u, np.zeros(response.n_states))
         x0, _, rank = weighted_least_squares(free, error, weight)
         both, spread, joint_rank = weighted_least_squares(np.concatenate([free, held], axis=2), error, weight)
@@ -90,6 +95,11 @@ def input_disturbance(response: Response, name: str, whole: Stretch, length: int
     rest = REST * float(np.abs(motion.speed).max())
     forward, backward = _mean(value, pieces.min(axis=1) > rest), _mean(value, pieces.max(axis=1) < -rest)
     return InputDisturbance(seconds, middle, pieces.mean(axis=1), value, std, forward, backward, share)
+
+
+def _responses(response: Response, name: str, t: Array) -> tuple[Array, Array]:
+    """Free response, and the response to a unit step of the input."""
+    return response.free_response(t), response.step_response(name, t)
 
 
 def _mean(values: Array, chosen: NDArray[np.bool_]) -> float:

@@ -12,7 +12,23 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.identification.evidence import Evidence
 from robustlab.record import Record
 
-__all__ = ["Bin", "Motion", "Spectrum", "bins", "motion_of", "position_edges", "spectrum", "speed_edges", "time_shares"]
+__all__ = [
+    "Bin",
+    "DirectionError",
+    "Motion",
+    "Spectrum",
+    "amplitude_edges",
+    "bins",
+    "directions",
+    "log_bands",
+    "motion_of",
+    "position_edges",
+    "spectrum",
+    "speed_edges",
+    "time_shares",
+    "uniform_samples",
+    "welch_segments",
+]
 
 Array = NDArray[np.float64]
 
@@ -70,6 +86,26 @@ class Bin(Evidence):
     samples: int
     mean: float
     rms: float
+    share: float
+
+
+@dataclass(frozen=True)
+class DirectionError(Evidence):
+    """Error of one output over the samples that move in one direction, or rest.
+
+    Attributes
+    ----------
+    samples
+        How many samples lie within.
+    mean, rms
+        Mean and RMS of the error in units of the output; None where there is no sample.
+    share
+        Share of the record's squared error, 0..1.
+    """
+
+    samples: int
+    mean: float | None
+    rms: float | None
     share: float
 
 
@@ -183,17 +219,52 @@ def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
     return tuple(result)
 
 
+def amplitude_edges(value: Array, count: int = 6) -> Array:
+    """Edges of ``count`` bins of equal width from 0 to the largest magnitude."""
+    return np.linspace(0.0, float(np.abs(value).max()) or 1.0, count + 1)
+
+
+def directions(speed: Array, error: Array) -> dict[str, DirectionError]:
+    """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"``, ``"forward"``.
+
+    Rest is below 2 % of the largest speed.
+    """
+    limit = REST * float(np.abs(speed).max())
+    total = float((error**2).sum()) or 1.0
+    sides = {"backward": speed < -limit, "rest": np.abs(speed) <= limit, "forward": speed > limit}
+    result: dict[str, DirectionError] = {}
+    for name, side in sides.items():
+        inside = error[side]
+        squared = float((inside**2).sum())
+        mean, rms = (float(inside.mean()), float(np.sqrt(squared / len(inside)))) if len(inside) else (None, None)
+        result[name] = DirectionError(len(inside), mean, rms, squared / total)
+    return result
+
+
+def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
+    """Mean sample time and the signals (n,); on an uneven clock they are interpolated linearly to its mean step."""
+    dt = float(t[-1] - t[0]) / (len(t) - 1)
+    grid = t[0] + dt * np.arange(len(t))
+    if np.abs(t - grid).max() <= 1e-3 * dt:
+        return dt, list(signals)
+    return dt, [np.interp(grid, t, x) for x in signals]
+
+
+def welch_segments(n: int) -> tuple[int, float]:
+    """Length of the half-overlapping segments of Welch's method for n samples, and their effective number."""
+    segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
+    count = 1 + (n - segment) // (segment - segment // 2)
+    # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
+    return segment, count / (1.0 + (count - 1) / count / 18.0)
+
+
 def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: Array) -> Spectrum:
     """Spectra of one output; see `Spectrum`. A clock that is not uniform is interpolated linearly to its mean step."""
     from scipy.signal import coherence, welch
 
-    n = len(t)
-    dt = (t[-1] - t[0]) / (n - 1)
-    grid = t[0] + dt * np.arange(n)
-    if np.abs(t - grid).max() > 1e-3 * dt:
-        measured, simulated = (np.interp(grid, t, x) for x in (measured, simulated))
-        inputs = {name: np.interp(grid, t, x) for name, x in inputs.items()}
-    segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
+    dt, (measured, simulated, *columns) = uniform_samples(t, measured, simulated, *inputs.values())
+    inputs = dict(zip(inputs, columns, strict=True))
+    segment, averages = welch_segments(len(t))
     options: dict[str, Any] = {"fs": 1.0 / dt, "window": "hann", "nperseg": segment, "noverlap": segment // 2}
     error = measured - simulated
     densities = [welch(x, detrend=cast("Any", False), **options) for x in (measured, simulated, error)]
@@ -203,23 +274,21 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
             name: np.nan_to_num(coherence(x, error, detrend="constant", **options)[1], posinf=0.0)
             for name, x in inputs.items()
         }
-    count = 1 + (n - segment) // (segment - segment // 2)
-    # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
-    averages = count / (1.0 + (count - 1) / count / 18.0)
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
-    edges = _bands(f)
+    edges = np.array([0.0, *log_bands(1.5 * f[1], f[-1])[1:-1], f[-1]])
     of_measured, of_error = (_band_power(f, p, edges) for p in (p_measured, p_error))
     relative = np.sqrt(np.divide(of_error, of_measured, out=np.zeros_like(of_error), where=of_measured > 0))
     return Spectrum(f, p_measured, p_simulated, p_error, shared, level, edges, _shares(of_error), relative)
 
 
-def _bands(f: Array) -> Array:
-    """Edges in Hz: 0, then two bands a decade on round numbers (1, 3, 10, 30, ...) down from the highest frequency."""
-    lowest, highest = 1.5 * f[1], f[-1]
+def log_bands(lowest: float, highest: float) -> Array:
+    """Edges from ``lowest`` to ``highest``, between them two bands a decade on round numbers (1, 3, 10, 30, ...)."""
+    if not highest > lowest:
+        return np.array([lowest, lowest * (1.0 + 1e-9)])
     decades = 10.0 ** np.arange(np.floor(np.log10(lowest)) - 1, np.ceil(np.log10(highest)) + 1)
     rounded = np.sort(np.concatenate([decades, 3.0 * decades]))
     inner = rounded[(rounded > lowest) & (rounded < 0.9 * highest)]
-    return np.concatenate([[0.0], inner, [highest]])
+    return np.concatenate([[lowest], inner, [highest]])
 
 
 def _band_power(f: Array, density: Array, edges: Array) -> Array:

@@ -1,7 +1,8 @@
-"""Figures of a comparison: over time, over speed, over frequency, and the residual tests."""
+"""Figures of a comparison: where it disagrees at a glance, over time, over speed, over frequency, residual tests."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -11,10 +12,19 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from robustlab.identification.comparison import Comparison
-from robustlab.identification.localisation import Bin
+from robustlab.identification.localisation import Bin, DirectionError
 from robustlab.report.figures import COLOURS, axis_label, house_style, new_figure, plain_label
+from robustlab.report.linearity_figures import harmonics_figure, response_figure
 
-__all__ = ["comparison_figures", "outline", "residual_figure", "spectrum_figure", "speed_figure", "time_figure"]
+__all__ = [
+    "comparison_figures",
+    "outline",
+    "residual_figure",
+    "spectrum_figure",
+    "speed_figure",
+    "time_figure",
+    "where_figure",
+]
 
 Array = NDArray[np.float64]
 
@@ -25,21 +35,113 @@ MEASURED, FREE, WINDOWED = COLOURS["measured"], COLOURS["worst"], COLOURS["nomin
 
 
 def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
-    """All figures of a comparison: ``time-q``, ``speed-q``, ``spectrum-q``, ``residual-q`` for every output q.
+    """All figures of a comparison, for every output q; an output whose name is no plain word is called by its number.
 
-    The figure over speed is left out where no speed is known. An output whose name is no plain
-    word is called by its number.
+    ``where-q``, ``time-q``, ``speed-q`` (where a speed is known), ``spectrum-q``, ``response-q`` (where the record
+    gives a frequency response), ``residual-q``; and once ``harmonics`` (where the excitation allows the test).
     """
     figures: dict[str, Figure] = {}
     for k, output in enumerate(comparison.outputs, start=1):
         # The keys become file names, and an output's name may come from a file.
         name = output if output.isidentifier() and output.isascii() else f"output{k}"
+        figures[f"where-{name}"] = where_figure(comparison, output)
         figures[f"time-{name}"] = time_figure(comparison, output)
         if output in comparison.speed:
             figures[f"speed-{name}"] = speed_figure(comparison, output)
         figures[f"spectrum-{name}"] = spectrum_figure(comparison, output)
+        if comparison.linear.get(output):
+            figures[f"response-{name}"] = response_figure(comparison, output)
         figures[f"residual-{name}"] = residual_figure(comparison, output)
+    if comparison.nonlinearity.signals:
+        figures["harmonics"] = harmonics_figure(comparison)
     return figures
+
+
+def where_figure(comparison: Comparison, output: str) -> Figure:
+    """RMS of the windowed error over time, direction, speed, position and input, on one scale; and frequency.
+
+    The largest of each panel is orange; the green line is the noise of a sample where the record repeats. Panels that
+    need a speed or a position which is not recorded are left out.
+    """
+    panels = _where_panels(comparison, output)
+    figure, axes = new_figure(1 + (len(panels) + 2) // 2, 2, width=8.2, height=2.15)
+    w, gap, unit = comparison.windows[output], comparison.outputs[output], comparison.outputs[output].unit
+    noise = comparison.against_noise.get(output)
+    with house_style():
+        wide = _joined(figure, axes)
+        _worst_bars(wide, np.append(w.start, w.stop[-1]), w.windowed_rms)
+        wide.set_xlabel("time [s]")
+        floor = "" if noise is None else f", noise {noise.std:.2g} {unit}"
+        where = f"{comparison.model} misses {output} of {comparison.record}: rms {gap.windowed_rms:.3g} {unit}{floor}"
+        wide.set_title(plain_label(f"{where}, windows of {comparison.window:.3g} s"))
+        used = [wide, *axes[2 : 2 + len(panels)]]
+        for panel, (name, of, bins) in zip(used[1:], panels, strict=True):
+            _worst_bars(panel, np.array([bins[0].low, *(b.high for b in bins)]), np.array([b.rms for b in bins]))
+            panel.set_xlabel(axis_label(name, of))
+            worst = max(bins, key=lambda b: b.rms)
+            panel.set_title(plain_label(f"largest at {name} {worst.low:.3g} to {worst.high:.3g} {of}".rstrip()))
+        if output in comparison.direction:
+            _name_directions(used[1], comparison.direction[output])
+        for panel in used:
+            panel.set_ylabel(axis_label("rms error", unit))
+            if noise is not None and noise.std > 0:
+                panel.axhline(noise.std, color=COLOURS["good"], lw=1.2, ls=(0, (4, 2)))
+        top = 1.1 * max(p.dataLim.y1 for p in used) or 1.0
+        for panel in used:
+            panel.set_ylim(0.0, top)
+        _band_bars(axes[2 + len(panels)], comparison, output)
+        for panel in axes[3 + len(panels) :]:
+            panel.remove()
+    return figure
+
+
+def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, tuple[Bin, ...]]]:
+    """Name, unit and bins of every panel below the first."""
+    motion = comparison.motion
+    panels: list[tuple[str, str, tuple[Bin, ...]]] = []
+    if output in comparison.direction:
+        sides = enumerate(comparison.direction[output].values())
+        panels.append(("", "", tuple(Bin(k, k + 1, d.samples, d.mean or 0.0, d.rms or 0.0, d.share) for k, d in sides)))
+        panels.append(("speed", motion.speed_unit, comparison.speed[output]))
+    if output in comparison.position:
+        panels.append((motion.position_name, motion.position_unit, comparison.position[output]))
+    amplitudes = comparison.amplitude[output].items()
+    return [*panels, *((f"|{name}|", comparison.measured.unit(name), bins) for name, bins in amplitudes)]
+
+
+def _name_directions(axes: Axes, direction: Mapping[str, DirectionError]) -> None:
+    axes.set_xticks([0.5, 1.5, 2.5], list(direction))
+    axes.grid(visible=False, axis="x")
+    axes.set_xlabel("direction (title: shares of the squared error)")
+    axes.set_title(", ".join(f"{name} {100 * d.share:.0f} %" for name, d in direction.items()))
+
+
+def _joined(figure: Figure, axes: list[Axes]) -> Axes:
+    """The two axes of the first row as one."""
+    grid = axes[0].get_gridspec()
+    for panel in axes[:2]:
+        panel.remove()
+    if grid is None:  # made by `subplots`: there is one
+        raise ValueError("axes without a grid")
+    return figure.add_subplot(grid[0, :])
+
+
+def _worst_bars(axes: Axes, edges: Array, rms: Array) -> None:
+    colours = [FREE if k == int(rms.argmax()) else COLOURS["band"] for k in range(len(rms))]
+    width = np.diff(edges)
+    axes.bar(edges[:-1] + 0.5 * width, rms, width=0.94 * width, color=colours, lw=0)
+    axes.set_xlim(edges[0], edges[-1])
+
+
+def _band_bars(axes: Axes, comparison: Comparison, output: str) -> None:
+    """Share of the free run's squared error, band by band."""
+    s = comparison.frequency[output]
+    _worst_bars(axes, np.arange(len(s.bands), dtype=float), 100 * s.error_share)
+    axes.set_xticks(np.arange(len(s.bands)), [f"{edge:.3g}" for edge in s.bands])
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("share of square [%]")
+    top = int(s.error_share.argmax())
+    axes.set_title(f"free run: {100 * s.error_share[top]:.0f} % at {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz")
 
 
 def time_figure(comparison: Comparison, output: str) -> Figure:

@@ -49,9 +49,11 @@ def test_text_figures_and_result_file(run, record_file, tmp_path):
     assert "percent of the measured range" in out
     assert sorted(p.name for p in folder.glob("*.svg")) == [
         "residual-q.svg",
+        "response-q.svg",
         "spectrum-q.svg",
         "speed-q.svg",
         "time-q.svg",
+        "where-q.svg",
     ]
     assert str(out_file) in err
     stored = rl.load(out_file)
@@ -64,6 +66,23 @@ def test_model_from_a_file(run, record_file, tmp_path):
     code, out, _ = run("compare", tmp_path / "axis.h5", record_file, "--json")
     assert code == 0
     assert json.loads(out)["outputs"]["q"]["fit"] > 99.99
+
+
+def test_noise_floor_from_a_stated_period_and_from_a_repeated_file(run, tmp_path):
+    t = np.arange(1200) * 1e-2
+    u = np.tile(np.repeat(np.random.default_rng(0).standard_normal(8), 50), 3)
+    clean = rl.simulate(rl.plant("servo-axis"), t, u)["q"]
+    for k in range(2):
+        q = clean + 1e-4 * np.random.default_rng(k).standard_normal(1200)
+        rl.save(tmp_path / f"run{k}.h5", rl.Record(t, {"u": u}, {"q": q}, {"u": "V", "q": "m"}, f"run{k}"))
+    first, second = tmp_path / "run0.h5", tmp_path / "run1.h5"
+    for extra, source in ((("--period", "4"), "periods"), (("--repeat", second), "repeated records"), ((), "periods")):
+        code, out, _ = run("compare", "servo-axis", first, "--json", *extra)
+        noise = json.loads(out)["noise"]
+        assert (code, noise["floor"]["source"]) == (0, source)
+        assert noise["floor"]["std"]["q"] == pytest.approx(1e-4, rel=0.1)
+    code, _, err = run("compare", "servo-axis", first, "--period", "3")
+    assert (code, "does not repeat with a period of 3 s" in err) == (3, True)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def test_outline_keeps_the_extremes_in_their_order():
 
 def test_all_figures_are_drawn_and_small(comparison, tmp_path):
     figures = comparison_figures(comparison)
-    assert list(figures) == ["time-q", "speed-q", "spectrum-q", "residual-q"]
+    assert list(figures) == ["where-q", "time-q", "speed-q", "spectrum-q", "response-q", "residual-q"]
     for name, figure in figures.items():
         svg, png = save_figure(figure, tmp_path, name)
         assert svg.stat().st_size < 400_000
@@ -60,4 +60,31 @@ def test_without_speed_and_with_a_hostile_name():
     model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["../q"])
     u = np.sign(np.sin(t))
     found = rl.compare(model, rl.Record(t, {"u": u}, {"../q": rl.simulate(model, t, 2 * u)["../q"]}))
-    assert list(comparison_figures(found)) == ["time-output1", "spectrum-output1", "residual-output1"]
+    assert list(comparison_figures(found)) == [
+        "where-output1",
+        "time-output1",
+        "spectrum-output1",
+        "response-output1",
+        "residual-output1",
+    ]
+
+
+def test_where_figure_has_a_panel_for_everything_that_is_known(comparison):
+    where = comparison_figures(comparison)["where-q"]
+    labels = {axes.get_xlabel() for axes in where.axes}
+    assert {"time [s]", "speed [m/s]", "q [m]", "|u| [V]", "frequency [Hz]"} <= labels
+    bars = next(axes for axes in where.axes if axes.get_xlabel() == "|u| [V]").patches
+    assert [bar.get_height() for bar in bars] == [b.rms for b in comparison.amplitude["q"]["u"]]
+
+
+def test_harmonics_are_drawn_where_the_excitation_leaves_some_out(tmp_path):
+    n, t = 400, np.arange(1600) * 0.01
+    u = sum(np.cos(2 * np.pi * k * np.arange(1600) / n + k * k) for k in (1, 3, 7, 9))
+    model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
+    y = rl.simulate(model, t, u + 0.1 * u**2)["y"] + 1e-3 * np.random.default_rng(0).standard_normal(1600)
+    found = rl.compare(model, rl.Record(t, {"u": u}, {"y": y}))
+    figures = comparison_figures(found)
+    assert list(figures)[-1] == "harmonics"
+    assert "even" in figures["harmonics"].axes[0].get_title(loc="left")
+    svg, _ = save_figure(figures["harmonics"], tmp_path, "harmonics")
+    assert svg.stat().st_size < 400_000

@@ -1,0 +1,248 @@
+"""Noise floor: periods that are known, noise of known size and colour, and every record that does not repeat."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.noise_floor import NoiseFloor, effective_dof, noise_floor, period_of
+from robustlab.record import Record
+from robustlab.result import plain
+
+DT = 0.01
+
+
+def periodic(n, count, seed=0, tail=0):
+    one = np.repeat(np.random.default_rng(seed).standard_normal(n // 10), 10)
+    return np.concatenate([one[len(one) - tail :], np.tile(one, count)])
+
+
+def record(u, noise=0.1, seed=1, gain=2.0, **more):
+    rng = np.random.default_rng(seed)
+    return Record(np.arange(len(u)) * DT, {"u": u, **more}, {"y": gain * u + noise * rng.standard_normal(len(u))})
+
+
+def coloured(shape, pole, seed):
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(seed)
+    return lfilter([1.0], [1.0, -pole], rng.standard_normal(shape[0] * shape[1] + 500))[500:].reshape(shape)
+
+
+@settings(max_examples=60, deadline=None)
+@given(n=st.integers(8, 60), count=st.integers(2, 5), tail=st.integers(0, 59), seed=st.integers(0, 10**6))
+def test_a_period_is_found_wherever_the_record_ends(n, count, tail, seed):
+    one = np.random.default_rng(seed).standard_normal(n)
+    assert period_of(np.resize(one, count * n + tail % n)) == n
+
+
+@settings(max_examples=40, deadline=None)
+@given(n=st.integers(20, 300), seed=st.integers(0, 10**6))
+def test_noise_and_a_ramp_have_no_period(n, seed):
+    x = np.random.default_rng(seed).standard_normal(n)
+    assert period_of(x) is None
+    assert period_of(np.arange(float(n))) is None
+    assert period_of(np.round(1000 * np.arange(n) / n)) is None  # a ramp in fine steps: neighbours are nearly alike
+    assert period_of(np.full(n, 3.0)) is None
+
+
+def test_quantisation_is_allowed_for_and_coarse_levels_are_not():
+    t = np.arange(3000)
+    fine = np.round(1000 * np.sin(2 * np.pi * t / 500) + np.random.default_rng(0).uniform(-0.4, 0.4, 3000))
+    assert period_of(fine) == 500
+    switching = np.sign(np.random.default_rng(1).standard_normal(3000))  # one step is its range
+    assert period_of(switching) is None
+
+
+@pytest.mark.parametrize(("count", "tail"), [(2, 0), (3, 70), (12, 150)])
+def test_std_is_that_of_a_single_sample(count, tail):
+    floor = noise_floor(record(periodic(2000, count, tail=tail)))
+    assert (floor.source, floor.signal, floor.count, floor.samples, floor.first) == ("periods", "u", count, 2000, tail)
+    assert floor.period == pytest.approx(2000 * DT)
+    # Relative standard deviation of the estimate: 1 / sqrt(2 (count - 1) 2000).
+    assert floor.std["y"] == pytest.approx(0.1, rel=4 / np.sqrt(4000 * (count - 1)))
+    assert floor.level == {"y": 0.0}
+    assert floor.input_std == {}
+
+
+def test_two_periods_are_the_half_difference():
+    r = record(periodic(1000, 2))
+    half = 0.5 * (r["y"][1000:] - r["y"][:1000])
+    assert noise_floor(r).std["y"] == pytest.approx(np.sqrt(2.0 * np.mean(half**2)), rel=1e-12)
+
+
+def test_repeated_records_give_the_same_floor_as_their_definition():
+    u = np.random.default_rng(0).standard_normal(4000)
+    runs = [record(u, seed=s) for s in range(3)]
+    floor = noise_floor(runs[0], repeats=runs[1:])
+    y = np.stack([r["y"] for r in runs])
+    assert floor.std["y"] == pytest.approx(np.sqrt(y.var(axis=0, ddof=1).mean()), rel=1e-12)
+    assert (floor.source, floor.period, floor.count, floor.signal) == ("repeated records", None, 3, "u")
+    shorter = record(u[:3000], seed=7)
+    assert noise_floor(runs[0], repeats=[shorter]).samples == 3000
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9, 0.99])
+def test_p_values_are_uniform_for_coloured_noise_without_a_model_error(pole):
+    floor = NoiseFloor("periods", "u", 10.0, 1000, 3, 0, {"y": 1.0}, {"y": 0.0}, {}, ())
+    found = [floor.excess(coloured((3, 1000), pole, seed)) for seed in range(300)]
+    p = np.array([e.p_value for e in found])
+    # 3 sigma of a binomial with n = 300, plus what an estimated number of degrees may be off.
+    assert np.mean(p < 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 300)
+    assert np.mean(p < 0.5) == pytest.approx(0.5, abs=3 * 0.5 / np.sqrt(300))
+    assert np.mean([e.F for e in found]) == pytest.approx(1.0, abs=0.1)
+    # var(mean square) = 2 sigma^4 / dof defines the effective number of samples; for AR(1): N (1 - a^2) / (1 + a^2).
+    assert np.median([e.dof[0] for e in found]) == pytest.approx(1000 * (1 - pole**2) / (1 + pole**2), rel=0.35)
+
+
+def test_excess_is_the_known_ratio_where_a_part_repeats():
+    n, count, sigma = 5000, 4, 0.2
+    missing = 0.1 * np.sin(2 * np.pi * np.arange(n) / n)
+    rng = np.random.default_rng(0)
+    floor = noise_floor(record(periodic(n, count)))
+    residuals = [(missing + sigma * rng.standard_normal((count, n))).ravel() for _ in range(40)]
+    found = [floor.excess(r) for r in residuals]
+    residual, e = residuals[0], found[0]
+    # A single repeatable rms scatters by 3 %, the mean of 40 by 0.5 %.
+    assert np.mean([x.F for x in found]) == pytest.approx(1.0 + count * 0.005 / sigma**2, rel=0.02)
+    assert np.mean([x.repeatable for x in found]) == pytest.approx(0.1 / np.sqrt(2), rel=0.015)
+    assert np.mean([x.noise for x in found]) == pytest.approx(sigma, rel=0.005)
+    assert max(x.p_value for x in found) < 1e-6
+    residual[[3, 70]] = np.nan
+    assert pytest.approx(e.F, rel=0.02) == floor.excess(residual).F
+
+
+def test_local_variance_lowers_the_effective_number():
+    noise = np.random.default_rng(0).standard_normal((4, 4000))
+    noise[:, 200:] *= 1e-3  # all power in one twentieth of the period
+    assert effective_dof(noise) == pytest.approx(200, rel=0.15)
+
+
+def test_a_drifting_output_has_its_level_taken_off():
+    u = periodic(1000, 5)
+    t = np.arange(5000) * DT
+    rng = np.random.default_rng(0)
+    y = np.cumsum(u - u.mean()) * DT + 0.7 * t + 0.01 * rng.standard_normal(5000)
+    floor = noise_floor(Record(t, {"u": u}, {"y": y}))
+    assert floor.std["y"] == pytest.approx(0.01, rel=0.03)
+    assert floor.level["y"] == pytest.approx(np.std(7.0 * np.arange(5), ddof=1), rel=0.01)
+    assert any("drifts" in note for note in floor.notes)
+    straight = floor.periodic(y)
+    expected = np.cumsum(u - u.mean())[:1000] * DT
+    assert np.abs((straight - straight.mean()) - (expected - expected.mean())).max() < 0.06
+
+
+def test_a_transient_at_the_start_is_left_out():
+    u = periodic(1000, 5)
+    y = u + 2.0 * np.exp(-np.arange(5000) / 150) + 0.01 * np.random.default_rng(0).standard_normal(5000)
+    floor = noise_floor(Record(np.arange(5000) * DT, {"u": u}, {"y": y}))
+    assert (floor.first, floor.count) == (1000, 4)
+    assert floor.std["y"] == pytest.approx(0.01, rel=0.05)
+    assert "transient" in floor.notes[0]
+
+
+def test_in_closed_loop_the_reference_tells_the_period():
+    rng = np.random.default_rng(0)
+    ref = periodic(1000, 4)
+    y, v, u = np.zeros(4000), 0.0, np.zeros(4000)
+    for k in range(4000):
+        y[k] = v + 0.05 * rng.standard_normal()
+        u[k] = 2.0 * (ref[k] - y[k])
+        v += 0.05 * (u[k] - v)
+    t = np.arange(4000) * DT
+    unknown = Record(t, {"u": u}, {"y": y, "ref": ref})
+    floor = noise_floor(unknown, outputs=["y"])
+    assert (floor.signal, floor.samples) == ("ref", 1000)
+    assert floor.input_std["u"] == pytest.approx(2.0 * floor.std["y"], rel=1e-6)  # the reference cancels
+    with pytest.raises(NoTrustworthyNumber, match="repeats") as caught:
+        noise_floor(Record(t, {"u": u}, {"y": y}))
+    assert caught.value.exit_code == 4
+
+
+def test_almost_repeating_input_is_suggested_and_can_be_stated():
+    clean = periodic(1000, 4)
+    u = clean + 0.01 * np.random.default_rng(3).standard_normal(4000)
+    r = record(u)
+    with pytest.raises(NoTrustworthyNumber) as caught:
+        noise_floor(r)
+    assert "repeats every 10 s" in str(caught.value.hint)
+    assert noise_floor(r, period=10.0).input_std["u"] == pytest.approx(0.01, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("period", "says"),
+    [
+        (7.0, "does not repeat with a period of 7 s"),
+        (0.0, "half the record"),
+        (-1.0, "half the record"),
+        (1000.0, "half the record"),
+        (float("nan"), "half the record"),
+        (9.9975, "whole number of samples"),
+    ],
+)
+def test_stated_periods_that_are_wrong(period, says):
+    with pytest.raises(InputError, match=says):
+        noise_floor(record(periodic(1000, 4)), period=period)
+
+
+def test_records_that_do_not_repeat_say_why():
+    u = periodic(1000, 3)
+    with pytest.raises(NoTrustworthyNumber, match="input w does not"):
+        noise_floor(record(u, w=np.random.default_rng(5).standard_normal(3000)))
+    with pytest.raises(NoTrustworthyNumber, match="two common periods"):
+        noise_floor(record(np.resize(np.random.default_rng(0).standard_normal(700), 2100), w=np.resize(u[:900], 2100)))
+    t = np.cumsum(DT * (1 + 0.2 * np.random.default_rng(0).uniform(-1, 1, 3000)))
+    with pytest.raises(NoTrustworthyNumber, match="not uniform"):
+        noise_floor(Record(t, {"u": u}, {"y": u}))
+
+
+def test_repeats_that_are_no_repeats():
+    u = periodic(1000, 1)
+    r = record(u)
+    with pytest.raises(InputError, match="does not repeat"):
+        noise_floor(r, repeats=[record(np.roll(u, 137))])
+    with pytest.raises(InputError, match="no signal 'y'"):
+        noise_floor(r, repeats=[Record(r.t, {"u": u}, {"z": u})])
+    with pytest.raises(InputError, match="sample time"):
+        noise_floor(r, repeats=[Record(2 * r.t, {"u": u}, {"y": u})])
+    with pytest.raises(InputError, match="one of the two"):
+        noise_floor(r, repeats=[r], period=1.0)
+
+
+def test_residuals_of_the_wrong_shape_or_without_samples():
+    floor = noise_floor(record(periodic(1000, 3)))
+    with pytest.raises(InputError, match="shape"):
+        floor.excess(np.zeros(2999))
+    with pytest.raises(NoTrustworthyNumber, match="without NaN"):
+        floor.excess(np.full(3000, np.nan))
+
+
+def test_a_record_without_noise_has_no_ratio_and_no_nan():
+    u = periodic(1000, 3)
+    floor = noise_floor(Record(np.arange(3000) * DT, {"u": u}, {"y": u}))
+    e = floor.excess(u)
+    assert (e.F, e.p_value, e.noise) == (None, None, 0.0)
+    assert "nan" not in json.dumps(plain([floor, e]))
+
+
+def test_a_perfect_model_leaves_nothing_to_explain_and_a_wrong_one_does():
+    t = np.arange(4000) * DT
+    u = np.tile(np.repeat(np.random.default_rng(0).uniform(-3, 3, 20), 50), 4)
+    truth = rl.simulate(rl.plant("servo-axis"), t, u)["q"]
+    q = truth + 1e-4 * np.random.default_rng(1).standard_normal(4000)
+    r = Record(t, {"u": u}, {"q": q}, {"u": "V", "q": "m"})
+    right = rl.compare(rl.plant("servo-axis"), r, window=1.0).against_noise["q"]
+    assert pytest.approx(1.0, abs=0.2) == right.excess.F
+    assert right.excess.p_value > 0.01
+    assert right.windowed_rms_percent == pytest.approx(100.0, abs=5.0)
+    wrong = rl.compare(rl.plant("servo-axis", Fv=260.0), r, window=1.0)
+    assert wrong.against_noise["q"].excess.p_value < 1e-6
+    assert "leaves something to explain" in wrong.summary()
+    other = Record(t, {"u": u}, {"q": truth + 1e-4 * np.random.default_rng(2).standard_normal(4000)}, r.units)
+    twice = rl.compare(rl.plant("servo-axis"), r, window=1.0, repeats=[other])
+    assert twice.noise.source == "repeated records"
+    assert pytest.approx(1.0, abs=0.2) == twice.against_noise["q"].excess.F
