@@ -12,6 +12,8 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.dynamics import linearise as linearise
     from robustlab.dynamics import plant as plant
     from robustlab.dynamics import simulate as simulate
+    from robustlab.dynamics.effects.attached_effect import effect_names as effect_names
+    from robustlab.dynamics.effects.extended_plant import with_effects as with_effects
     from robustlab.errors import InputError as InputError
     from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
     from robustlab.errors import RobustlabError as RobustlabError
@@ -56,6 +58,8 @@ _PUBLIC = {
     "trim": "dynamics",
     "linearise": "dynamics",
     "simulate": "dynamics",
+    "with_effects": "dynamics.effects.extended_plant",
+    "effect_names": "dynamics.effects.attached_effect",
     # uncertainty
     "RealScalar": "uncertainty.blocks",
     "ComplexScalar": "uncertainty.blocks",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit, note, plant_settings, table
+from robustlab.cli.console import JsonOption, assignments, emit, note, plant_settings, table
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,7 +29,9 @@ SHOWN_STATES = 12
 
 @app.command()
 def build(
-    plant: Annotated[str, typer.Argument(help="Name of the plant, for example dc-motor.", metavar="PLANT")],
+    plant: Annotated[
+        str, typer.Argument(help="Name of the plant, for example dc-motor; or an HDF5 file with one.", metavar="PLANT")
+    ],
     out: Annotated[str, typer.Option("--out", "-o", help="HDF5 or MATLAB file to write.")],
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Parameter: NAME=VALUE.", show_default=False)
@@ -38,6 +40,15 @@ def build(
         str | None,
         typer.Option("--pose", help="Pose of a platform: tx,ty,tz,ax,ay,az in m and rad; home if left out."),
     ] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option("--at", help="Rest of a plant with effects: input, output or state, NAME=VALUE; repeatable."),
+    ] = None,
+    amplitude: Annotated[
+        list[str] | None,
+        typer.Option("--amplitude", help="Amplitude of the speed or signal at an effect's place, NAME=VALUE."),
+    ] = None,
+    pade: Annotated[int, typer.Option("--pade", help="Order of the Pade approximation of delays; 0: left out.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Linearise a plant from physics and write its state-space model.
@@ -45,19 +56,34 @@ def build(
     Example: robustlab model build dc-motor --set R=2.2 --out motor.h5
     """
     from robustlab import dynamics
-    from robustlab.provenance import Provenance
+    from robustlab.dynamics.plant_contract import SteppedPlant
+    from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
+    from robustlab.storage.plants import is_plant_file, load_plant
 
     parameters = plant_settings(settings)
-    model = dynamics.linearise(dynamics.plant(plant, **parameters), at=None if pose is None else _pose(pose))
+    from_file = is_plant_file(plant)
+    made = load_plant(plant) if from_file else dynamics.plant(plant, **parameters)
+    if from_file and parameters:
+        made = made.with_parameters(**parameters)
+    if pose is not None and at:
+        raise UsageError("model build", "--pose and --at", "one of them")
+    if at and not isinstance(made, SteppedPlant):
+        raise UsageError("--at", f"{made.name} has no effects", "--pose for a platform; nothing for a linear plant")
+    point: Any = dynamics.trim(made, **assignments("--at", at)) if at else None if pose is None else _pose(pose)
+    sectors = assignments("--amplitude", amplitude)
+    model = dynamics.linearise(made, at=point, amplitude=sectors, pade=pade)
     given = ", ".join(f"{name}={value!r}" for name, value in parameters.items())
-    save(out, model, Provenance.now("model build", note=f"{plant} {given}".strip() + (f" at {pose}" if pose else "")))
-    emit(
-        "model build",
-        {"plant": plant, "parameters": parameters, "file": out, "model": model},
+    where = f" at {pose}" if pose else f" at {', '.join(at)}" if at else ""
+    inputs = {plant: file_sha256(plant)} if from_file else None
+    save(out, model, Provenance.now("model build", inputs, note=f"{plant} {given}".strip() + where))
+    missing = made.left_out(point, sectors, pade) if isinstance(made, SteppedPlant) else ()
+    lines = [
         f"{out}: {model!r}",
-        as_json,
-    )
+        *(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing),
+    ]
+    result = {"plant": plant, "parameters": parameters, "file": out, "model": model, "left_out": missing}
+    emit("model build", result, "\n".join(lines), as_json)
 
 
 def _pose(text: str) -> list[float]:
@@ -211,9 +237,14 @@ def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
 
 
 def _models(loaded: Loaded) -> list[tuple[str, StateSpaceModel]]:
+    from robustlab.dynamics import linearise
+    from robustlab.dynamics.plant_contract import Plant
     from robustlab.statespace import as_model
 
-    return [(name, as_model(thing, loaded.path)) for name, thing in _objects(loaded)]
+    return [
+        (name, linearise(thing) if isinstance(thing, Plant) else as_model(thing, loaded.path))
+        for name, thing in _objects(loaded)
+    ]
 
 
 def _kind_line(loaded: Loaded) -> str:
@@ -235,12 +266,15 @@ def _complex(pole: complex) -> str:
 
 def _describe(name: str, thing: Any) -> list[str]:
     """A few lines about any object that a file can hold."""
+    from robustlab.dynamics.plant_contract import Plant
     from robustlab.statespace import StateSpaceModel
     from robustlab.synthesis.controller import Controller
     from robustlab.uncertainty.lft import UncertainModel
 
     if isinstance(thing, StateSpaceModel):
         return [f"{name}{thing!r}", *_signal_lines(thing), *_matrix_lines(thing)]
+    if isinstance(thing, Plant):
+        return _plant_lines(thing)
     if isinstance(thing, Controller):
         gamma = "none" if thing.gamma is None else f"{thing.gamma:.6g}"
         return [f"method {thing.method or 'unknown'}, gamma {gamma} ({thing.status})", *_describe(name, thing.K)]
@@ -254,12 +288,30 @@ def _describe(name: str, thing: Any) -> list[str]:
     return [repr(thing)]
 
 
+def _plant_lines(plant: Any) -> list[str]:
+    """Parameters, effects with their parameters, and signals."""
+    rows = [
+        (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{100 * p.tolerance:g} %" if p.tolerance else "exact", p.source)
+        for p in plant.parameters.values()
+    ]
+    lines = [f"plant {plant.name}", *table(rows, ("parameter", "value", "tolerance", "source")).splitlines()]
+    for e in getattr(plant, "effects", ()):
+        values = e.to_json()["parameters"]
+        lines.append(f"effect {e.effect.title} at {e.site}: {e.effect.equation}")
+        for name, v in values.items():
+            spread = "" if v["std"] is None else f" +- {v['std']:.3g} (one sd)"
+            lines.append(f"  {name} = {v['value']:.6g}{spread} {v['unit']}".rstrip())
+        if e.source:
+            lines.append(f"  from {e.source}")
+    return [*lines, *_signal_lines(plant)]
+
+
 def _range(block: Any) -> str:
     parameter = getattr(block, "parameter", None)
     return f"{parameter.nominal:.6g} +- {parameter.radius:.6g} {parameter.unit}".rstrip() if parameter else ""
 
 
-def _signal_lines(model: StateSpaceModel) -> list[str]:
+def _signal_lines(model: StateSpaceModel | Any) -> list[str]:
     def line(word: str, signals: tuple[Signal, ...]) -> str:
         return f"  {word}: " + ", ".join(f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals)
 

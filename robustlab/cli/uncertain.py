@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, note, table
-from robustlab.errors import InputError, UsageError
+from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
     from robustlab.provenance import Provenance
@@ -32,7 +32,9 @@ SHOWN_BLOCKS = 40
 def build(
     nominal: Annotated[
         str | None,
-        typer.Argument(help="Nominal model; or one file with groups nominal and perturbed.", metavar="[NOMINAL]"),
+        typer.Argument(
+            help="Nominal model; or one file with groups nominal and perturbed, or with a plant.", metavar="[NOMINAL]"
+        ),
     ] = None,
     perturbed: Annotated[
         str | None, typer.Argument(help="Maximally perturbed model of the same signals.", metavar="[PERTURBED]")
@@ -45,7 +47,8 @@ def build(
         typer.Option("--noise", help="Relative differences up to this are noise; none where left out."),
     ] = None,
     plant: Annotated[
-        str | None, typer.Option("--plant", help="Instead of files: a plant with uncertain parameters.")
+        str | None,
+        typer.Option("--plant", help="Instead of models: a plant with uncertain parameters, or its file."),
     ] = None,
     tolerance: Annotated[
         list[str] | None,
@@ -68,6 +71,8 @@ def build(
         raise UsageError(
             "uncertain build", "no models or both files and a plant", "NOMINAL [PERTURBED], or --plant NAME"
         )
+    if nominal is not None and perturbed is None and _holds_plant(nominal):
+        plant = nominal
     if plant is not None:
         kept = outputs.split(",") if outputs else None
         model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance), kept)
@@ -197,15 +202,34 @@ def _from_plant(
     name: str, tolerances: dict[str, float], outputs: list[str] | None
 ) -> tuple[UncertainModel, None, Provenance]:
     from robustlab.dynamics import plant
-    from robustlab.provenance import Provenance
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.storage.plants import is_plant_file, load_plant
 
-    nominal = plant(name).values
+    from_file = is_plant_file(name)
+    made = load_plant(name) if from_file else plant(name)
+    if not hasattr(made, "uncertain"):
+        raise InputError(name, f"{made.name} is not linear", "a linear plant, with or without effects")
+    nominal = made.values
     unknown = [key for key in tolerances if key not in nominal]
     if unknown:
         raise UsageError(f"--tolerance {unknown[0]}", f"no such parameter of {name}", f"one of {', '.join(nominal)}")
-    model = plant(name, **{key: (nominal[key], value) for key, value in tolerances.items()}).uncertain(outputs)
+    made = made.with_parameters(**{key: (nominal[key], value) for key, value in tolerances.items()})
+    model = made.uncertain(outputs)
+    for item in made.left_out() if hasattr(made, "left_out") else ():
+        note(f"not in it: {item.effect.effect.title} at {item.effect.site}: {item.reason}")
     said = ", ".join(f"{key} +-{100 * value:g} %" for key, value in tolerances.items())
-    return model, None, Provenance.now("uncertain build", note=f"{name} {said}".strip())
+    inputs = {name: file_sha256(name)} if from_file else None
+    return model, None, Provenance.now("uncertain build", inputs, note=f"{name} {said}".strip())
+
+
+def _holds_plant(path: str) -> bool:
+    """True for a file with a plant; what else is wrong with a file is said by whoever reads it as a model."""
+    from robustlab.storage import read
+
+    try:
+        return read(path).kind == "plant"
+    except RobustlabError:
+        return False
 
 
 def _vertex_count(text: str) -> Any:

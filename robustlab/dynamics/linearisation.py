@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim
 from robustlab.errors import InputError
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 __all__ = ["linearise"]
 
 
-def linearise(plant: Plant, at: Trim | OperatingPoint | ArrayLike | None = None) -> StateSpaceModel:
+def linearise(
+    plant: Plant,
+    at: Trim | OperatingPoint | ArrayLike | None = None,
+    *,
+    amplitude: Mapping[str, float] | None = None,
+    pade: int = 0,
+) -> StateSpaceModel:
     r"""State-space model of a plant in deviations from an operating point.
 
     .. math:: A = \partial f / \partial x, \quad B = \partial f / \partial u, \quad
@@ -30,6 +37,12 @@ def linearise(plant: Plant, at: Trim | OperatingPoint | ArrayLike | None = None)
     at
         Operating point, kept in the model: a `Trim`, or ``(x, u)`` of shapes (n_x,), (n_u,), at rest or not; for a
         mechanism also a pose (6,), which is trimmed. Left out: none for a linear plant, the trim at home for others.
+
+    amplitude
+        Plants with effects: place of an effect -> amplitude of its speed or signal. There the middle of the effect's
+        sector stands for it; elsewhere its local slope, and nothing for dry friction at rest (``plant.left_out()``).
+    pade
+        Plants with effects: order of the Padé approximation of their delays; 0 leaves them out.
 
     Returns
     -------
@@ -47,6 +60,12 @@ def linearise(plant: Plant, at: Trim | OperatingPoint | ArrayLike | None = None)
     >>> linearise(plant("dc-motor"))
     StateSpaceModel(3 states, [u] -> [phi, omega, i], continuous)
     """
+    if isinstance(plant, SteppedPlant):
+        if isinstance(at, Trim):
+            at = _trimmed(plant, at)
+        return plant.linear_model(at, amplitude, pade)
+    if amplitude or pade:
+        raise InputError("linearise", "amplitude or pade for a plant without effects", "neither")
     if isinstance(plant, NonlinearPlant):
         trimmed = _trimmed(plant, at)
         if trimmed is None:

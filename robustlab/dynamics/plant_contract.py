@@ -17,9 +17,9 @@ from robustlab.dynamics.input_signals import InputSignal
 from robustlab.dynamics.parameters import Parameter
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
-from robustlab.statespace import OperatingPoint, Signal, real_array, signals
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 
-__all__ = ["Array", "NonlinearPlant", "Plant", "Trim"]
+__all__ = ["Array", "NonlinearPlant", "Plant", "SteppedPlant", "Trim"]
 
 Array = NDArray[np.float64]
 
@@ -178,3 +178,23 @@ class NonlinearPlant(Plant):
                 raise NoTrustworthyNumber(self.name, f"no solution beyond t = {found.t[-1]:.9g} s", None, found.message)
             states[first : last + 1] = found.y.T
         return states
+
+
+class SteppedPlant(NonlinearPlant):
+    """A nonlinear plant with forces or signals that no differential equation gives (dry friction, delays), stepped."""
+
+    @abstractmethod
+    def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
+        """States (n, n_x) and outputs (n, n_y) at the times t for inputs (n, n_u) held between them; ``step``: longest
+        step in s.
+        """
+
+    def whole_state(self, x: Array) -> Array:
+        """A state given without what the effects have added, with zeros there; any other as it is."""
+        return x
+
+    @abstractmethod
+    def linear_model(
+        self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
+    ) -> StateSpaceModel:
+        """Linear model at an operating point; sectors at the given amplitudes, delays of the given Padé order."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.dynamics.input_signals import NonlinearHold, input_signal
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
@@ -44,7 +44,8 @@ def simulate(
     .. math:: x(t_{k+1}) = e^{A h_k} x(t_k) + \int_0^{h_k} e^{A (h_k - s)} B\, u(t_k + s)\, ds
 
     evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped. A
-    nonlinear plant is integrated by DOP853 with the local error held at ``rtol``, or in fixed steps.
+    nonlinear plant is integrated by DOP853 with the local error held at ``rtol``, or in fixed steps. A plant with
+    effects (`with_effects`) is stepped with its forces held, on a clock of equal steps, with exact sticking.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def simulate(
     u
         Name of input -> samples of shape (n,), for every input; or an array (n,) for a single input, or (n, n_u).
     x0
-        State at t[0], shape (n_x,); zero where left out.
+        State at t[0], shape (n_x,); zero where left out. States that effects have added start at zero and may be left
+        out.
     name
         Name of the record; the plant's own, or "simulation", where left out.
     hold
@@ -66,7 +68,7 @@ def simulate(
         Nonlinear plants: relative local error of a step, 1e-8 where left out.
     step
         Nonlinear plants that offer it: fixed steps (classical Runge-Kutta) of at most this length in s, without error
-        control.
+        control. Plants with effects: their longest step, 1 ms where left out.
 
     Returns
     -------
@@ -133,6 +135,8 @@ def _simulate_nonlinear(
     clock = Record(t, name="simulate").t
     signal = input_signal(clock, sampled_inputs(plant.inputs, u, len(clock)), hold)
     start = np.zeros(len(plant.states)) if x0 is None else real_array("x0", getattr(x0, "x", x0), 1, "simulate")
+    if isinstance(plant, SteppedPlant):
+        start = plant.whole_state(start)
     start, _ = plant.point(start, np.zeros(len(plant.inputs)))
     options = {key: value for key, value in (("rtol", rtol), ("step", step)) if value is not None}
     for key, value in options.items():
@@ -140,9 +144,12 @@ def _simulate_nonlinear(
             raise InputError(f"simulate: {key}", f"{value!r}", "a number between 0 and 1")
     if len(options) == 2:
         raise InputError("simulate", "rtol and step", "one of them: fixed steps have no error control")
-    x = plant.trajectory(signal, start, **(options or {"rtol": DEFAULT_RTOL}))
-    force = np.vstack([signal.coefficients[:, 0], signal.at(clock[-1], len(clock) - 2)[None]])
-    y = plant.outputs_along(x, force)
+    if isinstance(plant, SteppedPlant):
+        x, force, y = _stepped(plant, clock, sampled_inputs(plant.inputs, u, len(clock)), start, hold, options)
+    else:
+        x = plant.trajectory(signal, start, **(options or {"rtol": DEFAULT_RTOL}))
+        force = np.vstack([signal.coefficients[:, 0], signal.at(clock[-1], len(clock) - 2)[None]])
+        y = plant.outputs_along(x, force)
     _check_finite(np.hstack([x, y]), clock, plant.name)
     return Record(
         clock,
@@ -151,6 +158,18 @@ def _simulate_nonlinear(
         {s.name: s.unit for s in (*plant.inputs, *plant.outputs)},
         name or plant.name,
     )
+
+
+def _stepped(
+    plant: SteppedPlant, t: Array, u: Array, x0: Array, hold: Any, options: dict[str, float]
+) -> tuple[Array, Array, Array]:
+    """States, inputs and outputs of a plant that makes its own steps."""
+    if hold != "zoh":
+        raise InputError("simulate: hold", f"{hold!r} for a plant with effects", "'zoh': its steps hold the input")
+    if "rtol" in options:
+        raise InputError("simulate", "rtol for a plant with effects", "step: its steps have no error control")
+    x, y = plant.stepped(t, u, x0, options.get("step"))
+    return x, u, y
 
 
 def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:

@@ -15,7 +15,7 @@ __all__ = ["FORMAT", "FORMAT_VERSION", "KINDS", "check_header", "decode_provenan
 
 FORMAT = "robustlab"
 FORMAT_VERSION = "1.0"
-KINDS = ("state-space", "uncertain", "controller", "record", "result")
+KINDS = ("state-space", "uncertain", "controller", "record", "result", "plant")
 ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
@@ -23,6 +24,7 @@ from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.matrices import decode_model, encode_model
 from robustlab.storage.pairs import decode_pair, looks_like_a_pair
+from robustlab.storage.plants import decode_plant, encode_plant, is_known_plant
 from robustlab.storage.problems import Problems
 from robustlab.storage.results import decode_result, encode_result
 from robustlab.storage.uncertain_models import decode_controller, decode_uncertain, encode_controller, encode_uncertain
@@ -31,7 +33,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["Loaded", "load", "load_pair", "read", "save"]
 
-Stored = StateSpaceModel | UncertainModel | Controller | Record | Result
+Stored = StateSpaceModel | UncertainModel | Controller | Record | Result | Plant
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Loaded:
     Attributes
     ----------
     object
-        StateSpaceModel, UncertainModel, Controller, Record or Result; for ``kind = "pair"`` (nominal, perturbed).
+        StateSpaceModel, UncertainModel, Controller, Record, Result, Plant; for ``kind = "pair"`` (nominal, perturbed).
     kind
         Kind of format 1, or ``"pair"``.
     verified
@@ -86,7 +88,7 @@ def load(
 
     Returns
     -------
-    StateSpaceModel, UncertainModel, Controller, Record or Result
+    StateSpaceModel, UncertainModel, Controller, Record, Result or Plant
         A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
 
     Raises
@@ -167,6 +169,8 @@ def _of_kind(kind: str, tree: Tree, transpose: bool) -> Stored:
         return _record(decode_record(tree, tree.file), tree.file)
     if kind == "result":
         return decode_result(tree)
+    if kind == "plant":
+        return decode_plant(tree, problems)
     return _model(tree, problems, transpose)
 
 
@@ -210,6 +214,7 @@ def _unit_warnings(thing: Any) -> tuple[str, ...]:
     if isinstance(thing, Record):
         bare = [name for name, unit in thing.units.items() if not unit]
     else:
+        thing = thing if not isinstance(thing, Plant) else None
         model = thing.M if isinstance(thing, UncertainModel) else thing.K if isinstance(thing, Controller) else thing
         if not isinstance(model, StateSpaceModel):
             return ()
@@ -229,8 +234,9 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     path
         File to write; an existing file is replaced once the new one is complete.
     obj
-        StateSpaceModel, UncertainModel, Controller, Record, a python-control system, or a result (with ``.status`` and
-        ``.to_json()``).
+        StateSpaceModel, UncertainModel, Controller, Record, a plant as from `robustlab.dynamics.plant` with or without
+        effects, a python-control system, or a result (with ``.status`` and ``.to_json()``). A linear plant of the
+        user's own becomes its state-space model.
     provenance
         Where it comes from; time and versions of now where left out.
 
@@ -263,6 +269,9 @@ def _encode(tree: Tree, obj: Any) -> str:
         keywords = {key: getattr(obj, key) for key in ("t", "inputs", "outputs", "units", "name", "meaning")}
         encode_record(tree, keywords)
         return "record"
+    if isinstance(obj, Plant) and is_known_plant(obj):
+        encode_plant(tree, obj)
+        return "plant"
     if not isinstance(obj, StateSpaceModel) and hasattr(obj, "status") and hasattr(obj, "to_json"):
         encode_result(tree, obj)
         return "result"

@@ -1,0 +1,282 @@
+"""Plants in a file: their name, parameters and effects, and beside them the linear model that any program can read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.files.header import text_attr
+from robustlab.files.tree import Dataset, Tree, Unread
+from robustlab.statespace import StateSpaceModel
+from robustlab.storage.matrices import decode_model, encode_model, find_children
+from robustlab.storage.problems import Problems
+
+__all__ = ["decode_plant", "encode_plant", "is_known_plant", "is_plant_file", "load_plant"]
+
+TEXTS, NUMBERS = ("name", "unit", "source", "meaning"), ("value", "tolerance")
+# Name of a bare model that stands as a plant; its matrices are stored with it.
+BARE = "model"
+# Entries of the stored linear model and of the rebuilt plant's agree to this share of the largest.
+AGREEMENT = 1e-6
+
+
+def is_known_plant(obj: Any) -> bool:
+    """True for a plant that a file can hold: one that its name and parameters make again, with or without effects."""
+    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
+
+    if isinstance(obj, ExtendedPlant):
+        return True
+    return isinstance(obj, Plant) and _is_rebuilt(obj)
+
+
+def encode_plant(tree: Tree, obj: Plant) -> None:
+    """A B C D and signals as kind ``state-space`` at a rest of the plant; groups ``plant`` and ``effects``.
+
+    Raises
+    ------
+    InputError
+        Effects on a plant that is neither of the registry nor a bare model.
+    """
+    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
+
+    base = obj.plant if isinstance(obj, ExtendedPlant) else obj
+    if not _is_rebuilt(base):
+        raise InputError(
+            f"{base.name}: save",
+            "effects on a plant of your own making",
+            "a plant as from plant(name), or a model",
+            "attach the effects to its state-space model, or save what linearise gives",
+        )
+    encode_model(tree, _linear(obj))
+    group = tree.group("plant")
+    group.attrs["name"] = base.name
+    for name, value in _options(base).items():
+        group.attrs[name] = value
+    for field in (*TEXTS, *NUMBERS):
+        kind = np.str_ if field in TEXTS else np.float64
+        group.group("parameters").put(field, np.array([getattr(p, field) for p in base.parameters.values()], kind))
+    if base.name == BARE:
+        encode_model(group.group("base"), _bare_model(base))
+    effects = tree.group("effects")
+    for k, e in enumerate(obj.effects if isinstance(obj, ExtendedPlant) else ()):
+        one = effects.group(str(k))
+        one.attrs.update(id=e.effect.id, site=e.site.name, site_kind=e.site.kind, source=e.source)
+        one.put("name", np.array(list(e.values), np.str_))
+        one.put("value", np.array(list(e.values.values()), np.float64))
+        one.put("std", np.array([e.std.get(name, np.nan) for name in e.values], np.float64))
+
+
+def decode_plant(tree: Tree, problems: Problems) -> Plant:
+    """Inverse of `encode_plant`.
+
+    Raises
+    ------
+    InputError
+        All that is missing or does not fit; an unknown plant, parameter or effect, with the closest name; a linear
+        model that is not the plant's.
+    """
+    find_children(tree, ("plant",), problems, known=("effects", "signals", "operating_point", "provenance", *"ABCD"))
+    model = decode_model(tree, problems)
+    problems.raise_any()
+    assert model is not None
+    try:
+        plant = _with_effects(_base(tree.groups["plant"], problems), tree.groups.get("effects", Tree()), problems)
+    except InputError as error:
+        if error.where.startswith(problems.file):
+            raise
+        raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
+    _check_model(plant, model, problems.file)
+    return plant
+
+
+def is_plant_file(name: str) -> bool:
+    """True where a text means a file with a plant, and not the name of a plant."""
+    return Path(name).suffix.lower() in (".h5", ".hdf5") or Path(name).is_file()
+
+
+def load_plant(path: str) -> Any:
+    """The plant in a file.
+
+    Raises
+    ------
+    InputError
+        The file holds something else.
+    """
+    from robustlab.storage.interchange import load
+
+    found = load(path)
+    if not isinstance(found, Plant):
+        raise InputError(
+            path, f"holds a {type(found).__name__}", "a plant", "save one with robustlab.save(path, plant)"
+        )
+    return found
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
+
+
+def _options(base: Plant) -> dict[str, Any]:
+    """What a plant of the registry takes besides parameters."""
+    return {name: value for name in ("preset", "motors") if (value := getattr(base, name, None)) is not None}
+
+
+def _is_rebuilt(base: Plant) -> bool:
+    """True where name, options and parameters make the same plant again."""
+    from robustlab.dynamics import plant, plant_names
+    from robustlab.dynamics.linear_plant import LinearPlant
+
+    if base.name == BARE and isinstance(base, LinearPlant):
+        again: Any = _with_parameters(_bare_plant(_bare_model(base)), base.parameters)
+    elif base.name in plant_names():
+        again = plant(base.name, **_options(base))
+        if list(again.parameters) != list(base.parameters) or type(again) is not type(base):
+            return False
+        again = _with_parameters(again, base.parameters)
+    else:
+        return False
+    signals = all(getattr(again, kind) == getattr(base, kind) for kind in ("inputs", "outputs", "states"))
+    if isinstance(base, LinearPlant):
+        pairs = zip(again.matrices(base.values), base.matrices(base.values), strict=True)
+        return signals and all(np.array_equal(a, b) for a, b in pairs)
+    return signals
+
+
+def _with_parameters(plant: Any, parameters: Any) -> Any:
+    return replace(plant, parameters=dict(parameters))
+
+
+def _bare_model(base: Any) -> StateSpaceModel:
+    """The model from which a bare plant was made: that of gains and inertias of 1."""
+    units = {name: 1.0 for name in base.parameters if name.startswith(("gain_", "inertia_"))}
+    e, f, g, c, d = base.matrices({**base.values, **units})
+    return StateSpaceModel(
+        np.linalg.solve(e, f), np.linalg.solve(e, g), c, d, 0.0, base.inputs, base.outputs, base.states
+    )
+
+
+def _bare_plant(model: StateSpaceModel) -> Any:
+    from robustlab.dynamics.effects.port_model import linear_plant_of
+
+    return linear_plant_of(model)
+
+
+def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
+    """The linear model at the point, or at the plant's rest; at zero where it has none."""
+    from robustlab.dynamics.linearisation import linearise
+
+    try:
+        return linearise(obj, at=point)
+    except NoTrustworthyNumber:
+        if point is not None or not isinstance(obj, NonlinearPlant):
+            raise
+        return linearise(obj, at=(np.zeros(len(obj.states)), np.zeros(len(obj.inputs))))
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def _base(group: Tree, problems: Problems) -> Plant:
+    from robustlab.dynamics import plant
+
+    name = text_attr(group.attrs, "name")
+    if name is None:
+        problems.add(f"{group.path}: attribute name is missing or no text")
+    find_children(group, ("parameters", "base") if name == BARE else ("parameters",), problems)
+    columns = _columns(group.groups["parameters"], problems) if "parameters" in group.groups else {}
+    model = decode_model(group.groups["base"], problems) if name == BARE and "base" in group.groups else None
+    problems.raise_any()
+    assert name is not None
+    options = {key: np.asarray(group.attrs[key]).tolist() for key in ("preset", "motors") if key in group.attrs}
+    values, tolerances = columns["value"], columns["tolerance"]
+    given: dict[str, Any] = dict(zip(columns["name"], zip(values, tolerances, strict=True), strict=True))
+    if model is not None:
+        base = _bare_plant(model)
+        made = base.with_parameters(**{n: v for n, (v, _) in given.items()})
+    else:
+        made = plant(name, **options, **given)
+    missing = [n for n in made.parameters if n not in given]
+    if missing:
+        raise InputError(problems.file, f"{group.path}/parameters: no {missing[0]!r}", "all parameters of the plant")
+    stored = {}
+    for k, n in enumerate(columns["name"]):
+        about = {field: columns[field][k] for field in ("value", "tolerance", "unit", "source", "meaning")}
+        stored[n] = replace(made.parameters[n], **about)
+    return _with_parameters(made, {n: stored[n] for n in made.parameters})
+
+
+def _columns(group: Tree, problems: Problems) -> dict[str, list[Any]]:
+    """Datasets of one length, texts or numbers by their names."""
+    find_children(group, (*TEXTS, *NUMBERS), problems)
+    columns: dict[str, list[Any]] = {}
+    for field in (*TEXTS, *NUMBERS):
+        if field in group.datasets:
+            values = _list(group.datasets[field], "U" if field in TEXTS else "fi", group.child_path(field), problems)
+            if values is not None:
+                columns[field] = values
+    lengths = {len(values) for values in columns.values()}
+    if len(lengths) > 1:
+        problems.add(f"{group.path}: columns of {', '.join(map(str, sorted(lengths)))} entries, expected one length")
+    return columns
+
+
+def _list(dataset: Dataset, kinds: str, path: str, problems: Problems) -> list[Any] | None:
+    values = dataset.values
+    if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
+        problems.add(f"{path} has dtype {values.dtype}, expected {'texts' if kinds == 'U' else 'real numbers'}")
+        return None
+    return values.ravel().tolist()
+
+
+def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
+    from robustlab.dynamics.effects.attached_effect import AttachedEffect
+    from robustlab.dynamics.effects.catalogue import effect
+    from robustlab.dynamics.effects.effect_contract import Site
+    from robustlab.dynamics.effects.extended_plant import with_effects
+
+    attached = []
+    for k in range(len(group.groups)):
+        one = group.groups.get(str(k))
+        if one is None:
+            problems.add(f"missing {group.child_path(str(k))}: effects are numbered from 0")
+            break
+        attrs = {name: text_attr(one.attrs, name) for name in ("id", "site", "site_kind")}
+        for name, value in attrs.items():
+            if value is None:
+                problems.add(f"{one.path}: attribute {name} is missing or no text")
+        find_children(one, ("name", "value"), problems)
+        problems.raise_any()
+        columns = {
+            name: _list(one.datasets[name], "U" if name == "name" else "fi", one.child_path(name), problems) or []
+            for name in ("name", "value", "std")
+            if name in one.datasets
+        }
+        if len({len(values) for values in columns.values()}) > 1:
+            problems.add(f"{one.path}: name, value and std differ in length")
+        problems.raise_any()
+        known = effect(str(attrs["id"]))
+        std = {n: s for n, s in zip(columns["name"], columns.get("std", []), strict=False) if not np.isnan(s)}
+        values = dict(zip(columns["name"], columns["value"], strict=True))
+        site: Any = Site(attrs["site_kind"], str(attrs["site"]))  # type: ignore[arg-type]
+        attached.append(AttachedEffect(known, site, values, std, text_attr(one.attrs, "source") or ""))
+    problems.raise_any()
+    return with_effects(base, attached) if attached else base
+
+
+def _check_model(plant: Plant, stored: StateSpaceModel, where: str) -> None:
+    """The linear model in the file must be the plant's own."""
+    point = stored.operating_point
+    found = _linear(plant, None if point is None else (point.x, point.u))
+    for name in "ABCD":
+        a, b = getattr(stored, name), getattr(found, name)
+        if a.shape != b.shape or np.abs(a - b).max(initial=0.0) > AGREEMENT * np.abs(b).max(initial=0.0):
+            raise InputError(
+                where,
+                f"/{name} is not the linear model of {plant.name} with these parameters and effects",
+                "a file as robustlab wrote it",
+                "the file was changed, or its plant is another one in this version: take A B C D alone with --group /",
+            )

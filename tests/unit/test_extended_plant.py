@@ -1,0 +1,316 @@
+"""A plant with effects: simulated, trimmed and linearised, judged by closed forms and other integrators."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import robustlab as rl
+from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
+from robustlab.dynamics.effects.effect_contract import Law
+from robustlab.dynamics.effects.extended_linear_model import pade_delay
+from robustlab.dynamics.effects.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
+
+T = np.arange(2001) * 1e-3
+
+
+def axis(**effects):
+    return rl.with_effects(rl.plant("servo-axis"), {name.replace("_", "-"): v for name, v in effects.items()})
+
+
+def law_of(plant) -> Law:
+    return plant.laws[0][1]
+
+
+# --- laws at one instant ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("v", [-3.0, -1e-3, 1e-6, 0.2, 40.0])
+def test_quadratic_drag_has_its_analytic_slope(v):
+    law = law_of(axis(quadratic_drag={"c": 7.0}))
+    assert steady_force(law, 0.3, v) == pytest.approx(-7.0 * v * abs(v), rel=1e-11)
+    stiffness, damping = slopes(law, 0.3, v)
+    assert damping == pytest.approx(-14.0 * abs(v), rel=1e-8)
+    assert stiffness == 0.0
+
+
+@pytest.mark.parametrize("q", [-0.4, 0.02, 3.0])
+def test_cubic_stiffness_has_its_analytic_slope(q):
+    law = law_of(axis(cubic_stiffness={"k3": 50.0}))
+    assert slopes(law, q, 0.0)[0] == pytest.approx(-150.0 * q**2, rel=1e-7)
+    assert rest_band(law, q) == pytest.approx((-50.0 * q**3,) * 2, rel=1e-9)
+    assert not is_set_valued(law, q)
+
+
+def test_coulomb_friction_is_a_band_at_rest_that_gives_what_is_needed():
+    law = law_of(axis(coulomb_friction={"Fc": 20.0}))
+    assert is_set_valued(law, 0.0)
+    assert rest_band(law, 0.0) == pytest.approx((-20.0, 20.0))
+    assert holding_force(law, 0.0, 3.0, 0.5) == pytest.approx(-6.0)
+    assert holding_force(law, 0.0, 30.0, 0.5) == pytest.approx(-20.0)
+
+
+def test_presliding_at_rest_is_a_spring():
+    spring = rl.with_effects(rl.plant("dc-motor"), {"presliding": {"Fc": 2e-3, "sigma0": 2.0}})
+    stiffness, damping = slopes(law_of(spring), 0.0, 0.0)
+    assert stiffness == pytest.approx(-2.0, rel=1e-4)
+    assert abs(damping) < 1e-4
+    assert steady_force(law_of(spring), 0.0, 5.0) == pytest.approx(-2e-3, rel=1e-9)
+
+
+# --- simulation ------------------------------------------------------------------------------------------------------
+
+
+def test_stick_slip_agrees_with_the_event_driven_solution():
+    u = 1.5 * np.sin(6 * T)
+    exact = simulate_with_friction(rl.plant("servo-axis"), DryFriction("v", 20.0), T, u)
+    stroke = np.ptp(exact.record["q"])
+    assert (exact.sliding == 0).any() and (exact.sliding != 0).any()
+    found = rl.simulate(axis(coulomb_friction={"Fc": 20.0}), T, u)
+    assert np.abs(found["q"] - exact.record["q"]).max() < 1e-4 * stroke
+    assert (found["v"][exact.sliding[:, 0] == 0] == 0).mean() > 0.98
+
+
+def test_smaller_steps_come_closer():
+    u = 1.5 * np.sin(6 * T)
+    exact = simulate_with_friction(rl.plant("servo-axis"), DryFriction("v", 20.0), T, u).record["q"]
+    plant = axis(coulomb_friction={"Fc": 20.0})
+    errors = [np.abs(rl.simulate(plant, T, u, step=h)["q"] - exact).max() for h in (1e-3, 1e-4)]
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_a_smooth_effect_agrees_with_scipy_on_the_plants_own_derivative():
+    plant = rl.with_effects(
+        rl.plant("mass-spring-damper"), {"quadratic-drag": {"c": 0.4}, "cubic-stiffness": {"k3": 3.0}}
+    )
+    t = np.arange(1001) * 2e-3
+    found = rl.simulate(plant, t, np.ones(len(t)), x0=[0.5, 0.0], step=1e-4)
+    m, c, k = (plant.values[name] for name in ("m", "c", "k"))
+
+    def by_hand(_, x):
+        q, v = x
+        return [v, (1.0 - c * v - k * q - 0.4 * v * abs(v) - 3.0 * q**3) / m]
+
+    truth = solve_ivp(by_hand, (0, t[-1]), [0.5, 0.0], "DOP853", t_eval=t, rtol=1e-11, atol=1e-12).y
+    assert np.abs(found["q"] - truth[0]).max() < 2e-6 * np.ptp(truth[0])
+    for x in ([0.3, -0.7], [0.5, 2.0]):
+        np.testing.assert_allclose(plant.derivative(x, [1.0]), by_hand(0, x), rtol=1e-9)
+
+
+def test_long_samples_are_divided():
+    u = np.sin(np.arange(41) * 0.3)
+    coarse = np.arange(41) * 0.05
+    fine = np.arange(41 * 50) * 1e-3
+    plant = axis(coulomb_friction={"Fc": 5.0})
+    found, truth = rl.simulate(plant, coarse, u)["q"], rl.simulate(plant, fine, np.repeat(u, 50))["q"][::50]
+    np.testing.assert_allclose(found, truth, rtol=0, atol=1e-14)
+
+
+def test_the_flexible_coupling_adds_its_states_and_the_two_mass_motion():
+    motor = rl.plant("dc-motor")
+    plant = rl.with_effects(motor, {"flexible-coupling": {"f": 40.0, "zeta": 0.05, "share": 0.3}})
+    assert [s.name for s in plant.states[3:]] == ["omega.twist", "omega.twist.rate"]
+    u = np.where(T < 0.5, 5.0, -5.0)
+    found = rl.simulate(plant, T, u, x0=[0.0, 0.0, 0.0])
+    p, s, w = motor.values, 0.3, 2 * np.pi * 40.0
+    # drive and load as two bodies of their own
+    j1, j2 = (1 - s) * p["J"], s * p["J"]
+    k, c = w**2 * s * (1 - s) * p["J"], 2 * 0.05 * w * s * (1 - s) * p["J"]
+    a = np.array(
+        [
+            [0, 1, 0, 0, 0],
+            [-k / j1, -(c + p["Kf"]) / j1, p["Km"] / j1, k / j1, c / j1],
+            [0, -p["Kb"] / p["L"], -p["R"] / p["L"], 0, 0],
+            [0, 0, 0, 0, 1],
+            [k / j2, c / j2, 0, -k / j2, -c / j2],
+        ]
+    )
+    two = rl.StateSpaceModel(a, [[0], [0], [1 / p["L"]], [0], [0]], np.eye(3, 5), np.zeros((3, 1)))
+    truth = rl.simulate(two, T, u)
+    np.testing.assert_allclose(found["omega"], truth["y2"], atol=1e-9 * np.abs(truth["y2"]).max())
+    np.testing.assert_allclose(np.sort(rl.linearise(plant).poles()), np.sort(two.poles()), rtol=1e-8, atol=1e-6)
+
+
+def test_inputs_and_sensors_have_their_effects():
+    plant = rl.with_effects(
+        rl.plant("servo-axis"), {"input-saturation": {"u_max": 0.5}, "sensor-gain@q": {"s": 1.1}, "input-gain": {"s": 2.0}}
+    )
+    bare = rl.simulate(rl.plant("servo-axis"), T, 2.0 * np.clip(np.sin(5 * T), -0.5, 0.5))
+    found = rl.simulate(plant, T, np.sin(5 * T))
+    np.testing.assert_allclose(found["q"], 1.1 * bare["q"], atol=1e-12)
+    np.testing.assert_allclose(found["u"], np.sin(5 * T))
+    np.testing.assert_allclose(plant.output([0.1, 0.2], [3.0]), [0.11, 0.2])
+
+
+# --- trim ------------------------------------------------------------------------------------------------------------
+
+
+def test_friction_holds_an_input_up_to_its_level():
+    plant = axis(coulomb_friction={"Fc": 20.0})
+    gain = plant.values["gain"]
+    trim = rl.trim(plant, u=0.5, q=0.2)
+    assert trim.x.tolist() == [0.2, 0.0]
+    (held,) = trim.holding
+    assert (held.effect, held.site, held.unit) == ("coulomb-friction", "v", "N")
+    assert held.force == pytest.approx(-0.5 * gain)
+    assert (held.lower, held.upper) == pytest.approx((-20.0, 20.0))
+    assert rl.trim(plant, u=19.999 / gain).holding
+    with pytest.raises(rl.NoTrustworthyNumber, match="no rest with u = 0.569"):
+        rl.trim(plant, u=20.01 / gain)
+
+
+def test_friction_holds_a_motor_whose_current_must_settle():
+    plant = rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 2e-3}})
+    trim = rl.trim(plant, u=0.05)
+    assert trim.x == pytest.approx([0.0, 0.0, 0.05 / 2.07])
+    assert trim.holding[0].force == pytest.approx(-0.052 * 0.05 / 2.07)
+
+
+def test_a_spring_and_a_load_are_balanced():
+    plant = rl.with_effects(rl.plant("mass-spring-damper"), {"cubic-stiffness": {"k3": 3.0}})
+    k = plant.values["k"]
+    trim = rl.trim(plant, q=0.4)
+    assert trim.u[0] == pytest.approx(0.4 * k + 3.0 * 0.4**3, rel=1e-9)
+    assert not trim.holding
+    load = axis(constant_load={"T0": 10.0})
+    assert abs(rl.trim(load).u[0]) == pytest.approx(10.0 / load.values["gain"])
+
+
+def test_an_output_may_be_asked_for():
+    plant = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}, "sensor-gain@q": {"s": 2.0}})
+    assert rl.trim(plant, q=0.1).y[0] == pytest.approx(0.2)  # a state is meant by its name
+
+
+# --- linear models ---------------------------------------------------------------------------------------------------
+
+
+def test_the_linear_model_of_smooth_effects_is_the_analytic_one():
+    plant = rl.with_effects(
+        rl.plant("mass-spring-damper"), {"quadratic-drag": {"c": 0.4}, "cubic-stiffness": {"k3": 3.0}}
+    )
+    m, c, k = (plant.values[name] for name in ("m", "c", "k"))
+    model = rl.linearise(plant, at=([0.4, -0.5], [1.0]))
+    truth = [[0, 1], [-(k + 9.0 * 0.16) / m, -(c + 2 * 0.4 * 0.5) / m]]
+    np.testing.assert_allclose(model.A, truth, rtol=1e-8, atol=1e-12)
+    assert model.operating_point.x.tolist() == [0.4, -0.5]
+
+
+def test_dry_friction_is_left_out_at_rest_and_said_or_taken_at_an_amplitude():
+    plant = axis(coulomb_friction={"Fc": 20.0})
+    np.testing.assert_array_equal(rl.linearise(plant).A, rl.plant("servo-axis").state_space().A)
+    (missing,) = plant.left_out(amplitude={})
+    assert "set-valued" in missing.reason
+    damped = rl.linearise(plant, amplitude={"v": 0.1})
+    # half of the relay's describing function 4 Fc / (pi a)
+    extra = 0.5 * 4 * 20.0 / (np.pi * 0.1) / plant.values["M"]
+    assert rl.linearise(plant).A[1, 1] - damped.A[1, 1] == pytest.approx(extra, rel=1e-12)
+    moving = rl.linearise(plant, at=([0.0, 0.3], [1.0]))
+    np.testing.assert_allclose(moving.A, rl.linearise(plant).A, atol=1e-12)
+
+
+def test_a_dead_zone_at_rest_keeps_the_gain_of_the_driver_and_is_said():
+    plant = axis(input_dead_zone={"d": 0.3})
+    np.testing.assert_array_equal(rl.linearise(plant).B, rl.plant("servo-axis").state_space().B)
+    assert "no gain" in plant.left_out()[0].reason
+    assert plant.derivative([0.0, 0.0], [0.2]).tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_pade_delays_follow_the_true_phase(order):
+    model = rl.StateSpaceModel(*pade_delay(0.01, order))
+    omega = np.array([1.0, 20.0, 60.0])
+    response = np.array([(model.C @ np.linalg.solve(1j * w * np.eye(order) - model.A, model.B) + model.D)[0, 0]
+                         for w in omega])  # fmt: skip
+    np.testing.assert_allclose(np.abs(response), 1.0, rtol=1e-11)
+    np.testing.assert_allclose(response, np.exp(-0.01j * omega), atol=0.05 ** min(order, 3))
+
+
+def test_delays_are_left_out_or_rational():
+    plant = rl.with_effects(rl.plant("servo-axis"), {"input-delay": {"d": 5e-3}, "sensor-delay@q": {"d": 2e-3}})
+    assert rl.linearise(plant).n_states == 2
+    assert len(plant.left_out()) == 2
+    late = rl.linearise(plant, pade=3)
+    assert late.n_states == 8
+    s = 30j
+    bare = rl.plant("servo-axis").state_space()
+    g = (bare.C @ np.linalg.solve(s * np.eye(2) - bare.A, bare.B))[:, 0]
+    found = (late.C @ np.linalg.solve(s * np.eye(8) - late.A, late.B) + late.D)[:, 0]
+    np.testing.assert_allclose(found, g * np.exp(-s * np.array([7e-3, 5e-3])), rtol=1e-8)
+
+
+# --- uncertainty -----------------------------------------------------------------------------------------------------
+
+
+def rebuilt(parameters, effects, delta_of, name="dc-motor"):
+    """A, B, C, D of the plant built anew with every value moved by delta_of(name) times its radius."""
+    plant = rl.plant(name)
+    moved = {n: plant.values[n] * (1 + delta_of(n) * tolerance) for n, tolerance in parameters.items()}
+    return rl.linearise(rl.with_effects(rl.plant(name, **{n: (v, 0.0) for n, v in moved.items()}), effects))
+
+
+def test_the_uncertain_model_is_the_plant_built_anew():
+    parameters = {"R": 0.1, "J": 0.2, "Kf": 0.3}
+    coupling = {"f": 40.0, "zeta": 0.05, "share": 0.3}
+    nominal = rl.plant("dc-motor")
+    plant = rl.with_effects(
+        rl.plant("dc-motor", **{n: (nominal.values[n], t) for n, t in parameters.items()}),
+        {
+            "flexible-coupling": coupling,
+            "torque-constant": {"s": (1.1, 0.02)},
+            "stiffness@omega": {"k": (1e-3, 1e-4)},
+            "input-gain": {"s": (0.9, 0.03)},
+            "sensor-gain@phi": {"s": (1.05, 0.01)},
+        },
+    )
+    uncertain = plant.uncertain()
+    names = [b.name for b in uncertain.blocks]
+    assert set(names) == {
+        "R", "J", "Kf", "torque-constant(Km+Kb)", "stiffness@omega.k", "input-gain@u", "sensor-gain@phi"
+    }  # fmt: skip
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        delta = {name: float(rng.uniform(-1, 1)) for name in names}
+        effects = {
+            "flexible-coupling": coupling,
+            "torque-constant": {"s": 1.1 + 0.04 * delta["torque-constant(Km+Kb)"]},
+            "stiffness@omega": {"k": 1e-3 + 2e-4 * delta["stiffness@omega.k"]},
+            "input-gain": {"s": 0.9 + 0.06 * delta["input-gain@u"]},
+            "sensor-gain@phi": {"s": 1.05 + 0.02 * delta["sensor-gain@phi"]},
+        }
+        truth, found = rebuilt(parameters, effects, delta.__getitem__), uncertain.evaluate(delta)
+        for name in "ABCD":
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(truth, name), rtol=1e-9, atol=1e-9 * np.abs(getattr(truth, name)).max()
+            )
+
+
+def test_what_the_uncertain_model_does_not_cover_is_said():
+    plant = axis(coulomb_friction={"Fc": (20.0, 1.0)}, inertia={"s": (1.1, 0.05)})
+    uncertain = plant.uncertain(sigmas=3.0)
+    (block,) = uncertain.blocks
+    assert block.parameter.nominal == pytest.approx(1.1 * plant.values["M"])
+    assert block.parameter.radius == pytest.approx(0.15 * plant.values["M"])
+    assert [item.effect.effect.id for item in plant.left_out()] == ["coulomb-friction"]
+    assert [s.name for s in plant.uncertain(outputs=["v"]).outputs] == ["v"]
+
+
+# --- a bare model, and more effects on a plant that has some ---------------------------------------------------------
+
+
+def test_a_bare_model_takes_effects_as_accelerations():
+    plant = rl.plant("servo-axis")
+    on_model = rl.with_effects(rl.linearise(plant), {"coulomb-friction": {"Fc": 20.0 / plant.values["M"]}})
+    u = np.sin(5 * T)
+    np.testing.assert_allclose(
+        rl.simulate(on_model, T, u)["q"], rl.simulate(axis(coulomb_friction={"Fc": 20.0}), T, u)["q"], atol=1e-13
+    )
+
+
+def test_effects_add_up():
+    first = axis(coulomb_friction={"Fc": 20.0})
+    both = rl.with_effects(first, {"input-delay": {"d": 5e-3}})
+    assert [e.effect.id for e in both.effects] == ["coulomb-friction", "input-delay"]
+    u = np.where(T < 1, 1.0, -1.0)
+    late = np.concatenate([np.full(5, u[0]), u[:-5]])
+    np.testing.assert_allclose(rl.simulate(both, T, u)["q"], rl.simulate(first, T, late)["q"], atol=1e-13)
+    facts = both.effects[0].to_json()
+    assert (facts["id"], facts["site"], facts["parameters"]["Fc"]["value"]) == ("coulomb-friction", "v", 20.0)
