@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +29,16 @@ def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedR
     An effect whose period over the position must be known is given once for each strong spatial line.
     """
     found = []
+    known: dict[Site, Scales] = {}
     for effect in catalogue().values():
         if not effect.nameable:
             continue
         for site in effect.sites(plant, model):
             if site.kind == "output" and not _recorded(plant, site, records):
                 continue
-            found.extend(_at(effect, site, plant, model, records))
+            if site not in known:
+                known[site] = _scales(site, plant, model, records)
+            found.extend(_at(effect, site, known[site]))
     return found
 
 
@@ -42,20 +46,11 @@ def _recorded(plant: LinearPlant, site: Site, records: Sequence[PreparedRecord])
     return all(site.name in r.record.outputs for r in records)
 
 
-def _at(
-    effect: Effect, site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]
-) -> list[Candidate]:
-    scales = _scales(site, plant, model, records)
+def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
     variants = [scales]
     if scales.orders and effect.spatial:
-        variants = [_with_order(scales, k) for k in scales.orders]
+        variants = [replace(scales, orders=(k,)) for k in scales.orders]
     return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in variants]
-
-
-def _with_order(scales: Scales, order: float) -> Scales:
-    from dataclasses import replace
-
-    return replace(scales, orders=(order,))
 
 
 def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:
@@ -144,15 +139,15 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: NDArray[np.bool_]) -> t
         return ()
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
-    resolution = 2.0 * np.pi / span
-    step = max(1, len(q) // 6000)
-    q, rest = q[::step], rest[::step]
-    finest = min(FINEST_LINES, max(20, len(q) // 4))
-    k = resolution * np.arange(1.0, finest, 0.4)
-    power = np.empty(len(k))
-    for first in range(0, len(k), 64):
-        part = slice(first, first + 64)
-        power[part] = np.abs(np.exp(-1j * np.outer(k[part], q - q.mean())) @ rest)
+    # Mean force in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
+    bins = int(min(4 * FINEST_LINES, max(64, len(q) // 2)))
+    place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
+    total = np.bincount(place, weights=rest, minlength=bins)
+    padded = 8 * bins
+    power = np.abs(np.fft.rfft(total, padded))
+    k = 2.0 * np.pi / span * bins / padded * np.arange(len(power))
+    keep = (k >= 2.0 * np.pi / span) & (k <= 2.0 * np.pi / span * min(FINEST_LINES, bins / 4))
+    k, power = k[keep], power[keep]
     inner = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
     peaks = np.flatnonzero(inner) + 1
     best = peaks[np.argsort(-power[peaks])][:ORDERS]

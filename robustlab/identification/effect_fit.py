@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 STEP = 2e-3  # of a standardised parameter, for differences
 START_STEP = 0.02  # of a window's start
 FARTHEST = 8.0  # standardised parameters are kept within this of their priors
+RELATIVE = 1e-5  # fall of V below which a fit stops
 TRIES = 8  # damped steps before a fit gives up
 LONGEST_STEP = 2.0  # of a standardised parameter in one step
 WILD = 1e6  # errors beyond this many standard deviations count as this
@@ -227,11 +228,13 @@ class Problem:
         iterations: int = 12,
         tolerance: float = 0.05,
         fixed: bool = False,
+        borrowed: Sequence[tuple[Array, Array]] | None = None,
     ) -> Fit:
         """Levenberg-Marquardt from z; stops when V falls by less than ``tolerance``.
 
         With ``fixed`` the parameters stay and only the window starts are fitted (a prediction of data that the fit
-        did not see).
+        did not see). ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from
+        elsewhere (`derivatives`) to save their simulations in a first look.
         """
         z = np.array(z, dtype=float)
         n_x = len(self.plant.states)
@@ -243,7 +246,9 @@ class Problem:
         hessian = np.eye(len(z))
         rounds = iterations
         while True:
-            parts = [self._linearised(k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed) for k in range(len(xi))]
+            parts = [self._linearised(k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed,
+                                      borrowed[k] if borrowed else None)
+                     for k in range(len(xi))]
             count += 1
             hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
             if rounds <= 0:
@@ -260,7 +265,7 @@ class Problem:
                     break
                 damping = max(damping, 1e-4) * 10.0
             rounds -= 1
-            if improved < tolerance:
+            if improved < max(tolerance, RELATIVE * cost):
                 break
         window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count)
@@ -281,7 +286,7 @@ class Problem:
 
     def _linearised(
         self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
-        noise: NoiseModel, fixed: bool,
+        noise: NoiseModel, fixed: bool, borrowed: tuple[Array, Array] | None,
     ) -> _Linearised:  # fmt: skip
         """Derivatives of one record's residuals by differences, with the window starts eliminated."""
 
@@ -290,13 +295,31 @@ class Problem:
             error = self._record_errors(k, simulator, factors, values, start)
             return (_whiten(error, noise) - residual) / step
 
-        n_x = xi.shape[1]
-        x = np.stack([moved(z, xi + START_STEP * unit, START_STEP) for unit in np.eye(n_x)], axis=2)
-        if fixed:
-            j = np.zeros((*residual.shape, len(z)))
-        else:
-            j = np.stack([moved(z + STEP * unit, xi, STEP) for unit in np.eye(len(z))], axis=2)
-        return _Linearised.of(residual, j, x, xi)
+        known = len(self.nuisances) if borrowed else 0
+        units = np.eye(len(z))[known:] if not fixed else []
+        columns = [moved(z + STEP * unit, xi, STEP)[:, :, None] for unit in units]
+        j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
+        if borrowed:
+            return _Linearised.of(residual, np.concatenate([borrowed[0], j], axis=2), borrowed[1], xi)
+        x = [moved(z, xi + START_STEP * unit, START_STEP) for unit in np.eye(xi.shape[1])]
+        return _Linearised.of(residual, j, np.stack(x, axis=2), xi)
+
+    def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
+        """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
+        pairs = []
+        for k, simulator in enumerate(self.simulators(fit.hypothesis)):
+            xi = fit.starts[k]
+
+            def residual(z: Array, start: Array, k: int = k, simulator: Simulator = simulator) -> Array:
+                factors, values = self.split(fit.hypothesis, z)
+                return _whiten(self._record_errors(k, simulator, factors, values, start), fit.noise)
+
+            here = residual(fit.z, xi)
+            over_z = [(residual(fit.z + STEP * e, xi) - here) / STEP for e in np.eye(len(fit.z))[: len(self.nuisances)]]
+            over_x = [(residual(fit.z, xi + START_STEP * e) - here) / START_STEP for e in np.eye(xi.shape[1])]
+            empty = np.zeros((*here.shape, 0))
+            pairs.append((np.stack(over_z, axis=2) if over_z else empty, np.stack(over_x, axis=2) if over_x else empty))
+        return pairs
 
 
 class _Reduced(NamedTuple):

@@ -25,8 +25,8 @@ AR_ORDER = 3
 BOOTSTRAPS = 500
 SEED = 20261121
 # Successive halving: iterations of each round, and how many hypotheses enter the next.
-FIRST, SECOND, LAST = 3, 6, 8
-KEPT_SECOND, KEPT_LAST = 12, 8
+FIRST, SECOND, LAST = 4, 6, 8
+KEPT_SECOND, KEPT_LAST = 10, 7
 PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
 MANY_WINDOWS = 10
 
@@ -135,9 +135,10 @@ def rank(
     half = problem.on(problem.records, [c[::2] for c in problem.chosen]) if _many(problem) else problem
     half_starts = [x[::2] for x in base_fit.starts] if _many(problem) else base_fit.starts
     half_base = half.fit(base, noise, base_fit.z, half_starts, 1)
+    borrowed = half.derivatives(half_base)
 
     def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
-        return job[0], half.fit(job[1], noise, job[2], half_starts, FIRST)
+        return job[0], half.fit(job[1], noise, job[2], half_base.starts, FIRST, borrowed=borrowed)
 
     def second_of(entry: tuple[Candidate, Fit]) -> tuple[Candidate | None, Fit]:
         return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, SECOND)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -140,7 +141,7 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
             q = _integrating_state(a, b, k)
             position = None if q is None else np.eye(n)[q]
             position_unit = "" if q is None else plant.states[q].unit
-            force_unit = SPEED_UNITS[unit] if _is_mechanical(plant, k) else f"{unit.removesuffix('/s')}/s2"
+            force_unit = SPEED_UNITS[unit] if k in _mechanical(plant) else f"{unit.removesuffix('/s')}/s2"
             ports[name] = Port(name, "joint", force_unit, unit, position_unit, push[:, k], eye, position)
         elif unit == "A":
             ports[name] = Port(name, "current", "V", "A", "", push[:, k], eye, None)
@@ -156,9 +157,11 @@ def _integrating_state(a: Array, b: Array, velocity: int) -> int | None:
     return None
 
 
-def _is_mechanical(plant: LinearPlant, k: int) -> bool:
-    """True where the equation of the state carries an inertia, so that its terms are forces and not accelerations."""
-    return any(k in _rows(plant, name) for name, p in plant.parameters.items() if p.role == "inertia" and p.unit)
+@lru_cache(maxsize=64)
+def _mechanical(plant: LinearPlant) -> frozenset[int]:
+    """States whose equations carry an inertia with a unit, so that their terms are forces and not accelerations."""
+    inertias = [name for name, p in plant.parameters.items() if p.role == "inertia" and p.unit]
+    return frozenset[int]().union(*(_rows(plant, name) for name in inertias))
 
 
 def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
