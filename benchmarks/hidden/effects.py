@@ -166,7 +166,7 @@ def _reduced(m: Machine, share: float) -> float:
 
 
 def _flexible(r: np.random.Generator, s: Setting) -> Parameters:
-    return {"share": r.uniform(0.3, 0.6), "frequency": r.uniform(20, 80), "damping": r.uniform(0.03, 0.12)}
+    return {"share": r.uniform(0.3, 0.6), "frequency": r.uniform(15, 60), "damping": r.uniform(0.03, 0.12)}
 
 
 def _put_flexible(m: Machine, p: Parameters, s: Setting) -> Machine:
@@ -181,8 +181,8 @@ def _put_backlash(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 def _backlash(r: np.random.Generator, s: Setting) -> Parameters:
     return {
-        "gap": s.length * r.uniform(0.06, 0.25),
-        "share": r.uniform(0.35, 0.6),
+        "gap": s.length * r.uniform(0.12, 0.3),
+        "share": r.uniform(0.45, 0.65),
         "contact_frequency": r.uniform(200, 400),
         "hc": r.uniform(0.05, 0.2) / s.length,
     }
@@ -274,7 +274,7 @@ EFFECTS: Mapping[str, Hidden] = {
         lambda m, p, s: m._replace(y_bias=p["angle"], i_bias=p["current"]),
     ),
     "sensor-eccentricity": Hidden(
-        lambda r, s: {"e": s.length * r.uniform(0.02, 0.05), "a": _angle(r)},
+        lambda r, s: {"e": s.length * r.uniform(0.03, 0.06), "a": _angle(r)},
         lambda m, p, s: m._replace(y_e=p["e"], y_a=p["a"], y_n=1.0 / s.length),
     ),
     "sensor-delay": Hidden(
@@ -352,7 +352,7 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
         _put_hysteretic,
     ),
     "field-weakening": Hidden(
-        lambda r, s: {"speed": r.uniform(0.8, 1.3) * 457.0}, lambda m, p, s: m._replace(weakening=p["speed"])
+        lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke}, lambda m, p, s: m._replace(weakening=p["speed"])
     ),
     "telegraph-load": Hidden(
         lambda r, s: {

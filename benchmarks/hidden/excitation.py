@@ -18,7 +18,8 @@ SQUARE = 11.8 / 24.0  # the thesis' +-11.8 V at a 24 V supply
 def voltage(kind: str, n: int, dt: float, largest: float, rng: np.random.Generator) -> Array:
     """Voltage (n,) in V.
 
-    ``rich``: levels up to the largest voltage, small levels, slow ramps through zero, small sines, of random dwell;
+    ``rich``: levels up to the largest voltage, in both directions at least once, small levels, slow ramps through
+    zero, small sines, of random dwell, in random order;
     ``square``: +-11.8 V of 24 V, random period; ``oneway``: steps of one sign; ``steps``: levels of both signs;
     ``multisine``: random-phase odd multisine plus levels.
     """
@@ -29,13 +30,12 @@ def voltage(kind: str, n: int, dt: float, largest: float, rng: np.random.Generat
         return largest * SQUARE * np.where(np.arange(n) * dt % period < period / 2, 1.0, -1.0)
     if kind == "multisine":
         return _multisine(n, dt, largest, rng)
-    pieces = {"rich": _rich_piece, "oneway": _oneway_piece, "steps": _steps_piece}[kind]
-    u, k = np.zeros(n), 0
-    while k < n:
-        piece = pieces(dt, rng)
-        u[k : k + len(piece)] = piece[: n - k]
-        k += len(piece)
-    return largest * u
+    piece = {"rich": _rich_piece, "oneway": _oneway_piece, "steps": _steps_piece}[kind]
+    pieces = [np.full(int(0.12 / dt), side * rng.uniform(0.9, 1)) for side in (-1, 1)] if kind == "rich" else []
+    while sum(map(len, pieces)) < n:
+        pieces.append(piece(dt, rng))
+    order = rng.permutation(len(pieces) - 1) if kind == "rich" else range(len(pieces) - 1)
+    return largest * np.concatenate([*(pieces[k] for k in order), pieces[-1]])[:n]
 
 
 def reference(n: int, dt: float, reach: float, rng: np.random.Generator) -> Array:

@@ -175,7 +175,7 @@ def simulate(
     zeros = np.zeros(n)
     kp, kd, limit = feedback or (0.0, 0.0, 0.0)
     out = _run(
-        m,
+        Machine(*map(float, m)),  # an integer among them would be compiled for once more
         np.ascontiguousarray(u, dtype=np.float64),
         dt,
         longest_step(m) if step is None else step,
