@@ -64,10 +64,12 @@ def test_stick_slip_agrees_with_the_event_driven_solution():
     u = 1.5 * np.sin(6 * T)
     exact = simulate_with_friction(rl.plant("servo-axis"), DryFriction("v", 20.0), T, u)
     stroke = np.ptp(exact.record["q"])
-    assert (exact.sliding == 0).any() and (exact.sliding != 0).any()
+    assert (exact.sliding == 0).any()
+    assert (exact.sliding != 0).any()
     found = rl.simulate(axis(coulomb_friction={"Fc": 20.0}), T, u)
     assert np.abs(found["q"] - exact.record["q"]).max() < 1e-4 * stroke
-    assert (found["v"][exact.sliding[:, 0] == 0] == 0).mean() > 0.98
+    stuck = np.abs(found["v"][exact.sliding[:, 0] == 0])
+    assert (stuck < 1e-15 * np.abs(found["v"]).max()).mean() > 0.98  # the rounding of the step, no creep
 
 
 def test_smaller_steps_come_closer():
@@ -132,7 +134,8 @@ def test_the_flexible_coupling_adds_its_states_and_the_two_mass_motion():
 
 def test_inputs_and_sensors_have_their_effects():
     plant = rl.with_effects(
-        rl.plant("servo-axis"), {"input-saturation": {"u_max": 0.5}, "sensor-gain@q": {"s": 1.1}, "input-gain": {"s": 2.0}}
+        rl.plant("servo-axis"),
+        {"input-saturation": {"u_max": 0.5}, "sensor-gain@q": {"s": 1.1}, "input-gain": {"s": 2.0}},
     )
     bare = rl.simulate(rl.plant("servo-axis"), T, 2.0 * np.clip(np.sin(5 * T), -0.5, 0.5))
     found = rl.simulate(plant, T, np.sin(5 * T))
@@ -154,7 +157,7 @@ def test_friction_holds_an_input_up_to_its_level():
     assert held.force == pytest.approx(-0.5 * gain)
     assert (held.lower, held.upper) == pytest.approx((-20.0, 20.0))
     assert rl.trim(plant, u=19.999 / gain).holding
-    with pytest.raises(rl.NoTrustworthyNumber, match="no rest with u = 0.569"):
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"no rest with u = 0\.569"):
         rl.trim(plant, u=20.01 / gain)
 
 

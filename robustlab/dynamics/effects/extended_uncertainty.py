@@ -94,7 +94,7 @@ def _without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float
                 label, 1.0, "", tolerance, e.source, f"{e.effect.title}, over the fitted value"
             )
             tied[label] = names
-    terms = _joint_terms(plant, width)
+    terms = _joint_terms(plant, linear, width)
     parameters |= {label: parameter for label, (parameter, _) in terms.items()}
     structure = _structure(plant, linear)
     nominal = structure(scaled)
@@ -126,13 +126,13 @@ def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
     return values
 
 
-def _joint_terms(plant: ExtendedPlant, width: float) -> dict[str, tuple[Parameter, Array]]:
+def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
     """Fitted springs and dampers at joints: parameter, and the entries of F per unit of it.
 
     They are told by what they do: without a law or a state of their own, and A affine in the value.
     """
     found: dict[str, tuple[Parameter, Array]] = {}
-    own = plant.model.own
+    inertia = _structure(plant, linear)(_scaled_values(plant))[0]
     for e in plant.effects:
         if e.site.kind not in ("joint", "current") or e.effect.laws(e.site, e.values):
             continue
@@ -145,8 +145,7 @@ def _joint_terms(plant: ExtendedPlant, width: float) -> dict[str, tuple[Paramete
                 continue
             label = f"{e.effect.id}@{e.site.name}.{parameter.name}"
             tolerance = width * std / abs(value)
-            per_unit = np.zeros_like(first)
-            per_unit[:own] = plant.plant.matrices(_scaled_values(plant))[0] @ first[:own] / (0.25 * value)
+            per_unit = inertia @ first / (0.25 * value)
             found[label] = Parameter(label, value, parameter.unit, tolerance, e.source, e.effect.title), per_unit
     return found
 
@@ -248,7 +247,7 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
     for e in plant.effects:
         for name in _scaled_by(plant, e) if e.std.get("s") else ():
             changed.pop(name, None)
-    terms = _joint_terms(plant, width)
+    terms = _joint_terms(plant, linear, width)
     effects = []
     for e in plant.effects:
         linear_ones = {n for n in e.std if _is_covered(plant, e, n, terms)}

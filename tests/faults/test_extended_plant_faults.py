@@ -1,0 +1,209 @@
+"""Bad effects, bad places, bad files of plants: named, with the closest right name; no file of a plant is half read."""
+
+import h5py
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.effects.attached_effect import AttachedEffect
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.effects.effect_contract import Site
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.parameters import Parameter
+from robustlab.files.hdf5 import read_tree, write_tree
+from robustlab.files.tree import content_sha256
+
+T = np.arange(100) * 1e-3
+
+
+def motor():
+    return rl.plant("dc-motor")
+
+
+def rubbed():
+    return rl.with_effects(motor(), {"coulomb-friction": {"Fc": (2e-3, 1e-4)}, "input-delay": {"d": 2e-3}})
+
+
+def tank():
+    area = Parameter("area", 2.0, "m2")
+    return LinearPlant(
+        "tank", {"area": area}, (("inflow", "m3/s"),), (("h", "m"),), (("h", "m"),),
+        lambda p: Descriptor([[p["area"]]], [[0.0]], [[1.0]], [[1.0]]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ({"coulomb-frction": {"Fc": 1.0}}, "did you mean coulomb-friction"),
+        ({"coulomb-friction": {"F_c": 1.0}}, "no such parameter"),
+        ({"coulomb-friction": {}}, "no value for 'Fc'"),
+        ({"coulomb-friction": {"Fc": -1.0}}, "no negative friction level"),
+        ({"coulomb-friction": {"Fc": float("nan")}}, "NaN"),
+        ({"coulomb-friction": {"Fc": "much"}}, "number"),
+        ({"coulomb-friction": {"Fc": (1.0, -0.1)}}, "standard deviation"),
+        ({"coulomb-friction": {"Fc": (1.0, 0.1, 0.2)}}, "3 entries"),
+        ({"coulomb-friction": 5e-3}, "a table of its parameters"),
+        ({"coulomb-friction@omgea": {"Fc": 1.0}}, "did you mean omega"),
+        ({"coulomb-friction": {"Fc": 1.0}, "coulomb-friction@omega": {"Fc": 1.0}}, "given twice"),
+        ({"sensor-gain": {"s": 1.1}}, "3 places where it may sit: phi, omega, i"),
+        ({}, "no effect"),
+        ([3.0], "attached effects"),
+    ],
+)
+def test_bad_effects_are_named(effects, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.with_effects(motor(), effects)
+
+
+def test_an_attached_effect_at_a_place_that_is_not_there_is_refused():
+    lost = AttachedEffect(effect("coulomb-friction"), Site("joint", "v"), {"Fc": 1.0})
+    with pytest.raises(rl.InputError, match="no such place"):
+        rl.with_effects(motor(), lost)
+
+
+def test_an_effect_without_any_place_is_refused():
+    with pytest.raises(rl.InputError, match="has no place for it"):
+        rl.with_effects(tank(), {"coulomb-friction": {"Fc": 1.0}})
+
+
+@pytest.mark.parametrize("base", [3.0, "dc-motor"])
+def test_what_is_no_plant_is_refused(base):
+    with pytest.raises(rl.InputError, match="linear Plant"):
+        rl.with_effects(base, {"coulomb-friction": {"Fc": 1.0}})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"t": np.append(T[:-1], 0.2)}, "equal steps"),
+        ({"x0": [0.0, 1.0]}, "2 numbers for phi, omega, i"),
+        ({"hold": "foh"}, "'zoh'"),
+        ({"rtol": 1e-6}, "no error control"),
+        ({"step": -1.0}, "between 0 and 1"),
+        ({"u": np.full(100, np.nan)}, "NaN"),
+    ],
+)
+def test_bad_simulations_are_named(options, message):
+    arguments = {"t": T, "u": np.ones(100), **options}
+    with pytest.raises(rl.InputError, match=message):
+        rl.simulate(rubbed(), arguments.pop("t"), arguments.pop("u"), **arguments)
+
+
+def test_states_of_effects_start_at_zero():
+    plant = rl.with_effects(motor(), {"flexible-coupling": {"f": 40.0, "zeta": 0.05, "share": 0.3}})
+    rl.simulate(plant, T, np.ones(100), x0=[0.0, 1.0, 0.0, 0.0, 0.0])
+    with pytest.raises(rl.InputError, match=r"omega\.twist"):
+        rl.simulate(plant, T, np.ones(100), x0=[0.0, 1.0, 0.0, 0.1, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"amplitude": {"omgea": 1.0}}, "did you mean omega"),
+        ({"amplitude": {"omega": 0.0}}, "positive number"),
+        ({"pade": 9}, "from 0 to 8"),
+        ({"pade": 1.5}, "from 0 to 8"),
+        ({"at": "rest"}, "a trim or"),
+        ({"at": ([0.0], [0.0])}, "1 numbers"),
+    ],
+)
+def test_bad_linearisations_are_named(options, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.linearise(rubbed(), **options)
+
+
+def test_options_of_effects_are_refused_without_effects():
+    with pytest.raises(rl.InputError, match="without effects"):
+        rl.linearise(motor(), pade=2)
+
+
+def test_bad_trims_are_named():
+    with pytest.raises(rl.InputError, match="'v'"):
+        rl.trim(rubbed(), v=1.0)
+    with pytest.raises(rl.InputError, match="NaN"):
+        rl.trim(rubbed(), u=float("nan"))
+    with pytest.raises(rl.NoTrustworthyNumber, match="no rest with u = 5"):
+        rl.trim(rubbed(), u=5.0)
+
+
+def test_an_impossible_tolerance_is_refused():
+    with pytest.raises(rl.InputError, match="relative tolerance"):
+        rl.with_effects(motor(), {"inertia": {"s": (1.0, 0.6)}}).uncertain()
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def spoilt(path, change):
+    """A file of a plant that was changed and stamped again, as another program might write it."""
+    rl.save(path, rubbed())
+    tree = read_tree(path, None, None, False)
+    change(tree)
+    tree.attrs["content_sha256"] = content_sha256(tree)
+    write_tree(path, tree)
+    return path
+
+
+def set_attr(place, name, value):
+    return lambda tree: tree.find(place).attrs.update({name: value})
+
+
+def put(place, name, value):
+    return lambda tree: tree.find(place).put(name, value)
+
+
+def drop(place, name):
+    def change(tree):
+        node = tree.find(place)
+        (node.groups if name in node.groups else node.datasets).pop(name)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (set_attr("effects/0", "id", "coulomb-frction"), "did you mean coulomb-friction"),
+        (set_attr("effects/0", "site", "omgea"), "did you mean omega"),
+        (set_attr("effects/0", "site_kind", "elbow"), "no such place"),
+        (lambda tree: tree.find("effects/0").attrs.pop("id"), "attribute id is missing"),
+        (put("effects/0", "value", np.array([np.nan])), "NaN"),
+        (put("effects/0", "value", np.array([-1.0])), "no negative friction level"),
+        (put("effects/0", "value", np.array(["much"])), "expected real numbers"),
+        (put("effects/0", "value", np.array([1.0, 2.0])), "differ in length"),
+        (put("effects/0", "std", np.array([-1.0])), "standard deviation"),
+        (put("effects/0", "name", np.array(["F_c"])), "no such parameter"),
+        (drop("effects", "0"), "numbered from 0"),
+        (set_attr("plant", "name", "dc-motr"), "did you mean dc-motor"),
+        (lambda tree: tree.find("plant").attrs.pop("name"), "attribute name is missing"),
+        (drop("plant", "parameters"), "missing /plant/parameters"),
+        (drop("plant/parameters", "value"), "missing /plant/parameters/value"),
+        (drop("", "plant"), "missing /plant"),
+        (drop("", "A"), "missing /A"),
+        (put("plant/parameters", "value", np.ones(2)), "expected one length"),
+        (put("plant/parameters", "name", np.array(["R", "L", "Km", "Kb", "Kf", "Jm"])), "did you mean"),
+        (put("plant/parameters", "value", np.array([2.07, 6.2e-4, 0.052, 0.052, 4.8e-5, -1.0])), "positive"),
+        (put("", "A", np.eye(3)), "/A is not the linear model of dc-motor"),
+        (put("plant/parameters", "value", np.array([3.0, 6.2e-4, 0.052, 0.052, 4.8e-5, 7.2e-6])), "is not the linear"),
+    ],
+)
+def test_spoilt_files_of_plants_are_refused_and_say_why(tmp_path, change, message):
+    path = spoilt(tmp_path / "p.h5", change)
+    with pytest.raises(rl.InputError, match=message) as caught:
+        rl.load(path, isolate=False)
+    assert str(path) in str(caught.value)
+
+
+def test_a_changed_byte_is_seen(tmp_path):
+    rl.save(tmp_path / "p.h5", rubbed())
+    with h5py.File(tmp_path / "p.h5", "r+") as file:
+        file["effects/0/value"][0] = 3e-3
+    with pytest.raises(rl.InputError, match="checksum mismatch"):
+        rl.load(tmp_path / "p.h5")
+
+
+def test_effects_on_a_plant_of_ones_own_cannot_be_saved(tmp_path):
+    with pytest.raises(rl.InputError, match="your own making"):
+        rl.save(tmp_path / "p.h5", rl.with_effects(tank(), {"input-gain": {"s": 1.1}}))
+    assert not (tmp_path / "p.h5").exists()
