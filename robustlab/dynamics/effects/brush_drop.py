@@ -23,6 +23,8 @@ class BrushDrop(Effect):
     title = "Brush voltage drop"
     equation = "f = -Vb sgn(i), |f| <= Vb at i = 0"
     site_kind = "current"
+    # Electric time constants are shorter than a sample, and the back-EMF changes while no current flows.
+    substeps = 4
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("log", 0.05 * scales.force, 1.2)

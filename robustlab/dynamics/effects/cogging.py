@@ -47,6 +47,7 @@ class Cogging(Effect):
     title = "Cogging (force ripple)"
     equation = "f = Ac cos(k q) + As sin(k q)"
     site_kind = "joint"
+    substeps = 2
     spatial = True
 
     def fits(self, port: Any) -> bool:

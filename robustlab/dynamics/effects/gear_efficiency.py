@@ -31,6 +31,7 @@ class GearEfficiency(Effect):
     title = "Gear efficiency"
     equation = "f = -(1 - eta) |T| sgn(v), T the net force at the joint"
     site_kind = "joint"
+    substeps = 4  # the driving force is taken as constant within a step
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("eta", "", "efficiency of the transmission", Prior("share", 0.85, 1.0)),)

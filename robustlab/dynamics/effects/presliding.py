@@ -3,8 +3,9 @@ r"""Presliding: dry friction whose contact gives way like a spring before it sli
 .. math:: f = -\sigma_0 z, \qquad \dot z = v - \frac{|v|\, z}{g}, \qquad g = \frac{F_c}{\sigma_0}
 
 Over a stretch s in one direction the contact's deflection is exactly :math:`z \to \pm g + (z \mp g) e^{-|s|/g}`, at any
-speed (Dahl; LuGre without its damping). The step is one such stretch, or two where the velocity turns; the force of the
-last is the one at its end, so that a contact much stiffer than the step can follow comes to rest instead of ringing.
+speed (Dahl; LuGre without its damping). The step is one such stretch, or two where the velocity turns. The force
+is the one at the end of the step, so that a contact much stiffer than the step can follow comes to rest instead of
+ringing; only of a first stretch that is followed by sliding the other way its mean counts for its share of the step.
 
 References
 ----------
@@ -39,12 +40,14 @@ def _stretch(deflection, way, limit):  # type: ignore[no-untyped-def]
 @nb.njit(cache=True)
 def _contact(force, args):  # type: ignore[no-untyped-def]
     """Deflection at the end of the step under this force, and the deflection whose force acts over the step."""
-    v0, v_free, compliance, h, start, limit, _ = args
+    v0, v_free, compliance, h, start, limit, stiffness = args
     v1 = v_free + compliance * force
     if v0 * v1 < 0.0:
         share = v0 / (v0 - v1)
         turned, mean = _stretch(start, 0.5 * share * h * v0, limit)
         end, _unused = _stretch(turned, 0.5 * (1.0 - share) * h * v1, limit)
+        if abs(v_free - v0) <= compliance * stiffness * limit:  # what drives it can be held: it comes to rest
+            return end, end
         return end, share * mean + (1.0 - share) * end
     end, _unused = _stretch(start, 0.5 * h * (v0 + v1), limit)
     return end, end

@@ -32,6 +32,7 @@ class ResistanceHeating(Effect):
     title = "Heating of the winding"
     equation = "f = -dR_inf (1 - exp(-t/T)) i, t since the beginning of the run"
     site_kind = "current"
+    substeps = 4  # electric time constants are shorter than a sample
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         # The largest voltage over the largest current is a resistance of the winding's size.

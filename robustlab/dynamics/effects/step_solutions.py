@@ -121,7 +121,7 @@ def dry_mean_force(v0, v_free, compliance, level, rise, width):  # type: ignore[
     if start > 0.0 or drive > holding:
         end = _slide(start, free, compliance, level, rise, width)
         if end >= 0.0:
-            return sign * (end - free) / compliance
+            return -sign * (level if rise == 0.0 else level + rise * stribeck_mean(start, end, width))
     if drive >= -holding:
         return -sign * free / compliance
     friction = level if rise == 0.0 else level + rise * stribeck_mean(start, 0.0, width)

@@ -36,6 +36,7 @@ class StribeckFriction(Effect):
     equation = "f = -(Fc + dF exp(-(v/vs)^2)) sgn(v), |f| <= Fc + dF at rest"
     site_kind = "joint"
     refines = "coulomb-friction"
+    substeps = 2
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         force, speed = scales.force, scales.speed

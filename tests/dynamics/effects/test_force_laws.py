@@ -1,0 +1,508 @@
+"""The force laws asked directly (each solves its own equation at any stiffness and step); closed forms of motion."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+
+import numba as nb
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.special import ellipk
+
+import robustlab as rl
+from robustlab.dynamics.effects.asymmetric_viscous_friction import asymmetric_force
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.effects.cogging import cogging_force
+from robustlab.dynamics.effects.coulomb_friction import dry_force
+from robustlab.dynamics.effects.cubic_stiffness import cubic_force
+from robustlab.dynamics.effects.effect_contract import Scales, Site
+from robustlab.dynamics.effects.end_stop import stop_force
+from robustlab.dynamics.effects.gear_efficiency import loss_force
+from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
+from robustlab.dynamics.effects.position_dependent_friction import uneven_force
+from robustlab.dynamics.effects.presliding import presliding_force
+from robustlab.dynamics.effects.quadratic_drag import drag_force
+from robustlab.dynamics.effects.resistance_heating import heating_drop
+from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.effects.stribeck_friction import stribeck_force
+from robustlab.statespace import Signal, StateSpaceModel
+
+JOINT_EFFECTS = (
+    "asymmetric-viscous-friction", "cogging", "constant-load", "coulomb-friction", "cubic-stiffness", "end-stop",
+    "gear-efficiency", "position-dependent-friction", "presliding", "quadratic-drag", "stribeck-friction",
+)  # fmt: skip
+CURRENT_EFFECTS = ("brush-drop", "resistance-heating")
+MASS = 2.0
+
+
+@nb.njit
+def _ask(law, p, z, z_next, seen):
+    return law(p, z, z_next, seen)
+
+
+class Step:
+    """One step of length h of a mass: motion at its start, what drives it, and what a law makes of it."""
+
+    def __init__(self, law, p, q0=0.0, v0=0.0, drive=0.0, h=5e-4, z=0.0, mass=MASS, time=0.0):
+        self.gv, self.gq = h / mass, 0.5 * h * h / mass
+        self.q0, self.v0, self.h, self.drive = q0, v0, h, drive
+        free_q, free_v = q0 + h * v0 + self.gq * drive, v0 + self.gv * drive
+        after = np.array([z])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", nb.core.errors.NumbaExperimentalFeatureWarning)
+            self.f = _ask(
+                law, np.array(p, dtype=float), np.array([z]), after,
+                np.array([q0, v0, free_q, free_v, self.gq, self.gv, h, time]),
+            )  # fmt: skip
+        self.q, self.v, self.z = free_q + self.gq * self.f, free_v + self.gv * self.f, after[0]
+        self.velocity_rounding = 1e-13 * (abs(v0) + abs(free_v) + self.gv * abs(self.f))
+        self.work = self.f * (self.q - q0)
+
+
+signed = st.floats(-1e3, 1e3).map(lambda x: 0.0 if abs(x) < 1e-6 else x)
+positive = st.floats(-6, 6).map(lambda e: 10.0**e)
+steps = st.sampled_from([1e-5, 5e-4, 1e-2])
+asked = settings(deadline=None, max_examples=100)
+
+
+@asked
+@given(positive, signed, signed, steps)
+def test_dry_friction_lies_in_its_band_and_never_drives(level, v0, drive, h):
+    s = Step(dry_force, [level], v0=v0, drive=drive, h=h)
+    rounding = 1e-12 * (abs(v0) / s.gv + abs(drive))
+    assert abs(s.f) <= level + rounding
+    if abs(s.v) > s.velocity_rounding and s.v * v0 >= 0:
+        assert s.f == -math.copysign(level, s.v)
+    elif abs(s.v) > s.velocity_rounding:  # turned within the step: both ways the friction was against the motion
+        assert abs(drive) > level
+        assert s.v * drive > 0
+
+
+@asked
+@given(positive, signed, steps)
+def test_a_resting_mass_stays_exactly_at_rest_below_breakaway_and_leaves_above(level, drive, h):
+    s = Step(dry_force, [level], drive=drive, h=h)
+    if abs(drive) <= level:
+        assert s.v == 0.0
+    else:
+        assert s.f == pytest.approx(-math.copysign(level, drive), rel=1e-9, abs=1e-12 * abs(drive))
+
+
+@asked
+@given(signed, signed, positive, steps)
+def test_dry_friction_within_a_step_is_the_exact_motion_under_a_constant_drive(v0, drive, level, h):
+    assume(abs(abs(drive) - level) > 1e-9 * level)
+
+    def moved(v, left):
+        """End velocity: slide until the velocity is zero, then stick or go on."""
+        way = math.copysign(1.0, v or drive)
+        if v == 0.0 and abs(drive) <= level:
+            return 0.0
+        rate = (drive - way * level) / MASS
+        if v + rate * left > 0 if way > 0 else v + rate * left < 0:
+            return v + rate * left
+        return 0.0 if v == 0.0 else moved(0.0, left + v / rate)
+
+    s = Step(dry_force, [level], v0=v0, drive=drive, h=h)
+    assert s.v == pytest.approx(moved(v0, h), rel=1e-9, abs=1e-9 * (abs(v0) + s.gv * (abs(drive) + level)))
+
+
+@asked
+@given(positive, positive, positive, signed, signed, steps)
+def test_stribeck_friction_is_its_mean_over_the_way(level, rise, width, v0, drive, h):
+    s = Step(stribeck_force, [level, rise, width], v0=v0, drive=drive, h=h)
+    scale = (level + rise) * (1 + 1e-9) + 1e-9 * (abs(drive) + abs(v0) / s.gv)
+    assert abs(s.f) <= scale
+    if v0 * s.v > 0:
+
+        def friction(v):
+            return level + rise * math.exp(-((v / width) ** 2))
+
+        low, high = sorted((abs(v0), abs(s.v)))
+        if high - low > 1e-6 * high and (high - low) < 100 * width:
+            points = [p for p in (width, 3 * width) if low < p < high] or None
+            mean = quad(friction, low, high, points=points, limit=200)[0] / (high - low)
+        elif high - low <= 1e-6 * high and 1e-6 * high < 1e-3 * width:
+            mean = friction(0.5 * (low + high))
+        else:
+            return
+        assert s.f == pytest.approx(-math.copysign(mean, s.v), abs=1e-7 * scale)
+
+
+@asked
+@given(positive, positive, signed, st.floats(-1, 1), signed, steps)
+def test_presliding_solves_its_own_equation_and_is_passive(level, stiffness, v0, share, drive, h):
+    limit = level / stiffness
+    s = Step(presliding_force, [level, stiffness], v0=v0, drive=drive, h=h, z=share * limit)
+    assert abs(s.z) <= limit * (1 + 1e-9)
+    assert abs(s.f) <= level * (1 + 1e-9)
+    if v0 * s.v >= 0:
+        way = 0.5 * h * (v0 + s.v)
+        end = math.copysign(limit, way)
+        expected = end + (share * limit - end) * math.exp(-abs(way) / limit)
+        assert s.f == pytest.approx(-stiffness * s.z, rel=1e-9, abs=1e-9 * level)
+        # The way follows from a difference of velocities: its rounding, in contacts that give way by less.
+        assert s.z == pytest.approx(expected, abs=limit * (1e-9 + h * s.velocity_rounding / limit))
+        stored = 0.5 * stiffness * (s.z**2 - (share * limit) ** 2)
+        assert s.f * way + stored <= 1e-9 * level * (abs(way) + limit) + level * h * s.velocity_rounding
+
+
+@asked
+@given(st.floats(-1e3, 1e3), signed, signed, steps)
+def test_asymmetric_viscous_friction(dFv, v0, drive, h):
+    assume(abs(dFv) * h / (2 * MASS) < 0.5)
+    s = Step(asymmetric_force, [dFv], v0=v0, drive=drive, h=h)
+    assert s.f == pytest.approx(-dFv * abs(0.5 * (v0 + s.v)), rel=1e-9, abs=1e-9 * abs(dFv) * abs(v0) + 1e-12)
+
+
+@asked
+@given(positive, signed, signed, steps)
+def test_quadratic_drag_solves_its_own_equation_and_brakes(c, v0, drive, h):
+    s = Step(drag_force, [c], v0=v0, drive=drive, h=h)
+    mean = 0.5 * (v0 + s.v)
+    rounding = 1e-12 * (abs(v0) + abs(s.v) + s.gv * (abs(drive) + abs(s.f)))
+    assert s.f == pytest.approx(-c * mean * abs(mean), rel=1e-9, abs=3 * c * rounding * (abs(mean) + rounding))
+    assert s.f * mean <= 0 or abs(mean) < rounding
+
+
+@asked
+@given(st.floats(0, 10), st.floats(-5, 5), st.floats(-5, 5), st.floats(0.01, 1e3), signed, signed, signed, steps)
+def test_position_dependent_friction_has_the_level_of_its_way(Fc, Pc, Ps, k, q0, v0, drive, h):
+    s = Step(uneven_force, [Fc, Pc, Ps, k], q0=q0, v0=v0, drive=drive, h=h)
+    assume(v0 * s.v > 0 and abs(s.v) > 1e-6)
+    if abs(s.q - q0) * k > 1e-6:
+        level = Fc + (Pc * (np.sin(k * s.q) - np.sin(k * q0)) - Ps * (np.cos(k * s.q) - np.cos(k * q0))) / (
+            k * (s.q - q0)
+        )
+    else:
+        level = Fc + Pc * np.cos(k * q0) + Ps * np.sin(k * q0)
+    rounding = 1e-9 * (1 + abs(drive) + abs(v0) / s.gv) + 1e-5 * (abs(s.q - q0) * k <= 1e-3)
+    assert s.f == pytest.approx(-math.copysign(max(0.0, level), s.v), abs=rounding)
+
+
+@asked
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.01, 1e4), signed, signed, signed, steps)
+def test_cogging_does_the_work_of_its_potential(Ac, As, k, q0, v0, drive, h):
+    s = Step(cogging_force, [Ac, As, k], q0=q0, v0=v0, drive=drive, h=h)
+
+    def potential(q):
+        return (-Ac * math.sin(k * q) + As * math.cos(k * q)) / k
+
+    size = abs(Ac) + abs(As)
+    assert s.work == pytest.approx(
+        potential(q0) - potential(s.q), abs=1e-12 * size * (abs(q0) + abs(s.q) + 1 / k) + 1e-15
+    )
+
+
+@asked
+@given(st.floats(-9, 9).map(lambda e: 10.0**e), signed, signed, signed, steps)
+def test_a_cubic_spring_does_the_work_of_its_potential_however_stiff(k3, q0, v0, drive, h):
+    s = Step(cubic_force, [k3], q0=q0, v0=v0, drive=drive, h=h)
+    bound = abs(k3 * (abs(q0) + abs(s.q)) ** 3)
+    rounding = 1e-12 * (bound * (abs(q0) + h * abs(v0) + s.gq * (abs(drive) + abs(s.f)))) + 1e-12
+    assert s.work == pytest.approx(k3 * (q0**4 - s.q**4) / 4, abs=rounding * 10)
+
+
+@asked
+@given(st.floats(-3, 9).map(lambda e: 10.0**e), st.floats(0, 1e3), st.floats(-2, 2), signed, signed, steps)
+def test_a_stop_never_pulls_never_creates_energy_and_lets_go(kc, dc, q0, v0, drive, h):
+    s = Step(stop_force, [-1.0, 1.0, kc, dc], q0=q0, v0=v0, drive=drive, h=h)
+
+    def stored(q):
+        return 0.5 * kc * max(abs(q) - 1.0, 0.0) ** 2
+
+    inside = max(abs(q0), abs(s.q)) <= 1.0
+    assert not (inside and s.f != 0.0)
+    if q0 > -1.0 and s.q > -1.0:
+        assert s.f <= 0.0
+    if q0 < 1.0 and s.q < 1.0:
+        assert s.f >= 0.0
+    if dc == 0.0 and abs(s.q - q0) < 2.0:
+        rounding = 1e-9 * (stored(q0) + stored(s.q) + abs(s.f) * (abs(q0) + h * abs(v0) + s.gq * abs(s.f)))
+        assert s.work <= stored(q0) - stored(s.q) + rounding + 1e-12
+
+
+@asked
+@given(st.floats(0.05, 0.99), signed, signed, steps)
+def test_a_gear_takes_its_share_of_the_driving_force(eta, v0, drive, h):
+    s = Step(loss_force, [1 - eta], v0=v0, drive=drive, h=h)
+    assume(v0 != 0 and v0 * s.v > 0)
+    assert s.f == pytest.approx(-math.copysign((1 - eta) * abs(drive), v0), abs=1e-9 * (abs(drive) + abs(v0) / s.gv))
+
+
+@asked
+@given(positive, st.floats(0.1, 1e3), signed, signed, st.floats(0, 1e4), steps)
+def test_a_warm_winding_drops_the_rise_of_its_resistance(rise, T, i0, drive, time, h):
+    s = Step(heating_drop, [rise, T], v0=i0, drive=drive, h=h, time=time)
+    resistance = rise * (1 - math.exp(-(time + h / 2) / T))
+    rounding = 1e-9 * resistance * (abs(i0) + s.gv * abs(drive))
+    assert s.f == pytest.approx(-resistance * 0.5 * (i0 + s.v), rel=1e-6, abs=rounding + 1e-12)
+
+
+def mass(effects, values, n, h, x0=(0.0, 0.0), force=None, t0=0.0, c=0.0):
+    """States (n, 2) and forces (n, laws) of a free mass with effects at its joint."""
+    plant = rl.plant("mass-spring-damper", m=MASS, c=c, k=0.0)
+    pairs = [(effect(name), Site("joint", "v")) for name in effects]
+    u = np.zeros(n) if force is None else force
+    motion = Simulator(plant, pairs, u[:, None], h, t0).run({}, values, np.array([x0]), Windows(np.array([0]), n))
+    return motion.states[0], motion.forces[0]
+
+
+def test_a_sliding_mass_stops_after_its_energy_is_spent():
+    states, _ = mass(["coulomb-friction"], [{"Fc": 4.0}], 2000, 1e-3, x0=(0.0, 3.0))
+    assert states[-1, 0] == pytest.approx(3.0**2 * MASS / (2 * 4.0), rel=1e-6)
+    assert (states[1501:, 1] == 0).all()
+
+
+def test_a_mass_on_uneven_ground_stops_where_its_energy_is_spent():
+    values = {"Fc": 4.0, "Pc": 2.0, "Ps": 1.0, "k": 9.0}
+    for v0 in (3.0, -3.0):
+        states, _ = mass(["position-dependent-friction"], [values], 4000, 1e-3, x0=(0.0, v0))
+        q = states[-1, 0]
+        work = 4.0 * q + (2.0 * math.sin(9 * q) + 1.0 * (1 - math.cos(9 * q))) / 9
+        assert states[-1, 1] == 0.0
+        assert abs(work) == pytest.approx(0.5 * MASS * v0**2, rel=1e-5)
+
+
+def test_stribeck_breakaway_level_and_stopping_time():
+    values = {"Fc": 2.0, "dF": 3.0, "vs": 0.5}
+    ramp = np.arange(4000) * 1e-3 * 2.0
+    states, force = mass(["stribeck-friction"], [values], 4000, 1e-3, force=ramp)
+    first = np.flatnonzero(states[:, 1])[0]
+    assert 5.0 < ramp[first - 1] <= 5.0 + 2.0e-3 * (1 + 1e-9)  # breaks away with the first force above Fc + dF
+    assert force[-1, 0] == pytest.approx(-2.0, abs=1e-6)  # and slides at Fc
+
+    def friction(v):
+        return 2.0 + 3.0 * math.exp(-((v / 0.5) ** 2))
+
+    states, _ = mass(["stribeck-friction"], [values], 3000, 1e-3, x0=(0.0, 2.0))
+    time = quad(lambda v: MASS / friction(v), 0, 2.0)[0]
+    way = quad(lambda v: MASS * v / friction(v), 0, 2.0)[0]
+    assert np.flatnonzero(states[:, 1] == 0)[0] * 1e-3 == pytest.approx(time, abs=1e-3)
+    assert states[-1, 0] == pytest.approx(way, rel=1e-6)
+
+
+@pytest.mark.parametrize("v", [0.05, 0.2, 1.0, -0.3])
+def test_stribeck_friction_at_slow_steady_speeds(v):
+    values, c = {"Fc": 2.0, "dF": 3.0, "vs": 0.5}, 10.0  # enough damping for every speed to be stable
+    held = c * v + math.copysign(2.0 + 3.0 * math.exp(-((v / 0.5) ** 2)), v)
+    states, _ = mass(["stribeck-friction"], [values], 8000, 1e-3, x0=(0.0, v * 1.2), force=np.full(8000, held), c=c)
+    assert states[-1, 1] == pytest.approx(v, rel=1e-9)
+
+
+def test_presliding_hysteresis_loop_has_the_area_of_dahls():
+    level, stiffness, a = 2.0, 1e4, 5e-4
+    limit, n = level / stiffness, 4000
+    q = a * np.sin(2 * np.pi * np.arange(3 * n) / n)
+    z, f = 0.0, []
+    for here, there in itertools.pairwise(q):
+        s = Step(presliding_force, [level, stiffness], v0=(there - here) / 1e-3, h=1e-3, z=z, mass=1e12)
+        z = s.z
+        f.append(s.f)
+    area = -np.sum((f * np.diff(q))[n : 2 * n])
+    x = a / limit
+    assert area == pytest.approx(4 * level * (a - limit * math.tanh(x)), rel=3e-3)
+    assert max(f[n:]) == pytest.approx(level * math.tanh(x), rel=1e-6)
+
+
+def test_presliding_gives_way_like_a_spring_and_then_slides():
+    level, stiffness = 2.0, 1e3
+    slow = np.minimum(np.arange(20000) * 1e-3 * 0.08, 1.0)  # half of the level
+    states, force = mass(["presliding"], [{"Fc": level, "sigma0": stiffness}], 20000, 1e-3, force=slow, c=200.0)
+    assert states[-1, 0] == pytest.approx(-level / stiffness * math.log(1 - 0.5), rel=1e-4)
+    assert force[-1, 0] == pytest.approx(-1.0, rel=1e-4)
+    states, _ = mass(["presliding"], [{"Fc": level, "sigma0": 1e9}], 2000, 1e-3, x0=(0.0, 1.0))
+    assert states[-1, 0] == pytest.approx(MASS / (2 * level), rel=1e-3)  # like Coulomb's, and without ringing
+    assert abs(states[-1, 1]) < 1e-9
+
+
+@pytest.mark.parametrize(("v0", "b"), [(2.0, 1.5), (-2.0, 0.5)])
+def test_asymmetric_viscous_friction_decays_by_its_direction(v0, b):
+    states, _ = mass(["asymmetric-viscous-friction"], [{"dFv": 0.5}], 3000, 1e-3, x0=(0.0, v0), c=1.0)
+    np.testing.assert_allclose(states[:, 1], v0 * np.exp(-b * np.arange(3000) * 1e-3 / MASS), rtol=1e-5)
+
+
+def test_a_constant_load_is_free_fall():
+    states, _ = mass(["constant-load"], [{"T0": 3.0}], 1000, 1e-3)
+    np.testing.assert_allclose(states[:, 0], -0.5 * 3.0 / MASS * (np.arange(1000) * 1e-3) ** 2, atol=1e-12)
+
+
+def test_drag_decays_and_holds_the_terminal_speed():
+    states, _ = mass(["quadratic-drag"], [{"c": 0.3}], 3000, 1e-3, x0=(0.0, -5.0))
+    np.testing.assert_allclose(states[:, 1], -5.0 / (1 + 0.3 * 5.0 * np.arange(3000) * 1e-3 / MASS), rtol=1e-6)
+    states, _ = mass(["quadratic-drag"], [{"c": 0.3}], 40000, 1e-3, force=np.full(40000, 2.7))
+    assert states[-1, 1] == pytest.approx(3.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("v0", [0.5, 4.0])  # caught in a well, and running over the crests
+def test_cogging_keeps_the_energy(v0):
+    values = {"Ac": 3.0, "As": 1.0, "k": 7.0}
+    states, _ = mass(["cogging"], [values], 20000, 1e-3, x0=(0.0, v0))
+    q, v = states.T
+    energy = 0.5 * MASS * v**2 - (3.0 * np.sin(7 * q) - 1.0 * np.cos(7 * q)) / 7
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+    assert np.ptp(q) < 2 if v0 < 1 else np.ptp(q) > 50
+
+
+def test_a_cubic_spring_swings_with_duffings_period_and_keeps_the_energy():
+    k3, a = 40.0, 0.3
+    states, _ = mass(["cubic-stiffness"], [{"k3": k3}], 40000, 1e-3, x0=(a, 0.0))
+    q, v = states.T
+    energy = 0.5 * MASS * v**2 + k3 * q**4 / 4
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+    down = np.flatnonzero((q[:-1] > 0) & (q[1:] <= 0))
+    crossing = 1e-3 * (down + q[down] / (q[down] - q[down + 1]))
+    period = 4 * ellipk(0.5) / (a * math.sqrt(k3 / MASS))
+    assert np.diff(crossing).mean() == pytest.approx(period, rel=1e-4)
+
+
+def test_stops_hold_a_load_and_return_what_their_damping_leaves():
+    stop = {"q_min": -1.0, "q_max": 1.0, "kc": 500.0, "dc": 0.0}
+    states, _ = mass(["end-stop"], [stop], 20000, 1e-3, x0=(0.0, 2.0))
+    assert states[-1, 1] ** 2 == pytest.approx(4.0, rel=1e-6) or abs(states[-1, 0]) > 1.0
+    inside = np.abs(states[:, 0]) < 0.99
+    np.testing.assert_allclose(np.abs(states[inside, 1]), 2.0, rtol=1e-6)
+    assert np.abs(states[:, 0]).max() == pytest.approx(1 + 2.0 * math.sqrt(MASS / 500.0), rel=1e-3)
+    # A damped impact that lets go where spring and damper no longer push: Kelvin-Voigt's restitution.
+    zeta = 0.3
+    damped = {**stop, "dc": 2 * zeta * math.sqrt(500.0 * MASS)}
+    states, _ = mass(["end-stop"], [damped], 12000, 1e-4, x0=(0.9, 2.0))
+    swing = math.sqrt(1 - zeta**2)
+    expected = math.exp(-zeta / swing * math.atan2(2 * zeta * swing, 2 * zeta**2 - 1))
+    after = states[np.flatnonzero(states[:, 1] < 0)[-1], 1] if states[-1, 0] < 0.9 else states[-1, 1]
+    assert -after / 2.0 == pytest.approx(expected, rel=0.01)
+    states, _ = mass(["end-stop"], [damped], 20000, 1e-3, force=np.full(20000, 50.0))
+    assert states[-1] == pytest.approx([1.0 + 50.0 / 500.0, 0.0], abs=1e-9)
+
+
+def test_a_gear_speeds_up_by_eta_and_slows_down_by_two_less_eta():
+    force = np.where(np.arange(2000) < 1000, 3.0, -3.0)
+    states, _ = mass(["gear-efficiency"], [{"eta": 0.7}], 2000, 1e-3, force=force)
+    v = states[:, 1]
+    assert v[1000] == pytest.approx(0.7 * 3.0 / MASS, rel=1e-9)
+    down = v[1000] / (1.3 * 3.0 / MASS)  # time to stop
+    assert v[-1] == pytest.approx(-0.7 * 3.0 / MASS * (0.999 - down), rel=1e-9)
+
+
+def test_no_current_flows_below_the_brush_drop_and_its_rest_above():
+    plant = rl.plant("dc-motor", J=1.0)  # as good as locked
+    p = plant.values
+    for volt, expected in ((0.55, 0.0), (-0.55, 0.0), (2.0, 1.4 / p["R"]), (-2.0, -1.4 / p["R"])):
+        simulator = Simulator(plant, [(effect("brush-drop"), Site("current", "i"))], np.full((50, 1), volt), 1e-3)
+        states = simulator.run({}, [{"Vb": 0.6}], np.zeros((1, 3)), Windows(np.array([0]), 50)).states[0]
+        assert states[-1, 2] == pytest.approx(expected, rel=2e-3, abs=1e-15)
+
+
+def test_a_window_late_in_the_run_is_warm():
+    plant = rl.plant("dc-motor", J=1e3)
+    r = plant.values["R"]
+    pair = (effect("resistance-heating"), Site("current", "i"))
+    for t0 in (0.0, 100.0):
+        simulator = Simulator(plant, [pair], np.full((1000, 1), 4.0), 1e-3, t0)
+        windows = Windows(np.array([0, 900]), 100)
+        states = simulator.run({}, [{"dR_inf": 0.8, "T": 60.0}], np.zeros((2, 3)), windows).states
+        warm = 0.8 * (1 - math.exp(-(t0 + 0.9985) / 60.0))
+        assert states[1, -1, 2] == pytest.approx(4.0 / (r + warm), rel=1e-5)
+
+
+def scales():
+    return Scales(
+        force=0.04, speed=300.0, position=40.0, lowest=-5.0, highest=35.0, inertia=2e-5, current=3.0, dt=1e-3,
+        duration=5.0, orders=(13.0,), force_unit="N m", speed_unit="rad/s", position_unit="rad",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", JOINT_EFFECTS + CURRENT_EFFECTS)
+@pytest.mark.parametrize("seen", [Scales(), scales()], ids=["unknown", "motor"])
+def test_every_start_is_a_value_of_every_prior(name, seen):
+    one = effect(name)
+    names = [p.name for p in one.parameters(seen)]
+    starts = one.starts(seen)
+    assert 1 <= len(starts) <= 3
+    for start in starts:
+        assert one.checked(start) == start
+        for p in one.parameters(seen):
+            z = p.prior.standardised(start[p.name])
+            assert abs(z) < 3
+            assert p.prior.value(z) == pytest.approx(start[p.name], abs=1e-12)
+        (law,) = one.laws(Site(one.site_kind, "somewhere"), start)
+        assert law.port == "somewhere"
+        assert len(law.parameters) == len(names)
+        assert np.isfinite(law.parameters).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "where"),
+    [
+        ("coulomb-friction", {"Fc": 0.003}, "Fc"),
+        ("coulomb-friction", {"Fc": 0.03}, "Fc"),
+        ("stribeck-friction", {"Fc": 0.01, "dF": 0.01, "vs": 5.0}, "vs"),
+        ("presliding", {"Fc": 0.02, "sigma0": 5.0}, "sigma0"),
+        ("quadratic-drag", {"c": 0.01 / 400**2}, "c"),
+        ("gear-efficiency", {"eta": 0.7}, "eta"),
+        ("constant-load", {"T0": 0.01}, "T0"),
+        ("resistance-heating", {"dR_inf": 0.8, "T": 60.0}, "T"),
+    ],
+)
+def test_the_catalogues_magnitudes_lie_within_the_priors_of_a_motor(name, values, where):
+    seen = scales()
+    if name == "resistance-heating":
+        seen = Scales(force=12.0, speed=5.0, current=5.0, duration=5.0, force_unit="V")
+    for p in effect(name).parameters(seen):
+        assert abs(p.prior.standardised(values[p.name])) < 2.5, p.name
+
+
+def test_effects_of_the_position_sit_only_where_there_is_one():
+    fan = StateSpaceModel(
+        [[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["w"], states=[Signal("w", "rad/s")]
+    )
+    plant = linear_plant_of(fan)
+    model = port_model(plant)
+    motor = rl.plant("dc-motor")
+    for name in JOINT_EFFECTS:
+        needs = name in ("cogging", "cubic-stiffness", "end-stop", "position-dependent-friction")
+        assert len(effect(name).sites(plant, model)) == (0 if needs else 1)
+        assert [s.name for s in effect(name).sites(motor, port_model(motor))] == ["omega"]
+    for name in CURRENT_EFFECTS:
+        assert effect(name).sites(plant, model) == ()
+        assert [s.name for s in effect(name).sites(motor, port_model(motor))] == ["i"]
+
+
+@pytest.mark.parametrize("amplitude", [0.3, 2.0, 50.0])
+def test_footprints_of_dry_laws_are_describing_functions(amplitude):
+    values = {"Fc": 2.0, "dF": 3.0, "vs": 1.5}
+
+    def first_harmonic(friction):
+        return quad(lambda a: friction(amplitude * math.sin(a)) * math.sin(a), 0, math.pi)[0] / (
+            0.5 * math.pi * amplitude
+        )
+
+    found = effect("stribeck-friction").footprint(Site("joint", "v"), values, amplitude)
+    expected = first_harmonic(lambda v: 2.0 + 3.0 * math.exp(-((v / 1.5) ** 2)))
+    assert found.gain_upper == pytest.approx(expected, rel=1e-6)
+    found = effect("coulomb-friction").footprint(Site("joint", "v"), {"Fc": 2.0}, amplitude)
+    assert found.gain_upper == pytest.approx(first_harmonic(lambda v: 2.0), rel=1e-9)
+    found = effect("brush-drop").footprint(Site("current", "i"), {"Vb": 2.0}, amplitude)
+    assert found.gain_upper == pytest.approx(first_harmonic(lambda v: 2.0), rel=1e-9)
+
+
+def test_footprints_of_smooth_laws_are_their_sectors():
+    a = 3.0
+    x = np.concatenate([np.linspace(-a, -1e-6, 501), np.linspace(1e-6, a, 501)])
+    for name, values, force in (
+        ("quadratic-drag", {"c": 0.4}, 0.4 * x * np.abs(x)),
+        ("asymmetric-viscous-friction", {"dFv": -0.4}, -0.4 * np.abs(x)),
+        ("cubic-stiffness", {"k3": -0.4}, -0.4 * x**3),
+    ):
+        found = effect(name).footprint(Site("joint", "v"), values, a)
+        assert (force / x).min() == pytest.approx(found.gain_lower, abs=1e-6)
+        assert (force / x).max() == pytest.approx(found.gain_upper, abs=1e-6)
+    slope = -0.3 * 5 * np.cos(5 * x) + 0.4 * 5 * np.sin(5 * x)
+    found = effect("cogging").footprint(Site("joint", "v"), {"Ac": 0.4, "As": 0.3, "k": 5.0}, a)
+    assert (slope.min(), slope.max()) == pytest.approx((found.gain_lower, found.gain_upper), rel=1e-4)
+    assert found.offset == pytest.approx(0.5)
