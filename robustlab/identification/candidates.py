@@ -83,6 +83,8 @@ def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[
         force=max(force, lacking) or 1.0,
         speed=max(float(np.abs(v).max()) for _, v, _, _ in motion) or 1.0,
         position=max(float(np.ptp(q)) for q, _, _, _ in motion) or 1.0,
+        lowest=min(float(q.min()) for q, _, _, _ in motion),
+        highest=max(float(q.max()) for q, _, _, _ in motion),
         inertia=inertia,
         current=float(max(currents, default=1.0)) or 1.0,
         orders=_merged_orders(motion) if port.position is not None else (),

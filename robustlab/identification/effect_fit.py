@@ -173,7 +173,10 @@ class Problem:
     def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
         """Plant factors and effect values of the standardised parameters."""
         factors = {}
+        wrong = {c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"}
         for nuisance, value in zip(self.nuisances, z, strict=False):
+            if nuisance.label in wrong:  # the effect's own factor is the whole factor
+                continue
             factors.update(dict.fromkeys(nuisance.names, float(np.exp(nuisance.spread * value))))
         values, at = [], len(self.nuisances)
         for candidate in hypothesis.candidates:
@@ -206,12 +209,22 @@ class Problem:
         self, k: int, simulator: Simulator, factors: Mapping[str, float], values: Sequence[Mapping[str, float]], xi: Array
     ) -> Array:
         record, chosen = self.records[k], self.chosen[k]
-        windows = Windows(record.windows.starts[chosen], record.windows.length)
-        x0 = record.x0[chosen] + record.x0_std[chosen] * xi
         with np.errstate(all="ignore"):
-            motion = simulator.run(factors, values, x0, windows)
-        error = record.measured[chosen] - motion.outputs[:, :, list(record.columns)]
-        return averaged(error, record.thin)
+            outputs = self.outputs(k, simulator, factors, values, xi)
+        return averaged(record.measured[chosen] - outputs, record.thin)
+
+    def outputs(
+        self, k: int, simulator: Simulator, factors: Mapping[str, float], values: Sequence[Mapping[str, float]], xi: Array
+    ) -> Array:
+        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
+        record, chosen = self.records[k], self.chosen[k]
+        everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
+        used = np.arange(record.count) if everything else chosen
+        x0 = record.x0.copy()
+        x0[chosen] += record.x0_std[chosen] * xi
+        windows = Windows(record.windows.starts[used], record.windows.length)
+        outputs = simulator.run(factors, values, x0[used], windows).outputs[:, :, list(record.columns)]
+        return outputs[chosen] if everything else outputs
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
         """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
@@ -397,10 +410,7 @@ def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:
 def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:
     """Outputs of the chosen windows under a fit, (n_windows, length, n_measured) a record."""
     factors, values = problem.split(fit.hypothesis, fit.z)
-    outputs = []
-    for k, simulator in enumerate(problem.simulators(fit.hypothesis)):
-        record, chosen = problem.records[k], problem.chosen[k]
-        x0 = record.x0[chosen] + record.x0_std[chosen] * fit.starts[k]
-        windows = Windows(record.windows.starts[chosen], record.windows.length)
-        outputs.append(simulator.run(factors, values, x0, windows).outputs[:, :, list(record.columns)])
-    return outputs
+    return [
+        problem.outputs(k, simulator, factors, values, fit.starts[k])
+        for k, simulator in enumerate(problem.simulators(fit.hypothesis))
+    ]

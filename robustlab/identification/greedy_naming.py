@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 MOST_EFFECTS = 5
 # A new effect must be this much more probable than none, on top of the number of effects that were tried.
 CONVINCING = 4.0
+WRONG_PARAMETER = 2.0  # the same for a parameter beyond its tolerance: those are few, and asked for by name
 REFINING = 5.0  # log evidence that a refinement must be ahead of its parent
 HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
 HELD_OUT_FALL = 0.01  # of the held-out error
@@ -136,7 +137,9 @@ def _decided(
     for entry in ranking.ranked:
         if entry.candidate is None:
             return Step(base, ranking, None, "stop: nothing is more probable than what is named", np.nan)
-        if entry.evidence - ranking.base.evidence < threshold:
+        if entry.evidence - ranking.base.evidence < (WRONG_PARAMETER if _is_parameter(entry) else threshold):
+            if any(_is_parameter(later) for later in ranking.ranked[ranking.ranked.index(entry) + 1 :]):
+                continue
             return Step(base, ranking, None, "stop: no further effect is convincing", np.nan)
         if not allowed(problem, entry.fit, entry.candidate):
             continue
@@ -150,6 +153,10 @@ def _decided(
                 chosen = parent
         return _judged_on_held_out(held, base, ranking, chosen)
     return Step(base, ranking, None, "stop: no effect is left", np.nan)
+
+
+def _is_parameter(entry: Ranked) -> bool:
+    return entry.candidate is not None and entry.candidate.site.kind == "parameter"
 
 
 def _parent(entry: Ranked, ranking: Ranking) -> Ranked | None:
@@ -180,7 +187,9 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
         ranking.base.fit.z @ ranking.base.fit.z - chosen.fit.z @ chosen.fit.z
     )
     fall_before, fall_after = rms_percent(held, before), rms_percent(held, after)
-    if gain < HELD_OUT_GAIN or fall_after > (1.0 - HELD_OUT_FALL) * fall_before:
+    # The refit may have stretched a tolerance to fit a wrong parameter; naming it then explains, but gains nothing.
+    helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - HELD_OUT_FALL) * fall_before
+    if not helps and not (_is_parameter(chosen) and fall_after < (1.0 + HELD_OUT_FALL) * fall_before):
         text = (
             f"stop: {chosen.id} does not help on held-out data "
             f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +129,7 @@ def rank(
     jobs = [
         (candidate, *_extended(problem, base, base_fit.z, candidate, start))
         for candidate in candidates
-        for start in candidate.starts
+        for start in (*candidate.starts, *_as_refitted(problem, base_fit, candidate))
     ]
 
     half = problem.on(problem.records, [c[::2] for c in problem.chosen]) if _many(problem) else problem
@@ -156,9 +156,26 @@ def rank(
         second.sort(key=lambda c: c[1].cost)
         leader = second[0][1] if second and second[0][1].cost < base_fit.cost else base_fit
         final_noise = whitening(problem, leader)
-        last: list[tuple[Candidate | None, Fit]] = [(None, base_fit), *second[:KEPT_LAST]]
+        # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
+        reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
+        wrong = [fitted[key] for key in fitted if key not in reached and fitted[key][0].site.kind == "parameter"]
+        last: list[tuple[Candidate | None, Fit]] = [
+            (None, base_fit),
+            *second[:KEPT_LAST],
+            *((c, replace(fit, starts=base_fit.starts)) for c, fit in wrong),
+        ]
         final = list(pool.map(on(LAST, final_noise), last))
     return _ranked(final, final_noise)
+
+
+def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dict[str, float], ...]:
+    """For a wrong parameter: the factor that the refit within the tolerances has already stretched it to."""
+    if candidate.site.kind != "parameter":
+        return ()
+    for nuisance, z in zip(problem.nuisances, base.z, strict=False):
+        if nuisance.label == candidate.site.name:
+            return ({candidate.parameters[0].name: float(np.exp(nuisance.spread * z))},)
+    return ()
 
 
 def _many(problem: Problem) -> bool:

@@ -199,6 +199,8 @@ class Effect(ABC):
     spatial
         True where its period over the position is a parameter; it is then tried at each strong spatial line
         (``scales.orders`` holds the one line of a trial).
+    long_memory
+        True where its memory outlasts a window (heat), so that windows cannot be simulated out of order.
     structural
         True where it splits the joint in two (backlash, a flexible coupling); a plant carries one of these.
     """
@@ -212,6 +214,7 @@ class Effect(ABC):
     nameable: bool = True
     spatial: bool = False
     structural: bool = False
+    long_memory: bool = False
 
     @abstractmethod
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:

@@ -1,10 +1,11 @@
-r"""A winding that warms up: a resistance that grows during the run.
+r"""A winding that warms up: a resistance that grows with the heat it has taken.
 
-.. math:: f = -\Delta R_\infty \left(1 - e^{-t/T}\right) i
+.. math:: f = -\Delta R\, i, \qquad T\, \dot{\Delta R} = \kappa\, i^2 - \Delta R
 
-t is the time since the beginning of the run; f is a voltage. :math:`\Delta R_\infty` is in ohm, as a law knows its own
-parameters only: 0.39 % of the winding's resistance per K of final temperature rise (copper). A record much shorter than
-T shows the ratio :math:`\Delta R_\infty / T` alone.
+f is a voltage. One thermal body that is cold at the beginning of the run: at a steady current the resistance grows by
+:math:`\kappa i^2 (1 - e^{-t/T})`. :math:`\kappa` is in ohm per square ampere: 0.39 % of the winding's resistance per K
+(copper), times its thermal resistance, times the resistance that heats it. A record much shorter than T shows the
+ratio :math:`\kappa / T` alone.
 """
 
 from __future__ import annotations
@@ -13,16 +14,20 @@ import math
 from collections.abc import Mapping
 
 from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GV, STEP, TIME, V0, V, law
+from robustlab.dynamics.effects.law_kernel import GV, STEP, V0, V, law
 
 __all__ = ["EFFECT", "heating_drop"]
 
 
 @law
 def heating_drop(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Drop of p = (dR_inf, T) at the middle of the step: mean current times resistance there."""
-    resistance = -p[0] * math.expm1(-(seen[TIME] + 0.5 * seen[STEP]) / p[1])
-    return -resistance * 0.5 * (seen[V0] + seen[V]) / (1.0 + 0.5 * seen[GV] * resistance)
+    """Drop of p = (kappa, T) at the middle of the step: mean current times the resistance z[0] there."""
+    resistance = z[0]
+    drop = -resistance * 0.5 * (seen[V0] + seen[V]) / (1.0 + 0.5 * seen[GV] * resistance)
+    current = 0.5 * (seen[V0] + seen[V] + seen[GV] * drop)
+    final = p[0] * current * current
+    z_next[0] = final + (resistance - final) * math.exp(-seen[STEP] / p[1])
+    return drop
 
 
 class ResistanceHeating(Effect):
@@ -30,28 +35,32 @@ class ResistanceHeating(Effect):
 
     id = "resistance-heating"
     title = "Heating of the winding"
-    equation = "f = -dR_inf (1 - exp(-t/T)) i, t since the beginning of the run"
+    equation = "f = -dR i, T dR' = kappa i^2 - dR"
     site_kind = "current"
     substeps = 4  # electric time constants are shorter than a sample
+    long_memory = True
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        # The largest voltage over the largest current is a resistance of the winding's size.
-        rise = Prior("log", 0.2 * scales.force / scales.current, 1.5)
+        time = Prior("log", 3.0 * scales.duration, 1.5)
         return (
-            EffectParameter("dR_inf", "Ohm", "final rise of the resistance", rise),
-            EffectParameter("T", "s", "thermal time constant", Prior("log", 3.0 * scales.duration, 1.5)),
+            EffectParameter("kappa", "Ohm/A2", "final rise per squared current", Prior("log", _rise(scales), 1.5)),
+            EffectParameter("T", "s", "thermal time constant", time),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        rise = 0.2 * scales.force / scales.current
-        return tuple({"dR_inf": rise, "T": share * scales.duration} for share in (0.5, 5.0))
+        return tuple({"kappa": _rise(scales), "T": share * scales.duration} for share in (0.5, 5.0))
 
     def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(heating_drop, site.name, (values["dR_inf"], values["T"])),)
+        return (Law(heating_drop, site.name, (values["kappa"], values["T"]), memory=1),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # A resistance anywhere between cold and warm.
-        return Footprint(site.name, "current", 0.0, values["dR_inf"])
+        # A resistance anywhere between cold and the warmest that this current can make it.
+        return Footprint(site.name, "current", 0.0, values["kappa"] * amplitude**2)
+
+
+def _rise(scales: Scales) -> float:
+    """A fifth of a resistance of the winding's size, at a third of the largest current."""
+    return 0.2 * scales.force / scales.current / (scales.current / 3.0) ** 2
 
 
 EFFECT = ResistanceHeating()

@@ -236,12 +236,12 @@ def test_a_gear_takes_its_share_of_the_driving_force(eta, v0, drive, h):
 
 
 @asked
-@given(positive, st.floats(0.1, 1e3), signed, signed, st.floats(0, 1e4), steps)
-def test_a_warm_winding_drops_the_rise_of_its_resistance(rise, T, i0, drive, time, h):
-    s = Step(heating_drop, [rise, T], v0=i0, drive=drive, h=h, time=time)
-    resistance = rise * (1 - math.exp(-(time + h / 2) / T))
-    rounding = 1e-9 * resistance * (abs(i0) + s.gv * abs(drive))
-    assert s.f == pytest.approx(-resistance * 0.5 * (i0 + s.v), rel=1e-6, abs=rounding + 1e-12)
+@given(positive, st.floats(0.1, 1e3), signed, signed, positive, steps)
+def test_a_warm_winding_drops_the_rise_of_its_resistance(kappa, T, i0, drive, warm, h):
+    s = Step(heating_drop, [kappa, T], v0=i0, drive=drive, h=h, z=warm)
+    mean = 0.5 * (i0 + s.v)
+    rounding = 1e-9 * warm * (abs(i0) + s.gv * abs(drive))
+    assert s.f == pytest.approx(-warm * mean, rel=1e-6, abs=rounding + 1e-12)
 
 
 def mass(effects, values, n, h, x0=(0.0, 0.0), force=None, t0=0.0, c=0.0):
@@ -398,16 +398,16 @@ def test_no_current_flows_below_the_brush_drop_and_its_rest_above():
         assert states[-1, 2] == pytest.approx(expected, rel=2e-3, abs=1e-15)
 
 
-def test_a_window_late_in_the_run_is_warm():
+def test_a_winding_warms_up_exponentially_at_a_steady_current():
     plant = rl.plant("dc-motor", J=1e3)
-    r = plant.values["R"]
-    pair = (effect("resistance-heating"), Site("current", "i"))
-    for t0 in (0.0, 100.0):
-        simulator = Simulator(plant, [pair], np.full((1000, 1), 4.0), 1e-3, t0)
-        windows = Windows(np.array([0, 900]), 100)
-        states = simulator.run({}, [{"dR_inf": 0.8, "T": 60.0}], np.zeros((2, 3)), windows).states
-        warm = 0.8 * (1 - math.exp(-(t0 + 0.9985) / 60.0))
-        assert states[1, -1, 2] == pytest.approx(4.0 / (r + warm), rel=1e-5)
+    r, kappa, time = plant.values["R"], 1e-4, 0.3  # so small that the current stays what it is
+    simulator = Simulator(plant, [(effect("resistance-heating"), Site("current", "i"))], np.full((1000, 1), 4.0), 1e-3)
+    windows = Windows(np.array([0, 500]), 500)
+    start = np.array([[0.0, 0.0, 4.0 / r], [0.0, 0.0, 4.0 / r]])
+    states = simulator.run({}, [{"kappa": kappa, "T": time}], start, windows).states
+    for window, k in ((0, 499), (1, 499)):
+        warm = kappa * (4.0 / r) ** 2 * (1 - math.exp(-(0.5 * window + 1e-3 * k) / time))
+        assert 4.0 / states[window, k, 2] - r == pytest.approx(warm, rel=2e-2)
 
 
 def scales():
@@ -446,7 +446,7 @@ def test_every_start_is_a_value_of_every_prior(name, seen):
         ("quadratic-drag", {"c": 0.01 / 400**2}, "c"),
         ("gear-efficiency", {"eta": 0.7}, "eta"),
         ("constant-load", {"T0": 0.01}, "T0"),
-        ("resistance-heating", {"dR_inf": 0.8, "T": 60.0}, "T"),
+        ("resistance-heating", {"kappa": 0.8 / 2.0**2, "T": 60.0}, "T"),
     ],
 )
 def test_the_catalogues_magnitudes_lie_within_the_priors_of_a_motor(name, values, where):

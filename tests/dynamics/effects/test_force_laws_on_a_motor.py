@@ -111,11 +111,6 @@ SMOOTH = {
             )
         },
     ),
-    "resistance-heating": (
-        CURRENT,
-        {"dR_inf": 1.5, "T": 0.2},
-        {"drop": lambda t, i: -1.5 * (1 - np.exp(-t / 0.2)) * i},
-    ),
 }
 
 
