@@ -198,3 +198,7 @@ class SteppedPlant(NonlinearPlant):
         self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
     ) -> StateSpaceModel:
         """Linear model at an operating point; sectors at the given amplitudes, delays of the given Padé order."""
+
+    @abstractmethod
+    def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
+        """What that model does not have."""

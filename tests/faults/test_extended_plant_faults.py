@@ -67,6 +67,11 @@ def test_an_effect_without_any_place_is_refused():
         rl.with_effects(tank(), {"coulomb-friction": {"Fc": 1.0}})
 
 
+def test_the_nonlinear_platform_is_refused_with_the_way_to_its_friction():
+    with pytest.raises(rl.InputError, match=r"(?s)nonlinear plant.*stewart\.friction"):
+        rl.with_effects(rl.plant("stewart-platform"), {"coulomb-friction": {"Fc": 1.0}})
+
+
 @pytest.mark.parametrize("base", [3.0, "dc-motor"])
 def test_what_is_no_plant_is_refused(base):
     with pytest.raises(rl.InputError, match="linear Plant"):

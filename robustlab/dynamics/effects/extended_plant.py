@@ -26,7 +26,7 @@ from robustlab.dynamics.effects.law_forces import holding_force, is_set_valued, 
 from robustlab.dynamics.effects.port_model import Port, PortModel, linear_plant_of
 from robustlab.dynamics.effects.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import Array, SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import Array, NonlinearPlant, SteppedPlant, Trim
 from robustlab.errors import InputError, did_you_mean
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
@@ -313,6 +313,13 @@ def with_effects(
     >>> simulate(axis, [0.0, 0.1, 0.2], [0.5, 0.5, 0.5])["v"]  # 0.5 V push with 17.6 N: it sticks
     array([0., 0., 0.])
     """
+    if isinstance(plant, NonlinearPlant) and not isinstance(plant, ExtendedPlant):
+        raise InputError(
+            "with_effects",
+            f"{plant.name} is a nonlinear plant",
+            "a linear Plant or a StateSpaceModel",
+            "dry friction at the nuts of the platform: robustlab.dynamics.stewart.friction",
+        )
     base = plant.plant if isinstance(plant, ExtendedPlant) else linear_plant_of(plant, "with_effects")
     attached = list(plant.effects) if isinstance(plant, ExtendedPlant) else []
     if isinstance(effects, Mapping):
