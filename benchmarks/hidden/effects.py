@@ -151,7 +151,7 @@ def _position_friction(r: np.random.Generator, s: Setting) -> Parameters:
 
 
 def _cogging(r: np.random.Generator, s: Setting) -> Parameters:
-    order = float(r.choice([1.0, 2.0, 4.0, 7.0, 13.0]))
+    order = float(r.choice([1.0, 2.0, 4.0, 7.0, 13.0] if s.setup.electrical else [1.0, 2.0]))
     size = r.uniform(2e-3, 5e-3) * (1.0 + order / 13.0)
     return {"A": s.torque * size, "n": order / s.length, "a": _angle(r)}
 
@@ -166,7 +166,7 @@ def _reduced(m: Machine, share: float) -> float:
 
 
 def _flexible(r: np.random.Generator, s: Setting) -> Parameters:
-    return {"share": r.uniform(0.3, 0.6), "frequency": r.uniform(15, 60), "damping": r.uniform(0.03, 0.12)}
+    return {"share": r.uniform(0.3, 0.6), "frequency": r.uniform(*s.setup.resonance), "damping": r.uniform(0.03, 0.12)}
 
 
 def _put_flexible(m: Machine, p: Parameters, s: Setting) -> Machine:
@@ -257,7 +257,7 @@ EFFECTS: Mapping[str, Hidden] = {
     "flexible-coupling": Hidden(_flexible, _put_flexible),
     "input-delay": Hidden(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, lambda m, p, s: m._replace(delay=p["delay"])),
     "input-dead-zone": Hidden(
-        lambda r, s: {"V": s.setup.largest / 24 * r.uniform(0.4, 1.2)}, lambda m, p, s: m._replace(dead=p["V"])
+        lambda r, s: {"V": s.setup.largest * r.uniform(1 / 60, 1 / 20)}, lambda m, p, s: m._replace(dead=p["V"])
     ),
     "brush-drop": Hidden(lambda r, s: {"V": r.uniform(0.3, 1.0)}, lambda m, p, s: m._replace(Vb=p["V"], i_s=4e-3)),
     "input-saturation": Hidden(
@@ -330,7 +330,11 @@ def _put_hysteretic(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 def _resonance(r: np.random.Generator, s: Setting) -> Parameters:
-    return {"share": r.uniform(0.5, 0.6), "frequency": r.uniform(12, 20), "hardening": r.uniform(4, 8)}
+    return {
+        "share": r.uniform(0.5, 0.6),
+        "frequency": s.setup.resonance[0] * r.uniform(0.8, 1.3),
+        "hardening": r.uniform(4, 8),
+    }
 
 
 def _put_resonance(m: Machine, p: Parameters, s: Setting) -> Machine:
@@ -352,7 +356,8 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
         _put_hysteretic,
     ),
     "field-weakening": Hidden(
-        lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke}, lambda m, p, s: m._replace(weakening=p["speed"])
+        lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke},
+        lambda m, p, s: m._replace(weakening=p["speed"]),
     ),
     "telegraph-load": Hidden(
         lambda r, s: {
@@ -364,7 +369,7 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
         _telegraph,
     ),
     "timed-ripple": Hidden(
-        lambda r, s: {"A": s.torque * r.uniform(4e-3, 8e-3), "frequency": r.uniform(4, 12), "a": _angle(r)},
+        lambda r, s: {"A": s.torque * r.uniform(6e-3, 12e-3), "frequency": r.uniform(3, 9), "a": _angle(r)},
         _unchanged,
         _ripple,
     ),

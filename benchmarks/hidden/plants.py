@@ -42,6 +42,10 @@ class Setup:
         True values -> `Machine` without effects.
     length
         Unit of the coordinate per radian of a motor (1 for angles), which scales all draws: forces by 1 / length.
+    disturbance
+        Factor on the level's coloured torque.
+    resonance
+        Range in Hz of a soft coupling's frequency.
     feedback
         kp, kd of the position controller; `reach` is what it is asked to move within.
     """
@@ -53,6 +57,8 @@ class Setup:
     unit: str
     length: float
     largest: float
+    disturbance: float
+    resonance: tuple[float, float]
     feedback: tuple[float, float]
     reach: float
     electrical: bool
@@ -94,6 +100,8 @@ PLANTS = {
         unit="rad",
         length=1.0,
         largest=24.0,
+        disturbance=1.0,
+        resonance=(15.0, 60.0),
         feedback=(2.0, 0.02),
         reach=25.0,
         electrical=True,
@@ -113,6 +121,8 @@ PLANTS = {
         unit="rad",
         length=1.0,
         largest=24.0,
+        disturbance=1.0,
+        resonance=(15.0, 60.0),
         feedback=(2.0, 0.02),
         reach=25.0,
         electrical=True,
@@ -124,7 +134,9 @@ PLANTS = {
         output="q",
         unit="m",
         length=2.5e-3 / (2 * math.pi),  # the EMPS screw's lead per radian: M length**2 is then a motor's inertia
-        largest=2.5,
+        largest=1.2,
+        resonance=(6.0, 20.0),
+        disturbance=0.1,  # 0.05 N at the level mid: nothing holds the axis but its slides, so that forces integrate
         feedback=(2500.0, 100.0),
         reach=0.012,
         electrical=False,

@@ -50,7 +50,7 @@ class Rig:
         n = len(u)
         load, alive = self._by_the_clock(n)
         draws = generator(self.seed, "noise", *self.parameters, run)
-        drawn = noise(LEVELS[self.level], n, self.dt, self.setup.length, draws)
+        drawn = noise(LEVELS[self.level], self.setup, n, self.dt, draws)
         return simulate(
             self.machine,
             u,

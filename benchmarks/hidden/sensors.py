@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .machine import Array
-from .plants import Level
+from .plants import Level, Setup
 
 __all__ = ["BANDWIDTH", "Noise", "coloured", "noise"]
 
@@ -25,11 +25,12 @@ class Noise:
     lsb: float
 
 
-def noise(level: Level, n: int, dt: float, length: float, rng: np.random.Generator) -> Noise:
-    """Draw the noise of one run; ``length`` is the unit of the coordinate per radian of a motor."""
+def noise(level: Level, setup: Setup, n: int, dt: float, rng: np.random.Generator) -> Noise:
+    """Draw the noise of one run of n samples."""
+    length = setup.length
     return Noise(
         angle=level.angle * length * rng.normal(size=n),
-        torque=level.torque / length * coloured(n, dt, rng),
+        torque=setup.disturbance * level.torque / length * coloured(n, dt, rng),
         current=level.current * rng.normal(size=n),
         lsb=2 * math.pi / level.counts_per_turn * length,
     )

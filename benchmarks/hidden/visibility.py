@@ -8,20 +8,21 @@ any fit); currents are taken as they are. A noise sd is the RMS of what noise an
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from .cases import CLASSES, CURRENT_ONLY, OUTSIDE, PAIRS, SERVO_CLASSES, SERVO_OUTSIDE, Case, make_case
 from .machine import Array, simulate
 
-__all__ = ["Visibility", "visibility"]
+__all__ = ["Gap", "Refit", "gap", "refit"]
 
 WINDOW = 0.4
+SEEDS = range(900, 905)
 
 
 @dataclass(frozen=True)
-class Visibility:
+class Gap:
     """Gaps in noise sds.
 
     Attributes
@@ -32,37 +33,53 @@ class Visibility:
         RMS over the windows.
     peak
         Largest gap in a window.
-    refitted
-        RMS over the windows of what the nominal parameters cannot take over: after a linear refit of them, each held
-        near its value by its tolerance.
-    cost
-        What that refit asks of the tolerances: root of the summed squares of the shifts, in their sds.
     """
 
     run: float
     windows: float
     peak: float
-    refitted: float
+
+
+@dataclass(frozen=True)
+class Refit:
+    """What a refit of the nominal parameters, each held near its value by its tolerance, makes of the gap.
+
+    Attributes
+    ----------
+    rest
+        RMS over the windows of what they cannot take over, in noise sds.
+    cost
+        What it asks of the tolerances: root of the summed squares of the shifts, in their sds.
+    """
+
+    rest: float
     cost: float
 
 
-def visibility(case: Case) -> Visibility:
-    """Gaps of the case's record, over all measured outputs together (RMS) or over the clearest one (peak)."""
+def gap(case: Case) -> Gap:
+    """Gap of the case's record; over the clearer output where there are two."""
     u = case.record["u"]
     bare = case.clean(u, effects=False)
-    whole, gaps, peaks, slopes = [], [], [], []
+    found = []
     for name, truth in case.record_clean.items():
-        noise = case.record[name] - truth
-        scale = _rms(_windows(noise, case, name))
-        gap = _windows(truth - bare[name], case, name) / scale
-        whole.append(_rms(truth - bare[name]) / _rms(noise))
-        gaps.append(gap)
-        peaks.append(np.abs(gap).max())
+        noise, missed = case.record[name] - truth, truth - bare[name]
+        scaled = _windows(missed, case, name) / _rms(_windows(noise, case, name))
+        found.append(Gap(_rms(missed) / _rms(noise), _rms(scaled), float(np.abs(scaled).max())))
+    return max(found, key=lambda g: g.windows)
+
+
+def refit(case: Case) -> Refit:
+    """Linear refit of the nominal parameters to the gap, over all measured outputs together."""
+    u = case.record["u"]
+    bare, gaps, slopes = case.clean(u, effects=False), [], []
+    for name, truth in case.record_clean.items():
+        scale = _rms(_windows(case.record[name] - truth, case, name))
+        gaps.append(_windows(truth - bare[name], case, name) / scale)
         slopes.append(_windows(_sensitivities(case, u, name), case, name) / scale)
-    gap, slope = np.concatenate(gaps), np.concatenate(slopes)
+    missed, slope = np.concatenate(gaps), np.concatenate(slopes)
     m = slope.shape[1]
-    shift = np.linalg.lstsq(np.vstack([slope, np.eye(m)]), np.concatenate([gap, np.zeros(m)]), rcond=None)[0]
-    return Visibility(max(whole), _rms(gap), float(max(peaks)), _rms(gap - slope @ shift), float(np.linalg.norm(shift)))
+    shift = np.linalg.lstsq(np.vstack([slope, np.eye(m)]), np.concatenate([missed, np.zeros(m)]), rcond=None)[0]
+    return Refit(_rms(missed - slope @ shift), float(np.linalg.norm(shift)))
 
 
 def _rms(x: Array) -> float:
@@ -101,20 +118,19 @@ def _sensitivities(case: Case, u: Array, name: str) -> Array:
 
 
 def main(plant: str = "dc-motor", noise: str = "mid", excitation: str = "rich", sensors: str = "encoder") -> None:
-    """Print a line per class: median and smallest of ten seeds that no test uses."""
+    """Print a line per class: median and smallest of seeds that no test uses."""
     current, servo = sensors == "current", plant == "servo-axis"
     names = (*SERVO_CLASSES, *SERVO_OUTSIDE) if servo else (*CLASSES, *CURRENT_ONLY, *OUTSIDE, *PAIRS)
-    print(f"{plant}, {noise} noise, {excitation}, {sensors}; gaps in noise sd: median (smallest)")
-    print(f"{'':44} {'whole record':>18} {'windows':>18} {'peak':>18} {'after refit':>18} {'cost':>18}")
+    print(f"{plant}, {noise} noise, {excitation}, {sensors}; gaps in noise sd: median (smallest) of {SEEDS}")
+    print(
+        f"{'':44}", *(f"{head:>18}" for head in ("whole record", "windows", "peak", "rest of refit", "cost of refit"))
+    )
     for name in names:
-        seen = [
-            visibility(make_case(name, seed, plant=plant, noise=noise, excitation=excitation, current=current))
-            for seed in range(900, 910)
-        ]
-        cells = []
-        for figure in ("run", "windows", "peak", "refitted", "cost"):
-            values = [getattr(s, figure) for s in seen]
-            cells.append(f"{np.median(values):9.3g} ({min(values):.3g})".rjust(18))
+        rows = []
+        for seed in SEEDS:
+            case = make_case(name, seed, plant=plant, noise=noise, excitation=excitation, current=current)
+            rows.append([*astuple(gap(case)), *astuple(refit(case))])
+        cells = [f"{np.median(column):9.3g} ({min(column):.3g})".rjust(18) for column in zip(*rows, strict=True)]
         print(f"{name if isinstance(name, str) else ' + '.join(name):44}", *cells, flush=True)
 
 
