@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.errors import RobustlabError as RobustlabError
     from robustlab.frequency import frequency_response as frequency_response
     from robustlab.identification import compare as compare
+    from robustlab.identification.discovery import discover as discover
     from robustlab.mu_analysis import mu as mu
     from robustlab.mu_analysis import robust_stability as robust_stability
     from robustlab.norms import hinf_norm as hinf_norm
@@ -86,6 +87,7 @@ _PUBLIC = {
     "Controller": "synthesis",
     # measurements
     "compare": "identification",
+    "discover": "identification.discovery",
     # trust
     "Status": "result",
     "RobustlabError": "errors",

@@ -1,4 +1,4 @@
-"""``robustlab data``: check, convert and compare measured records."""
+"""``robustlab data``: check, convert and compare measured records; name what a model lacks."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, emit, note, plant_settings, table
+from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note, plant_settings, table
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from robustlab.identification import Comparison
     from robustlab.record import Record
 
-app = typer.Typer(help="Check, convert and compare measured records.", no_args_is_help=True)
+app = typer.Typer(help="Check, convert and compare measured records; name what a model lacks.", no_args_is_help=True)
 
 FileArgument = Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="FILE")]
 GroupOption = Annotated[
@@ -214,6 +214,122 @@ def compare(
     emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), as_json)
     if not found.status.trustworthy:
         raise typer.Exit(NoTrustworthyNumber.exit_code)
+
+
+@app.command()
+def discover(
+    model: Annotated[str, typer.Argument(help="Model file, or name of a plant (servo-axis).", metavar="MODEL")],
+    data: Annotated[
+        list[str], typer.Argument(help="Records of one machine; FILE#GROUP takes that group.", metavar="DATA...")
+    ],
+    *,
+    held_out: Annotated[
+        list[str] | None,
+        typer.Option("--held-out", help="Record that no fit sees; the gap is judged on it.", show_default=False),
+    ] = None,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option("--tolerance", help="Relative tolerance of a parameter: NAME=VALUE.", show_default=False),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False)
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
+    ] = None,
+    group: GroupOption = None,
+    inputs: Annotated[
+        str | None,
+        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
+    ] = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
+    ] = None,
+    dt: DtOption = None,
+    clock: ClockOption = None,
+    unit: UnitOption = None,
+    delimiter: DelimiterOption = None,
+    decimal: DecimalOption = ".",
+    allow_gaps: GapsOption = False,
+    window: Annotated[
+        float | None, typer.Option("--window", help="Length of the windows in s.", show_default=False)
+    ] = None,
+    period: Annotated[
+        float | None, typer.Option("--period", help="Period of the excitation in s.", show_default=False)
+    ] = None,
+    repeat: Annotated[
+        list[str] | None,
+        typer.Option("--repeat", help="Further record with the same input, for the noise floor.", show_default=False),
+    ] = None,
+    figures: Annotated[
+        str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).", show_default=False)
+    ] = None,
+    model_out: Annotated[
+        str | None, typer.Option("--model-out", help="HDF5 file for the updated plant.", show_default=False)
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.", show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Name the effect that a model lacks, from measured records, and update the model with it.
+
+    Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", which the result says
+    in full all the same, or the records are too poor for any verdict; 3: a record is wrong.
+
+    Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
+    """
+    from robustlab.cli.discovery_files import checked_effects, write_discovery
+    from robustlab.identification.discovery import discover as discover_in
+
+    system = _plant_or_model(model, settings or [])
+    names = inputs or ",".join(_input_names(system))
+
+    def records(files: list[str] | None) -> list[Record]:
+        return [
+            _record(
+                file,
+                group=part or group,
+                dt=dt,
+                inputs=names,
+                outputs=outputs,
+                clock=clock,
+                unit=unit,
+                delimiter=delimiter,
+                decimal=decimal,
+                allow_gaps=allow_gaps,
+            )
+            for file, part in map(_file_and_group, files or [])
+        ]
+
+    found = discover_in(
+        system,
+        records(data),
+        records(held_out) or None,
+        tolerances=assignments("--tolerance", tolerance),
+        window=window,
+        period=period,
+        repeats=records(repeat),
+        exclude=checked_effects(exclude or []),
+        progress=note,
+    )
+    sources = [model, *(_file_and_group(text)[0] for text in (*data, *(held_out or []), *(repeat or [])))]
+    result = {"model": model, **found.to_json()}
+    files = write_discovery(found, result, sources, out=out, figures=figures, model_out=model_out)
+    emit("data discover", {**result, "files": files}, found.summary(), as_json)
+    if not found.status.trustworthy:
+        note(f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)")
+        raise typer.Exit(NoTrustworthyNumber.exit_code)
+
+
+def _file_and_group(text: str) -> tuple[str, str | None]:
+    """``FILE#GROUP``; a file whose own name has a # is taken as it is."""
+    from pathlib import Path
+
+    file, mark, group = text.rpartition("#")
+    return (file, group) if mark and not Path(text).exists() else (text, None)
 
 
 def _plant_or_model(name: str, settings: list[str]) -> Any:

@@ -182,8 +182,8 @@ def _reference_faults(recipe: Recipe) -> list[str]:
     faults: list[str] = []
     earlier: dict[str, StepBase] = {}
     for name, step in recipe.step.items():
-        for field, wanted in references(step):
-            key, target = f"step.{name}.{field}", getattr(step, field)
+        for field, target, wanted in references(step):
+            key = f"step.{name}.{field}"
             if target in earlier:
                 gives = earlier[target].gives
                 if gives not in wanted:
@@ -205,16 +205,19 @@ def _reference_faults(recipe: Recipe) -> list[str]:
     return faults
 
 
-def references(step: StepBase) -> list[tuple[str, tuple[str, ...]]]:
-    """Fields of a step that name another step, with what that one must give."""
-    found: list[tuple[str, tuple[str, ...]]] = []
+def references(step: StepBase) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Key in the step, name of another step that stands there, and what that one must give."""
+    found: list[tuple[str, str, tuple[str, ...]]] = []
     for name, field in type(step).model_fields.items():
         marks = [m for m in field.metadata if isinstance(m, RefersTo)]
-        if not marks:  # an optional reference keeps its mark inside the union
+        if not marks:  # an optional reference keeps its mark inside the union, a list of them inside the list
             arguments = getattr(field.annotation, "__args__", ())
             marks = [m for a in arguments for m in getattr(a, "__metadata__", ()) if isinstance(m, RefersTo)]
-        if marks and getattr(step, name) is not None:
-            found.append((name, marks[0].gives))
+        target = getattr(step, name) if marks else None
+        if isinstance(target, list):
+            found += [(f"{name}.{i}", item, marks[0].gives) for i, item in enumerate(target)]
+        elif target is not None:
+            found.append((name, target, marks[0].gives))
     return found
 
 

@@ -65,17 +65,17 @@ def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], mi
     step = requirement.that.split(".")[0]
     if step in missing:
         return Judgement(requirement, None, False, missing[step])
-    value = look_up(requirement.that, numbers)
+    value = look_up(requirement.that, numbers, lists=requirement.contains is not None)
     return Judgement(requirement, value, _holds(requirement, value))
 
 
-def look_up(path: str, numbers: Mapping[str, Any]) -> Any:
+def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
     """The value at a dotted path through tables and lists, for example ``gap.outputs.q.fit`` or ``loop.poles.0``.
 
     Raises
     ------
     InputError
-        There is nothing at that path, or a whole table.
+        There is nothing at that path, or a whole table; a whole list, unless ``lists`` asks for one.
     """
     here: Any = numbers
     done: list[str] = []
@@ -95,6 +95,8 @@ def look_up(path: str, numbers: Mapping[str, Any]) -> Any:
                 continue
         expected = f"one of {', '.join(known)}" if known else f"nothing below {'.'.join(done)}"
         raise InputError(f"require: {path}", f"{'.'.join(done)} has no {part!r}", expected, did_you_mean(part, known))
+    if lists and isinstance(here, (list, tuple)):
+        return list(here)
     if isinstance(here, (Mapping, list, tuple)):
         raise InputError(f"require: {path}", "names a table", "a single number, text, or yes/no")
     return here
@@ -102,6 +104,10 @@ def look_up(path: str, numbers: Mapping[str, Any]) -> Any:
 
 def _holds(requirement: Requirement, value: Any) -> bool:
     r = requirement
+    if r.contains is not None:
+        if not isinstance(value, list):
+            raise InputError(f"require: {r.that}", f"{value!r}", "a list, because the condition is contains")
+        return r.contains in value
     if isinstance(r.equals, (bool, str)):
         return type(value) is type(r.equals) and value == r.equals
     if isinstance(value, bool) or value is None:

@@ -134,7 +134,7 @@ def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str
     done: list[dict[str, Any]] = []
     for name, step in loaded.recipe.step.items():
         report(name, step.kind)
-        missing = [target for field, _ in references(step) if (target := getattr(step, field)) not in workspace.values]
+        missing = [target for _, target, _ in references(step) if target not in workspace.values]
         if missing:
             done.append(_entry(name, step, NOT_RUN, f"it needs step {missing[0]!r}, which gave nothing"))
             continue
@@ -158,7 +158,7 @@ def _check_paths(recipe: Recipe, name: str, numbers: Mapping[str, Any]) -> None:
     """Refuse a requirement on a number that the step does not have, as soon as the step is done."""
     for requirement in recipe.require:
         if requirement.that.split(".")[0] == name:
-            look_up(requirement.that, {name: numbers})
+            look_up(requirement.that, {name: numbers}, lists=requirement.contains is not None)
 
 
 def _at_step(error: RobustlabError, recipe: str, name: str) -> RobustlabError:

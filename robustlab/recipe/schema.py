@@ -36,6 +36,7 @@ class RefersTo:
 # "any": a loaded file shows only at run time what it holds.
 ToPlant = Annotated[str, RefersTo(("plant",))]
 ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
+ToOneModel = Annotated[str, RefersTo(("plant", "model", "any"))]
 ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
 ToController = Annotated[str, RefersTo(("controller", "any"))]
 ToRecord = Annotated[str, RefersTo(("record", "any"))]
@@ -336,6 +337,29 @@ class CompareStep(StepBase):
     position: str | None = Field(None, description="Output over which the error is sorted by position.")
 
 
+class DiscoverStep(StepBase):
+    """Name the effect that a model lacks; gives the updated plant, which is kept as STEP-plant.h5, too."""
+
+    gives: ClassVar[str] = "plant"
+    do: Literal["discover"]
+    of: ToOneModel
+    records: Annotated[list[ToRecord], Field(min_length=1, max_length=50, description="Records of one machine.")]
+    held_out: list[ToRecord] = Field(
+        [], description="Records that no fit sees; every fourth window of the others where left out."
+    )
+    repeats: list[ToRecord] = Field([], description="Further records with the same input, for the noise floor.")
+    tolerances: dict[str, Positive] = Field(
+        {}, description="Relative tolerance of a parameter, over the one that the plant states."
+    )
+    exclude: list[str] = Field([], description="Ids of effects that are not tried.")
+    window: Positive | None = Field(None, description="Length of the windows in s.")
+    period: Positive | None = Field(None, description="Period of the excitation in s.")
+    accept: Annotated[list[Literal["no missing effect", "named", "ambiguous", "unknown"]], Field(min_length=1)] = Field(
+        ["no missing effect", "named"],
+        description="Verdicts that this recipe takes for an answer; any other is no trustworthy number (exit code 4).",
+    )
+
+
 class SheetPointEntry(Strict):
     """One operating point of a data sheet; quantities that it does not print are left out."""
 
@@ -399,6 +423,7 @@ Step = Annotated[
     | CloseLoopStep
     | RecordStep
     | CompareStep
+    | DiscoverStep
     | DataSheetStep
     | CoverStep
     | PublishedNumbersStep,
@@ -418,15 +443,18 @@ class Requirement(Strict):
     at_most: float | None = None
     within: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     equals: float | bool | str | None = None
+    contains: Annotated[str, Field(min_length=1, max_length=300)] | None = Field(
+        None, description="A text that a list of texts must have among its items."
+    )
     tolerance: Annotated[float, Field(ge=0)] | None = Field(
         None, description="Largest allowed difference from `equals`."
     )
 
     @model_validator(mode="after")
     def _one_condition(self) -> Self:
-        given = [n for n in ("at_least", "at_most", "within", "equals") if getattr(self, n) is not None]
+        given = [n for n in ("at_least", "at_most", "within", "equals", "contains") if getattr(self, n) is not None]
         if not given:
-            raise PydanticCustomError("condition", "expected at_least, at_most, within or equals")
+            raise PydanticCustomError("condition", "expected at_least, at_most, within, equals or contains")
         if len(given) > 1:
             raise PydanticCustomError("condition", "expected one condition; a range is within = [low, high]")
         if self.within is not None and self.within[0] > self.within[1]:
@@ -444,6 +472,8 @@ class Requirement(Strict):
             return f"at most {self.at_most:.10g}"
         if self.within is not None:
             return f"between {self.within[0]:.10g} and {self.within[1]:.10g}"
+        if self.contains is not None:
+            return f"contains {self.contains!r}"
         if isinstance(self.equals, bool):
             return "yes" if self.equals else "no"
         if isinstance(self.equals, str):

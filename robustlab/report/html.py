@@ -47,7 +47,9 @@ class Verdict:
 
 
 def verdict(result: Mapping[str, Any]) -> Verdict:
-    """The verdict of a run: trustworthy or not, and how many requirements are met."""
+    """The verdict that the result states; or that of a run: trustworthy or not, and how many requirements are met."""
+    if "verdict" in result:
+        return Verdict(**result["verdict"])
     requirements = result["requirements"]
     unmet = [q for q in requirements if not q["met"]]
     doubtful = [s for s in result["steps"] if not s["trustworthy"]]
@@ -130,6 +132,8 @@ def _readable(value: Any) -> Any:
 def _found(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "none"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

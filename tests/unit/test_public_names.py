@@ -30,6 +30,7 @@ CONTRACT = [
     "simulate",
     "Record",
     "compare",
+    "discover",
 ]
 
 

@@ -83,7 +83,7 @@ def test_one_fault(text, expected):
 @pytest.mark.parametrize(
     ("condition", "expected"),
     [
-        ("", "expected at_least, at_most, within or equals"),
+        ("", "expected at_least, at_most, within, equals or contains"),
         ("at_least = 1\nat_most = 2\n", "expected one condition"),
         ("within = [2, 1]\n", "low is above high"),
         ("within = [1, 2, 3]\n", "require.0.within"),

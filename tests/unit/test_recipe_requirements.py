@@ -16,6 +16,7 @@ NUMBERS = {
         "poles": [-1.0, -2.0],
         "ok": True,
         "kind": "x",
+        "names": ["x", "y"],
         "norm": "inf",
         "bad": "nan",
     }
@@ -44,6 +45,9 @@ def verdict(**condition):
         ({"that": "gap.ok", "equals": False}, False),
         ({"that": "gap.kind", "equals": "x"}, True),
         ({"that": "gap.kind", "equals": "y"}, False),
+        ({"that": "gap.names", "contains": "y"}, True),
+        ({"that": "gap.names", "contains": "z"}, False),
+        ({"that": "gap.names.1", "equals": "y"}, True),
         ({"that": "gap.norm", "at_most": 1e300}, False),
         ({"that": "gap.norm", "at_least": 1.0}, True),
         ({"that": "gap.bad", "at_most": 1.0}, False),
@@ -53,6 +57,15 @@ def verdict(**condition):
 )
 def test_conditions(condition, met):
     assert verdict(**condition).met is met
+
+
+def test_contains_wants_a_list_and_equals_wants_none():
+    with pytest.raises(InputError, match="because the condition is contains"):
+        verdict(that="gap.kind", contains="x")
+    with pytest.raises(InputError, match="names a table"):
+        verdict(that="gap.names", equals="x")
+    with pytest.raises(InputError, match="names a table"):
+        verdict(that="gap.outputs", contains="q")
 
 
 def test_true_is_not_the_number_one():

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, design, measurement, models, published
+from robustlab.recipe.steps import analysis, design, discovery, measurement, models, published
 
 __all__ = ["EXECUTORS"]
 
@@ -32,6 +32,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "close-loop": design.close_loop,
     "record": measurement.record,
     "compare": measurement.compare,
+    "discover": discovery.discover,
     "data-sheet": measurement.data_sheet,
     "cover": measurement.cover,
     "published-numbers": published.published_numbers,

@@ -88,12 +88,13 @@ def load(step: LoadStep, work: Workspace) -> Outcome:
 def save(step: SaveStep, work: Workspace) -> Outcome:
     """An object to an HDF5 file in the output folder, with its provenance."""
     import robustlab as rl
+    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
     from robustlab.provenance import Provenance, file_sha256
 
     path = work.folder / step.file
     given = work.values[step.of]
-    if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller)):
-        given = given.to_model()  # a plant is kept as its linear model
+    if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedPlant)):
+        given = given.to_model()  # a plant without effects is kept as its linear model
     rl.save(path, given, Provenance.now(f"recipe step {work.step}", work.inputs, work.seed))
     work.files.append(step.file)
     digest = file_sha256(path)

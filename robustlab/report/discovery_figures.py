@@ -1,0 +1,245 @@
+"""Figures of a discovery: the gap before and after, a held-out stretch, the evidence of every step, what remains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter
+from numpy.typing import NDArray
+
+from robustlab.identification.discovery_result import Discovery, NamingStep
+from robustlab.identification.discovery_text import compared, headline
+from robustlab.report.figures import COLOURS, axis_label, house_style, new_figure, plain_label
+from robustlab.report.unnamed_figures import residual_force_figure
+
+__all__ = ["CAPTIONS", "discovery_figures", "evidence_figure", "gap_figure", "stretch_figure"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+
+MODELS = {"nominal": COLOURS["worst"], "refitted": COLOURS["sample"], "updated": COLOURS["nominal"]}
+STRETCH = 4  # windows shown of a held-out stretch
+APART = 0.06  # of a window, between windows that do not follow each other
+SHOWN = 9  # hypotheses of a step
+TIE = 3.0  # log evidence; less is no difference, and the axis is linear there
+LONG_TITLE = 92
+
+CAPTIONS = {
+    "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
+    "stretch": "A held-out stretch, window by window: measured, nominal and updated model, and their errors below.",
+    "evidence": "The steps of the search: log evidence behind the best; blue: what was named, grey: nothing added.",
+    "force": "The force that the updated model still lacks, over each coordinate, with its 95 % band.",
+}
+
+
+def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
+    """``story``; ``stretch-q`` for every output q; ``evidence``; ``force`` where a residual force is known."""
+    figures = {"story": gap_figure(discovery)}
+    for k, output in enumerate(discovery.series.get("outputs", {}), start=1):
+        # The keys become file names, and an output's name may come from a file.
+        name = output if output.isidentifier() and output.isascii() else f"output{k}"
+        figures[f"stretch-{name}"] = stretch_figure(discovery, output)
+    if discovery.steps:
+        figures["evidence"] = evidence_figure(discovery)
+    if discovery.residual_force is not None and discovery.residual_force.curves:
+        figures["force"] = residual_force_figure(discovery.residual_force, discovery.unnamed, "missing force")
+    return figures
+
+
+def gap_figure(discovery: Discovery) -> Figure:
+    """For every output: bars of the held-out error of the three models, and beside them its traces over time."""
+    d = discovery
+    figure, axes = new_figure(len(d.gaps), 2, width=9.2, height=2.7, gridspec_kw={"width_ratios": [1.0, 2.1]})
+    with house_style():
+        for k, (name, gap) in enumerate(d.gaps.items()):
+            bars, traces = axes[2 * k], axes[2 * k + 1]
+            values = [getattr(gap, model) for model in MODELS]
+            bars.barh(list(MODELS), values, color=list(MODELS.values()), height=0.62)
+            bars.invert_yaxis()
+            bars.grid(visible=False, axis="y")
+            for row, value in enumerate(values):
+                share = f"{100 * value / gap.range:.3g} %" if gap.range > 0 else f"{value:.3g}"
+                bars.annotate(share, (value, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
+            bars.set_xlim(0.0, 1.28 * (max(values) or 1.0))
+            bars.set_xlabel(axis_label("rms error", gap.unit))
+            bars.set_title(plain_label(f"{name}: {compared(gap.nominal, gap.updated, 'nominal')}"))
+            bars.xaxis.set_major_locator(_few_ticks())
+            signals = d.series.get("outputs", {}).get(name)
+            if signals is None:
+                traces.remove()
+                continue
+            axis = _Windows.of(d)
+            for model, colour in MODELS.items():
+                error = np.asarray(signals["measured"]) - np.asarray(signals[model])
+                traces.plot(*axis.broken(error), color=colour, lw=1.0, label=model)
+            axis.label(traces)
+            traces.axhline(0.0, color="#888888", lw=0.8)
+            traces.set_ylabel(axis_label("error", gap.unit))
+            traces.set_title("measured minus simulated, held-out windows")
+            if k == 0:
+                traces.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3, columnspacing=1.2)
+                _room_below(traces, 0.2)
+        figure.suptitle(_wrapped(plain_label(headline(d))), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+    return figure
+
+
+def stretch_figure(discovery: Discovery, output: str) -> Figure:
+    """Some held-out windows around the one that the nominal model misses most: signals above, errors below."""
+    d = discovery
+    signals, gap = d.series["outputs"][output], d.gaps[output]
+    measured = np.asarray(signals["measured"])
+    whole = _Windows.of(d)
+    miss = [
+        float(np.nanmean(part**2)) if np.isfinite(part).any() else 0.0
+        for part in whole.cut(measured - signals["nominal"])
+    ]
+    first = min(max(int(np.argmax(miss)) - STRETCH // 2, 0), max(len(miss) - STRETCH, 0))
+    axis = whole.some(first, STRETCH)
+    figure, (above, middle, below) = new_figure(3, 1, width=7.8, height=2.0, sharex=True)
+    with house_style():
+        above.plot(*axis.broken(measured), color=COLOURS["measured"], lw=2.4, alpha=0.45, label="measured")
+        for model, line in (("nominal", (0, (4, 1.5))), ("updated", "-")):
+            values = np.asarray(signals[model])
+            above.plot(*axis.broken(values), color=MODELS[model], lw=1.3, ls=line, label=model)
+            middle.plot(*axis.broken(measured - values), color=MODELS[model], lw=1.1)
+        above.set_ylabel(axis_label(output, gap.unit))
+        above.set_title(plain_label(f"{output}, held out: each window starts from its best fitted state"))
+        above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3)
+        _room_below(above, 0.2)
+        below.plot(*axis.broken(measured - np.asarray(signals["updated"])), color=MODELS["updated"], lw=1.0)
+        middle.set_title(plain_label(f"measured minus simulated: nominal (rms {gap.nominal:.3g} {gap.unit})"))
+        below.set_title(plain_label(f"updated alone, on a scale of its own (rms {gap.updated:.3g} {gap.unit})"))
+        for panel in (middle, below):
+            panel.axhline(0.0, color="#888888", lw=0.8)
+            panel.set_ylabel(axis_label("error", gap.unit))
+        axis.label(below)
+    return figure
+
+
+def evidence_figure(discovery: Discovery) -> Figure:
+    """Log evidence of the hypotheses of every step, relative to its best; linear within a tie, logarithmic beyond."""
+    steps = discovery.steps
+    shown = [_shown(step) for step in steps]
+    heights = [0.9 + 0.24 * len(entries) for entries in shown]
+    figure, axes = new_figure(
+        len(steps), 1, width=7.8, height=float(np.mean(heights)), gridspec_kw={"height_ratios": heights}
+    )
+    least = min(min((e.evidence for e in entries), default=-TIE) for entries in shown)
+    with house_style():
+        for k, (panel, step, entries) in enumerate(zip(axes, steps, shown, strict=True), start=1):
+            _ladder(panel, step, entries, least)
+            before = f" on top of {', '.join(step.named_before)}" if step.named_before else ""
+            panel.set_title(_wrapped(plain_label(f"step {k}{before}: {step.decision}"), 72), fontsize=9.0)
+        axes[-1].set_xlabel("log evidence behind the best (shaded: a tie)")
+    return figure
+
+
+# --- parts -----------------------------------------------------------------------------------------------------------
+
+
+class _Windows:
+    """The time axis of windows side by side: gaps between them are drawn as short ones, and lines break there.
+
+    ``start`` and ``stop`` are the samples of each window among the series, ``x`` where each sample is drawn.
+    """
+
+    def __init__(self, t: Array, start: Index, stop: Index) -> None:
+        self.t, self.start, self.stop = t, start, stop
+        dt = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+        self.x = np.empty(len(t))
+        end = float(t[start[0]])
+        self.gaps = False
+        for a, b in zip(start, stop, strict=True):
+            jump = a > start[0] and abs(t[a] - t[a - 1] - dt) > 0.5 * dt
+            self.gaps = self.gaps or bool(jump)
+            length = float(t[b - 1] - t[a]) + dt
+            begin = end + (APART * length if jump else 0.0)
+            self.x[a:b] = begin + (t[a:b] - t[a])
+            end = begin + length
+
+    @classmethod
+    def of(cls, d: Discovery) -> _Windows:
+        """All windows of the series."""
+        t = np.asarray(d.series["t"], dtype=float)
+        dt = float(np.median(np.diff(t))) if len(t) > 1 else d.window
+        length = max(1, round(d.window / dt))
+        start = np.arange(0, len(t), length)
+        return cls(t, start, np.minimum(start + length, len(t)))
+
+    def some(self, first: int, count: int) -> _Windows:
+        """A few of the windows, from the first."""
+        return _Windows(self.t, self.start[first : first + count], self.stop[first : first + count])
+
+    def cut(self, values: Array) -> list[Array]:
+        """The values window by window."""
+        return [np.asarray(values)[a:b] for a, b in zip(self.start, self.stop, strict=True)]
+
+    def broken(self, values: Array) -> tuple[Array, Array]:
+        """Curve with a break (NaN) after each window: every window has its own start."""
+        x = [part for a, b in zip(self.start, self.stop, strict=True) for part in (self.x[a:b], [np.nan])]
+        y = [part for a, b in zip(self.start, self.stop, strict=True) for part in (np.asarray(values)[a:b], [np.nan])]
+        return np.concatenate(x), np.concatenate(y)
+
+    def label(self, axes: Axes) -> None:
+        """Ticks with true times, at window starts where windows are left out between them."""
+        axes.set_xlim(float(self.x[self.start[0]]), float(self.x[self.stop[-1] - 1]))
+        axes.set_xlabel("time [s]")
+        if not self.gaps:
+            return
+        every = -(-len(self.start) // 8)
+        chosen = self.start[::every]
+        axes.xaxis.set_major_locator(FixedLocator(self.x[chosen].tolist()))
+        labels = {float(self.x[a]): f"{self.t[a]:.3g}" for a in chosen}
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: labels.get(float(value), "")))
+        axes.set_xlabel("start of the window [s] (windows between them were fitted)")
+
+
+def _shown(step: NamingStep) -> list[Any]:
+    """The best hypotheses of a step, with the base among them."""
+    entries = list(step.ranking[:SHOWN])
+    return entries + [e for e in step.ranking[SHOWN:] if e.name == "none"]
+
+
+def _ladder(axes: Axes, step: NamingStep, entries: Sequence[Any], least: float) -> None:
+    taken = step.decision.partition(":")[0]
+    axes.set_xscale("symlog", linthresh=TIE, linscale=0.6)
+    axes.axvspan(-TIE, 0.0, color=COLOURS["band"], alpha=0.22, lw=0)
+    for row, entry in enumerate(entries):
+        colour = "#666666" if entry.name == "none" else COLOURS["nominal"] if entry.name == taken else COLOURS["worst"]
+        axes.plot([least * 3.0, entry.evidence], [row, row], color="#d5d8dc", lw=1.0, zorder=1)
+        axes.plot(entry.evidence, row, "o", color=colour, ms=6.0, mew=0, zorder=3, clip_on=False)
+        won = f"best in {100 * entry.wins:.0f} %" if entry.wins >= 0.005 else ""
+        place: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "bottom"}
+        axes.annotate(won, (entry.evidence, row), (-6, 1), fontsize=7.5, **place)
+    names = ["nothing added" if e.name == "none" else plain_label(f"{e.name} ({e.site})") for e in entries]
+    axes.set_yticks(range(len(entries)), names)
+    axes.set_ylim(len(entries) - 0.4, -0.6)
+    axes.set_xlim(min(least * 3.0, -2.0 * TIE), 0.0)
+    axes.grid(visible=False, axis="y")
+    decades = [k for k in range(1, 16) if 10.0**k <= -3.0 * least]
+    powers = [-(10.0**k) for k in decades[:: 1 + len(decades) // 5]]
+    axes.xaxis.set_major_locator(FixedLocator([*reversed(powers), -TIE, 0.0]))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−")))
+    axes.xaxis.set_minor_locator(FixedLocator([]))
+
+
+def _few_ticks() -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(4)
+
+
+def _wrapped(text: str, width: int = LONG_TITLE) -> str:
+    from textwrap import fill
+
+    return fill(text.replace("->", "→"), width)
+
+
+def _room_below(axes: Axes, share: float) -> None:
+    """Room for a legend, as a share of the height."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - share * (high - low), high)

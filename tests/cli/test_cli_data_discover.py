@@ -1,0 +1,205 @@
+"""``robustlab data discover``: the real search once, then its files, verdicts and faults."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.cli.console import main_guard
+from robustlab.cli.data import app
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.identification import discovery
+from robustlab.identification.discovery_result import Rival
+
+TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
+EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
+FC = 20.0
+
+
+def axis_record(seed, name):
+    """The servo axis with dry friction, simulated; a micrometre of noise."""
+    t = np.arange(1200) * 2.5e-3
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-3.0, 3.0, size=15), 80)
+    machine = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": FC}})
+    q = rl.simulate(machine, t, u)["q"] + 1e-6 * rng.standard_normal(len(t))
+    return rl.Record(t, {"u": u}, {"q": q}, {"u": "V", "q": "m"}, name)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("records")
+    for seed, name in enumerate(("run7", "run8")):
+        rl.save(folder / f"{name}.h5", axis_record(seed, name))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def real(files):
+    """What the search says of run7, judged on run8."""
+    records = [rl.load(files / f"{name}.h5") for name in ("run7", "run8")]
+    exclude = [name for name in catalogue() if name not in TRIED]
+    return rl.discover(rl.plant("servo-axis"), *records, exclude=exclude)
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        code = main_guard(lambda: app([str(a) for a in arguments], standalone_mode=False))
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def answer(monkeypatch):
+    """Let the search answer at once with a given result; what it was asked is kept."""
+    asked = {}
+
+    def put(found):
+        def instead(plant, records, held_out=None, **options):
+            asked.update(plant=plant, records=records, held_out=held_out, **options)
+            return found
+
+        monkeypatch.setattr(discovery, "discover", instead)
+        return asked
+
+    return put
+
+
+def test_friction_is_named_by_the_real_command(run, files, tmp_path):
+    out = tmp_path / "out"
+    code, text, err = run(
+        "discover", "servo-axis", files / "run7.h5", "--held-out", files / "run8.h5", "--out", out, *EXCLUDED, "--json"
+    )
+    result = json.loads(text)
+    assert (code, result["command"], result["verdict"], result["names"]) == (
+        0,
+        "data discover",
+        "named",
+        ["coulomb-friction"],
+    )
+    (parameter,) = result["effects"][0]["parameters"]
+    assert parameter["value"] == pytest.approx(FC, rel=1e-2)
+    assert result["gap_after"] < 0.1 * result["gap_refitted"]
+    assert result["held_out"] == "run8"
+    assert "coulomb-friction: held-out error" in err  # progress
+    assert json.loads((out / "result.json").read_text(encoding="utf-8"))["effects"] == result["effects"]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "servo-axis lacks Coulomb (dry) friction" in page
+    assert sorted(p.name for p in (out / "figures").glob("*.svg")) == ["evidence.svg", "story.svg", "stretch-q.svg"]
+    assert str(out / "report.html") in result["files"]
+
+
+def test_options_reach_the_search(run, files, answer, real):
+    asked = answer(real)
+    code, text, _ = run(
+        "discover", "servo-axis", files / "run7.h5", files / "run8.h5", "--repeat", files / "run8.h5",
+        "--set", "M=100", "--tolerance", "M=0.2", "--tolerance", "Fv=0.5", "--exclude", "backlash",
+        "--window", "0.3", "--period", "1.5", "--output", "q",
+    )  # fmt: skip
+    assert code == 0
+    assert text.startswith("servo-axis lacks Coulomb (dry) friction")
+    assert [r.name for r in asked["records"]] == ["run7", "run8"]
+    assert asked["held_out"] is None
+    assert [r.name for r in asked["repeats"]] == ["run8"]
+    assert asked["plant"].values["M"] == 100.0
+    assert asked["tolerances"] == {"M": 0.2, "Fv": 0.5}
+    assert asked["exclude"] == ("backlash",)
+    assert (asked["window"], asked["period"]) == (0.3, 1.5)
+
+
+def test_a_group_of_a_file_is_taken_by_its_name(run, tmp_path, answer, real):
+    import h5py
+
+    record = axis_record(0, "x")
+    path = tmp_path / "both.h5"
+    with h5py.File(path, "w") as file:
+        for group, scale in (("train", 1.0), ("test", 2.0)):
+            for name, values in (("t", record.t), ("u", scale * record.inputs["u"]), ("q", record.outputs["q"])):
+                file[f"{group}/{name}"] = values
+    asked = answer(real)
+    code, _, err = run("discover", "servo-axis", f"{path}#train", "--held-out", f"{path}#test", "--outputs", "q")
+    assert (code, err) == (0, "")
+    (fitted,), (judged,) = asked["records"], asked["held_out"]
+    assert judged["u"] == pytest.approx(2.0 * fitted["u"])
+    code, _, err = run("discover", "servo-axis", f"{path}#tset", "--outputs", "q")
+    assert code == 3
+    assert "tset" in err
+
+
+@pytest.mark.parametrize("verdict", ["ambiguous", "unknown"])
+def test_an_open_verdict_is_told_in_full_and_ends_in_4(run, files, answer, real, verdict):
+    effect = real.effects[0]
+    rival = Rival("presliding", "Presliding", "v", effect.name, 1.2, -0.3, 0.4, effect.parameters)
+    rivals = (rival,) if verdict == "ambiguous" else ()
+    answer(replace(real, status=rl.Status.INCONCLUSIVE, verdict=verdict, rivals=rivals, complete=False))
+    code, text, err = run("discover", "servo-axis", files / "run7.h5", "--json")
+    result = json.loads(text)
+    assert (code, result["verdict"], result["status"]) == (4, verdict, "inconclusive")
+    assert result["answer"] == [effect.name, *(r.name for r in rivals)]
+    assert verdict in err
+
+
+def test_nothing_missing_is_an_answer(run, files, answer, real):
+    answer(replace(real, verdict="no missing effect", effects=()))
+    code, text, _ = run("discover", "servo-axis", files / "run7.h5")
+    assert code == 0
+    assert "lacks no effect that these records show" in text
+
+
+def test_the_updated_plant_is_kept(run, files, tmp_path, answer, real):
+    machine = rl.with_effects(rl.plant("servo-axis", M=96.0), {"coulomb-friction": {"Fc": (FC, 0.1)}})
+    answer(replace(real, model=machine))
+    target, out = tmp_path / "updated.h5", tmp_path / "out"
+    code, text, _ = run("discover", "servo-axis", files / "run7.h5", "--model-out", target, "--out", out, "--json")
+    assert code == 0
+    assert {str(target), str(out / "updated-plant.h5")} <= set(json.loads(text)["files"])
+    for path in (target, out / "updated-plant.h5"):
+        back = rl.load(path)
+        assert back.values["M"] == 96.0
+        assert [e.effect.id for e in back.effects] == ["coulomb-friction"]
+
+
+def test_figures_alone(run, files, tmp_path, answer, real):
+    answer(real)
+    code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figures", tmp_path / "f")
+    assert code == 0
+    assert sorted(p.name for p in (tmp_path / "f").glob("*.png")) == ["evidence.png", "story.png", "stretch-q.png"]
+    assert "story.png" in err
+
+
+def test_what_is_asked_wrongly_is_named(run, files, tmp_path):
+    run7 = files / "run7.h5"
+    code, _, err = run("discover", "servo-axis", run7, "--exclude", "backlsh")
+    assert code == 3
+    assert "did you mean backlash?" in err
+    code, _, err = run("discover", "servo-axis", run7, "--tolerance", "M")
+    assert code == 2
+    assert "NAME=VALUE" in err
+    code, _, err = run("discover", "servo-axis", tmp_path / "none.h5")
+    assert code == 3
+    assert "none.h5" in err
+    code, _, err = run("discover", "servo-axis", run7, "--tolerance", "mass=0.1", *EXCLUDED)
+    assert code == 3
+    assert "mass" in err
+    code, _, err = run("discover", "servo-axis")
+    assert code == 2
+
+
+def test_a_record_that_says_nothing_ends_in_4_and_a_wrong_one_in_3(run, tmp_path):
+    good = axis_record(0, "still")
+    noise = 1e-6 * np.random.default_rng(3).standard_normal(good.n)
+    still = rl.Record(good.t, {"u": 0 * good.t}, {"q": noise}, good.units, "still")
+    rl.save(tmp_path / "still.h5", still)
+    turned = rl.Record(good.t, good.inputs, {"q": -good["q"]}, good.units, "turned")
+    rl.save(tmp_path / "turned.h5", turned)
+    code, text, err = run("discover", "servo-axis", tmp_path / "still.h5")
+    assert (code, text) == (4, "")
+    assert "error: still" in err
+    code, text, err = run("discover", "servo-axis", tmp_path / "turned.h5")
+    assert (code, text) == (3, "")
+    assert "sign" in err

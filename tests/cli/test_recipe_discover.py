@@ -1,0 +1,164 @@
+"""The recipe step that names what a model lacks, and the steps that go on with the updated plant."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.errors import InputError
+from robustlab.identification import discovery
+from robustlab.recipe.load import load_recipe, parse_recipe
+from robustlab.recipe.run import run_recipe
+
+PAGE = (Path(__file__).parents[2] / "docs" / "discover.md").read_text(encoding="utf-8")
+HEAD = """schema = "robustlab.recipe/1"
+name = "axis"
+[step.axis]
+do = "plant"
+plant = "servo-axis"
+[step.train]
+do = "record"
+path = "run7.h5"
+inputs = ["u"]
+"""
+DISCOVER = """[step.naming]
+do = "discover"
+of = "axis"
+records = ["train"]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the record of a servo axis with 20 N of dry friction."""
+    t = np.arange(1200) * 2.5e-3
+    rng = np.random.default_rng(7)
+    u = np.repeat(rng.uniform(-3.0, 3.0, size=15), 80)
+    machine = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
+    q = rl.simulate(machine, t, u)["q"] + 1e-6 * rng.standard_normal(len(t))
+    made = tmp_path_factory.mktemp("recipe")
+    rl.save(made / "run7.h5", rl.Record(t, {"u": u}, {"q": q}, {"u": "V", "q": "m"}, "run7"))
+    return made
+
+
+@pytest.fixture(scope="module")
+def real(folder):
+    exclude = [name for name in catalogue() if name not in ("coulomb-friction", "constant-load")]
+    found = rl.discover(rl.plant("servo-axis"), rl.load(folder / "run7.h5"), exclude=exclude)
+    machine = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": (20.0, 0.1)}})
+    return replace(found, model=machine)
+
+
+@pytest.fixture
+def run(folder, tmp_path, monkeypatch, real):
+    def call(rest, found=real):
+        monkeypatch.setattr(discovery, "discover", lambda *_arguments, **_options: found)
+        path = folder / "axis.toml"
+        path.write_text(HEAD + rest, encoding="utf-8")
+        return run_recipe(load_recipe(path), tmp_path / "out")
+
+    return call
+
+
+def entry(result, name):
+    return next(s for s in result.data["steps"] if s["name"] == name)
+
+
+def require(that, condition):
+    return f'[[require]]\ntext = "t"\nthat = "{that}"\n{condition}\n'
+
+
+def test_the_updated_plant_goes_on_through_the_recipe(run):
+    later = (
+        '[step.linear]\ndo = "linearise"\nof = "naming"\n'
+        '[step.set]\ndo = "uncertain"\nof = "naming"\ntolerances = { M = 0.02 }\noutputs = ["v"]\n'
+        '[step.kept]\ndo = "save"\nof = "naming"\nfile = "machine.h5"\n'
+        '[step.back]\ndo = "load"\nsaved = "kept"\n'
+    )
+    conditions = (
+        require("naming.verdict", 'equals = "named"')
+        + require("naming.names", 'contains = "coulomb-friction"')
+        + require("naming.effects.coulomb-friction.Fc", "within = [19.8, 20.2]")
+        + require("naming.gap_ratio", "at_least = 100.0")
+    )
+    result = run(DISCOVER + later + conditions)
+    assert [q["why_not"] or q["value"] for q in result.data["requirements"] if not q["met"]] == []
+    assert result.exit_code == 0
+    page = (result.folder / "report.html").read_text(encoding="utf-8")
+    assert "servo-axis lacks Coulomb (dry) friction" in page
+    assert [f["stem"] for f in entry(result, "naming")["figures"]] == [
+        "naming-story",
+        "naming-stretch-q",
+        "naming-evidence",
+    ]
+    for name in ("naming-plant.h5", "machine.h5"):
+        assert [e.effect.id for e in rl.load(result.folder / name).effects] == ["coulomb-friction"]
+    assert {"naming-plant.h5", "evidence/naming.h5"} <= set(result.data["files"])
+    assert rl.load(result.folder / "evidence" / "naming.h5").data["verdict"] == "named"
+
+
+def test_a_requirement_that_is_not_met_ends_in_1(run):
+    result = run(DISCOVER + require("naming.names", 'contains = "backlash"'))
+    (judged,) = result.data["requirements"]
+    assert (result.exit_code, judged["met"], judged["value"]) == (1, False, ["coulomb-friction"])
+    assert judged["condition"] == "contains 'backlash'"
+    assert "coulomb-friction" in (result.folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("accept", "code", "status"), [("", 4, "inconclusive"), ('accept = ["ambiguous"]\n', 0, "converged")]
+)
+def test_an_open_verdict_is_an_answer_only_where_the_recipe_says_so(run, real, accept, code, status):
+    open_one = replace(real, status=rl.Status.INCONCLUSIVE, verdict="ambiguous")
+    result = run(DISCOVER + accept + require("naming.verdict", 'equals = "ambiguous"'), open_one)
+    assert (result.exit_code, entry(result, "naming")["status"]) == (code, status)
+    assert result.data["requirements"][0]["met"]
+    said = any("takes for an answer" in note for note in entry(result, "naming")["notes"])
+    assert said is (code == 0)
+    kept = json.loads((result.folder / "result.json").read_text(encoding="utf-8"))
+    assert kept["exit_code"] == code
+
+
+def test_numbers_that_do_not_exist_are_refused(run):
+    with pytest.raises(InputError, match="did you mean coulomb-friction"):
+        run(DISCOVER + require("naming.effects.coulomb-fricton.Fc", "at_least = 0.0"))
+    with pytest.raises(InputError, match="because the condition is contains"):
+        run(DISCOVER + require("naming.count", 'contains = "coulomb-friction"'))
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (DISCOVER.replace('"train"', '"trian"'), r"step.naming.records.0: no step 'trian' .*did you mean train"),
+        (DISCOVER.replace('["train"]', "[]"), r"step.naming.records"),
+        (DISCOVER.replace('["train"]', '["train", "axis"]'), r"records.1: step 'axis' gives plant, expected .*record"),
+        (DISCOVER + 'held_out = ["naming"]\n', r"held_out.0: step 'naming' comes later"),
+        (DISCOVER + 'accept = ["perhaps"]\n', r"step.naming.accept"),
+        (DISCOVER + "tolerances = { M = -0.1 }\n", r"step.naming.tolerances.M"),
+        (require("axis.names", 'contains = ""'), r"require.0.contains"),
+        (require("axis.names", 'contains = "a"\nequals = "b"'), r"require.0.*one condition"),
+    ],
+)
+def test_faults_of_the_step_are_named(text, fault):
+    with pytest.raises(InputError, match=fault):
+        parse_recipe(HEAD + text, "r.toml")
+
+
+def test_an_effect_that_does_not_exist_is_refused(run):
+    with pytest.raises(InputError, match="did you mean backlash"):
+        run(DISCOVER + 'exclude = ["backlsh"]\n')
+
+
+def test_the_recipe_of_the_page_can_be_read():
+    (block,) = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
+    records = HEAD + HEAD[HEAD.index("[step.train]") :].replace("train", "test")
+    recipe = parse_recipe(records + block)
+    assert recipe.step["naming"].kind == "discover"
+    assert len(recipe.require) == 3
