@@ -1,4 +1,4 @@
-"""Resampling against what a clock must keep: its samples, its levels, straight lines, and the account of what is lost."""
+"""Resampling against what it must keep: samples, levels, straight lines, and the account of what is lost."""
 
 import numpy as np
 import pytest

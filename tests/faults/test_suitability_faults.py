@@ -1,0 +1,179 @@
+"""Records that are not fit for naming: each kind by name, with what was found, expected and what to do."""
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.identification.suitability import suitability
+
+AXIS, MOTOR = rl.plant("servo-axis"), rl.plant("dc-motor")
+DT = 1e-3
+T = DT * np.arange(2000)
+U = np.repeat(np.random.default_rng(0).uniform(-1, 1, 20), 100)
+RUN = rl.simulate(AXIS, T, U)
+NOISE = np.random.default_rng(1).standard_normal((2, len(T)))
+
+
+def record(u=U, t=T, name="run 7", **outputs):
+    channels = outputs or {"q": RUN["q"] + 1e-6 * NOISE[0], "v": RUN["v"] + 1e-4 * NOISE[1]}
+    units = {"u": "V", "q": "m", "v": "m/s"}
+    return rl.Record(t, {"u": u}, channels, {k: units[k] for k in ("u", *channels)}, name)
+
+
+def test_a_good_record_is_fit():
+    found = suitability(AXIS, record())
+    assert (found.fit, found.findings) == (True, ())
+    found.require()
+    assert found.summary() == "run 7: fit for naming"
+
+
+def test_shorter_than_the_slowest_time_constant():
+    short = record().between(0.0, 0.4)  # M / Fv = 0.467 s; the integrator does not count
+    with pytest.raises(NoTrustworthyNumber) as caught:
+        suitability(AXIS, short).require()
+    assert caught.value.exit_code == 4
+    assert str(caught.value).startswith(
+        "run 7: t: lasts 0.4 s, expected at least the model's slowest time constant, 0.46"
+    )
+    assert "hint: record 1.4 s or more" in str(caught.value)
+    assert suitability(AXIS, record().between(0.0, 0.5)).fit
+
+
+def test_constant_input_and_nothing_moves():
+    still = record(np.full(2000, 0.5), q=0.2 + 1e-6 * NOISE[0], v=1e-4 * NOISE[1])
+    with pytest.raises(NoTrustworthyNumber, match=r"run 7: u: constant: u = 0\.5 V; no output leaves its noise"):
+        suitability(AXIS, still).require()
+
+
+def test_constant_speed_shows_nothing_either():
+    cruise = record(np.full(2000, 0.5), q=0.3 * T + 1e-6 * NOISE[0], v=0.3 + 1e-4 * NOISE[1])
+    assert [f.kind for f in suitability(AXIS, cruise).fatal] == ["unexcited"]
+
+
+def test_a_run_down_with_constant_input_is_a_record():
+    run = rl.simulate(AXIS, T, np.zeros(2000), x0=[0.0, 0.5])
+    down = record(np.zeros(2000), q=run["q"] + 1e-6 * NOISE[0], v=run["v"] + 1e-4 * NOISE[1])
+    found = suitability(AXIS, down)
+    assert found.fit
+    assert [f.kind for f in found.findings] == ["unexcited"]
+
+
+def test_an_input_too_small_to_move_anything():
+    run = rl.simulate(AXIS, T, 1e-6 * U)
+    found = suitability(AXIS, record(1e-6 * U, q=run["q"] + 1e-6 * NOISE[0], v=run["v"] + 1e-4 * NOISE[1]))
+    assert {(f.kind, f.fatal) for f in found.findings} == {("unexcited", True)}
+    with pytest.raises(NoTrustworthyNumber, match="does not leave its noise"):
+        found.require()
+
+
+def test_an_encoder_that_never_turns_three_steps():
+    lsb = 1e-4
+    run = rl.simulate(AXIS, T, 1e-3 * U)
+    found = suitability(AXIS, record(1e-3 * U, q=lsb * np.round((run["q"] + 0.3 * lsb * NOISE[0]) / lsb)))
+    assert ("unexcited", True) in {(f.kind, f.fatal) for f in found.findings}
+
+
+def test_a_weak_but_visible_motion_is_enough():
+    run = rl.simulate(AXIS, T, 0.01 * U)
+    assert suitability(AXIS, record(0.01 * U, q=run["q"] + 1e-6 * NOISE[0], v=run["v"] + 1e-4 * NOISE[1])).fit
+
+
+def test_dead_sensors():
+    one = suitability(AXIS, record(q=RUN["q"] + 1e-6 * NOISE[0], v=np.full(2000, 0.125)))
+    assert one.fit
+    assert one.of("constant-output")[0].message.startswith("v: stands at 0.125 m/s throughout: a dead sensor")
+    with pytest.raises(InputError, match=r"run 7: q: stands at 0 m throughout") as caught:
+        suitability(AXIS, record(q=np.zeros(2000), v=np.zeros(2000))).require()
+    assert caught.value.exit_code == 3
+    assert "run 7: v: stands at 0 m/s" in str(caught.value)
+
+
+def test_clipped_outputs_are_named_with_their_samples():
+    limit = 0.6 * RUN["v"].max()
+    found = suitability(AXIS, record(v=np.minimum(RUN["v"], limit)))
+    (clip,) = found.of("clipped")
+    assert (clip.channel, clip.fatal) == ("v", False)
+    first, last = clip.evidence["runs"][0]
+    assert (RUN["v"][first:last] >= limit).all()
+
+
+def test_gaps_and_jitter():
+    keep = np.ones(2000, dtype=bool)
+    keep[[300, 301, 302, 900]] = False
+    whole = record()
+    outputs = {k: x[keep] for k, x in whole.outputs.items()}
+    holed = rl.Record(T[keep], {"u": U[keep]}, outputs, whole.units, "holed")
+    (gaps,) = suitability(AXIS, holed).findings
+    assert (gaps.kind, gaps.fatal, gaps.evidence["missing"]) == ("gaps", False, 4)
+    assert "the longest from 0.299 s to 0.303 s" in gaps.message
+    t = T + 2e-4 * np.random.default_rng(2).uniform(-1, 1, 2000)
+    (jitter,) = suitability(AXIS, rl.Record(t, whole.inputs, whole.outputs, whole.units, "jittery")).findings
+    assert jitter.kind == "jitter"
+    assert jitter.evidence["rms"] == pytest.approx(2e-4 * np.sqrt(2 / 3), rel=0.1)
+
+
+def test_wrong_channels_are_found_through_gaps_and_jitter():
+    keep = np.random.default_rng(3).random(2000) > 0.01
+    keep[:2] = True
+    t = T + 1e-4 * np.random.default_rng(2).uniform(-1, 1, 2000)
+    whole = record()
+    outputs = {"q": -whole["q"][keep], "v": whole["v"][keep]}
+    found = suitability(AXIS, rl.Record(t[keep], {"u": U[keep]}, outputs, whole.units, "holed"))
+    assert [(f.kind, f.channel) for f in found.fatal] == [("sign", "q")]
+
+
+def test_all_faults_are_listed_the_wrong_channel_first():
+    both = record(q=-RUN["q"], v=RUN["v"]).between(0.0, 0.4)
+    with pytest.raises(InputError) as caught:
+        suitability(AXIS, both).require()
+    text = str(caught.value)
+    assert text.startswith("run 7: q: q seems to be measured with the other sign")
+    assert "run 7: t: lasts 0.4 s" in text
+    assert "hint: check the wiring" in text
+
+
+def test_a_wrong_unit_that_is_stated_is_refused_as_everywhere():
+    with pytest.raises(UnitMismatch):
+        suitability(AXIS, rl.Record(T, {"u": U}, {"q": 1e3 * RUN["q"]}, {"u": "V", "q": "mm"}))
+
+
+def test_a_signal_that_is_missing():
+    with pytest.raises(InputError, match="no input 'u'"):
+        suitability(AXIS, rl.Record(T, {"voltage": U}, {"q": RUN["q"]}))
+
+
+def test_units_that_nobody_states():
+    plain = rl.StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["q"])
+    y = rl.simulate(plain, T, U)["q"]
+    found = suitability(plain, rl.Record(T, {"u": U}, {"q": 1e3 * y}))
+    assert [(f.kind, f.evidence["factor"]) for f in found.fatal] == [("unit", pytest.approx(1e3))]
+    assert "in another unit" in found.fatal[0].message
+
+
+def test_discrete_models_are_judged_too():
+    model = rl.StateSpaceModel([[0.99]], [[0.01]], [[1.0]], [[0.0]], dt=DT, inputs=[("u", "V")], outputs=[("q", "m")])
+    y = rl.simulate(model, T, U)["q"]
+    assert suitability(model, rl.Record(T, {"u": U}, {"q": y})).fit
+    assert suitability(model, rl.Record(T, {"u": U}, {"q": -y})).fatal[0].kind == "sign"
+
+
+def test_an_unstable_model_is_no_obstacle():
+    """Closed loop around an unstable plant: only short windows are simulated."""
+    model = rl.StateSpaceModel([[20.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("x", "m")])
+    x, y, u = 0.0, np.empty(2000), np.empty(2000)
+    for k in range(2000):
+        u[k] = 40.0 * (U[k] - x)
+        y[k] = x
+        x = x + DT * (20.0 * x + u[k])
+    assert suitability(model, rl.Record(T, {"u": u}, {"x": y})).fit
+    assert suitability(model, rl.Record(T, {"u": u}, {"x": -y})).fatal[0].kind == "sign"
+
+
+def test_of_a_nonlinear_plant_the_samples_are_judged():
+    platform = rl.plant("stewart-platform")
+    n = 50
+    ins = {s.name: np.zeros(n) for s in platform.inputs}
+    outs = {s.name: np.zeros(n) for s in platform.outputs}
+    found = suitability(platform, rl.Record(DT * np.arange(n), ins, outs))
+    assert {f.kind for f in found.fatal} == {"constant-output"}
