@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["checked_effects", "write_discovery"]
 
-PLANT_FILE = "updated-plant.h5"
+PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
 
 def checked_effects(names: Sequence[str]) -> tuple[str, ...]:
@@ -44,7 +44,8 @@ def write_discovery(
     sources
         Files that were read (names that are no files, such as a plant's, are left out of the provenance).
     out
-        Folder for ``report.html``, ``result.json``, ``figures/`` and ``updated-plant.h5``.
+        Folder for ``report.html``, ``result.json``, ``figures/``, ``updated-plant.h5``, and ``next-experiment.csv``
+        where one is proposed.
     """
     from robustlab.provenance import Provenance, file_sha256
 
@@ -91,6 +92,8 @@ def _folder(found: Discovery, result: Mapping[str, Any], folder: Path, provenanc
     files = [*map(str, write_page(found, folder, provenance))]
     if found.model is not None:
         files.append(_plant(found, folder / PLANT_FILE, provenance))
+    if found.next_experiment is not None:
+        files.append(str(found.next_experiment.save(folder / EXPERIMENT_FILE)))
     data = {"schema": SCHEMA, "command": "data discover", **plain(result), "provenance": plain(provenance.to_json())}
     text = json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False)
     target = folder / "result.json"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import robustlab as rl
+from robustlab.cli.discovery_files import write_discovery
 from robustlab.identification.discovery_result import (
     Discovery,
     EffectValue,
@@ -19,6 +22,7 @@ from robustlab.identification.discovery_result import (
     StepEntry,
 )
 from robustlab.identification.discovery_text import compared, headline, with_interval
+from robustlab.identification.next_experiment import NextExperiment, Pair, Tried
 from robustlab.identification.suitability import Finding
 from robustlab.identification.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
@@ -112,6 +116,16 @@ def unknown(**changes):
     return made(**{**fields, **changes})
 
 
+def experiment():
+    t = np.arange(5) * 0.1
+    tried = (Tried("slow ramp", ("q",), 0.5, 12.0, True),)
+    pairs = (Pair("coulomb-friction", "presliding", 12.0),)
+    return NextExperiment(
+        "slow ramp", "ramp u slowly through zero", "measure the breakaway force", t, {"u": t}, {"u": "V"}, 0.5, ("q",),
+        (), {}, 12.0, 1.4, ("coulomb-friction", "presliding"), pairs, tried,
+    )  # fmt: skip
+
+
 # --- text ------------------------------------------------------------------------------------------------------------
 
 
@@ -154,6 +168,21 @@ def test_rivals_say_how_far_apart_they_are():
     text = ambiguous().summary()
     assert "Presliding, presliding at v (Fb 20.39 N): 1.4 noise sigmas apart (3 tell)" in text
     assert "exclude every other" not in text
+
+
+def test_the_next_experiment_is_told_and_kept(tmp_path):
+    d = ambiguous(next_experiment=experiment())
+    text = d.summary()
+    assert "next experiment:\n  ramp u slowly through zero\n  predicted separation" in text
+    assert numbers(d)["next_experiment"] == {"name": "slow ramp", "separation": 12.0}
+    assert numbers(made())["next_experiment"]["name"] == "none"
+    files = write_discovery(
+        d, {"model": "servo-axis", **d.to_json()}, [], out=str(tmp_path), figures=None, model_out=None
+    )
+    assert str(tmp_path / "next-experiment.csv") in files
+    assert json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["next_experiment"]["separation"] == 12.0
+    back = rl.load(rl.save(tmp_path / "evidence.h5", d)).data
+    assert back["next_experiment"]["inputs"]["u"] == pytest.approx(d.next_experiment.inputs["u"])
 
 
 def test_what_remains_and_findings_are_said():

@@ -45,6 +45,11 @@ def discover(step: DiscoverStep, work: Workspace) -> Outcome:
         file = f"{work.step}-plant.h5"
         _save(found, work, file)
         notes.append(f"The updated plant is in {file}.")
+    if found.next_experiment is not None:
+        file = f"{work.step}-next-experiment.csv"
+        found.next_experiment.save(work.folder / file)
+        work.files.append(file)
+        notes.append(f"The signal of the next experiment is in {file}.")
     lines = tuple(Fact(*line) for line in facts(found))
     return Outcome(found.model, headline(found), numbers(found), lines, status, tuple(notes), found.summary())
 
@@ -62,7 +67,8 @@ def numbers(d: Discovery) -> dict[str, Any]:
 
     ``verdict``, ``complete``, ``names``, ``answer`` (names and rivals), ``count``, ``gap_before``, ``gap_refitted``,
     ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``gaps.OUTPUT.updated`` in its unit;
-    ``effects.ID.PARAMETER`` with ``lower`` and ``upper`` alike (95 %), ``confidence.ID``, ``nominal.PARAMETER``.
+    ``effects.ID.PARAMETER`` with ``lower`` and ``upper`` alike (95 %), ``confidence.ID``, ``nominal.PARAMETER``,
+    ``next_experiment.name`` ("none" where no rival is left) and ``.separation``.
 
     An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
     is not met, while a misspelt one is refused.
@@ -92,6 +98,10 @@ def numbers(d: Discovery) -> dict[str, Any]:
         "upper": upper,
         "confidence": confidence,
         "nominal": {p.name: p.value for p in d.nominal},
+        "next_experiment": {
+            "name": d.next_experiment.name if d.next_experiment else "none",
+            "separation": d.next_experiment.separation if d.next_experiment else math.nan,
+        },
         "structure": dict(d.structure),
         "remaining_lines": [dict(line) for line in d.remaining_lines],
         "seconds": d.seconds,
