@@ -70,7 +70,9 @@ def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[
     port = model.ports[site.name]
     motion = [_port_motion(port, r) for r in records]
     inertia = 1.0 / float(port.velocity @ port.force)
-    currents = [np.abs(r.smoothed.x @ p.velocity).max() for r in records for p in model.ports.values() if p.kind == "current"]
+    currents = [
+        np.abs(r.smoothed.x @ p.velocity).max() for r in records for p in model.ports.values() if p.kind == "current"
+    ]
     if port.kind == "current":
         largest = max(float(np.abs(r.u).max()) for r in records)
         speed = max(float(np.abs(v).max()) for _, v, _, _ in motion)

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.dynamics.effects.effect_contract import Site
 from robustlab.dynamics.effects.port_model import linear_plant_of, parameter_groups, port_model
+from robustlab.dynamics.effects.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.errors import InputError
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.candidates import candidates
 from robustlab.identification.discovery_result import (
     Discovery,
@@ -33,12 +33,18 @@ from robustlab.identification.discovery_result import (
     Verdict,
 )
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
-from robustlab.identification.greedy_naming import Alternative, Naming, alternatives, held_out_fit, name_effects
+from robustlab.identification.greedy_naming import Alternative, Naming, alternatives, held_out_fit, name_effects, white
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-from robustlab.identification.prepared_record import PreparedRecord, prepare, window_length
+from robustlab.identification.prepared_record import START_INFLATION, prepare, window_length
+from robustlab.identification.residual_after_naming import LeftOver, left_over
+from robustlab.identification.updated_plant import updated_plant
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
+
+if TYPE_CHECKING:
+    from robustlab.identification.next_experiment import NextExperiment
+    from robustlab.identification.noise_floor import NoiseFloor
 
 __all__ = ["discover"]
 
@@ -46,6 +52,8 @@ Array = NDArray[np.float64]
 
 HELD_OUT_EVERY = 4  # without a held-out record, every fourth window is kept from the fit
 INTERVAL = 1.96  # standard deviations of a 95 % interval
+EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
+REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +63,11 @@ class _Data:
     problem: Problem
     held: Problem
     held_text: str
+
+    def everything(self) -> Problem:
+        """All records, those held out as well."""
+        known = [*self.problem.records, *(r for r in self.held.records if r not in self.problem.records)]
+        return self.problem.on(known)
 
 
 def discover(
@@ -148,7 +161,10 @@ def _linear(plant: Any) -> LinearPlant:
 
     if isinstance(plant, Plant):
         raise InputError(
-            "discover", f"the nonlinear plant {plant.name}", "a linear one", "linearise it first: rl.linearise(plant, at=...)"
+            "discover",
+            f"the nonlinear plant {plant.name}",
+            "a linear one",
+            "linearise it first: rl.linearise(plant, at=...)",
         )
     return linear_plant_of(as_model(plant, "discover"), "discover")
 
@@ -194,10 +210,13 @@ def _result(
     stated: Mapping[str, tuple[float, bool]], findings: tuple[Any, ...], pool: Sequence[Candidate],
     records: Sequence[Record], repeats: Sequence[Record], period: float | None, began: float,
 ) -> Discovery:  # fmt: skip
-    problem, held, fit = data.problem, data.held, naming.fit
+    problem, held, fit = data.problem, data.held, naming.settled
     gaps, series = _gaps(held, naming)
     effects = tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates)))
-    verdict, complete, structure = _verdict(problem, naming, gaps, bool(rivals))
+    left = left_over(data.everything(), fit, naming.noise)
+    floor = _floor_excess(records, repeats, period, naming, problem)
+    verdict, complete = _verdict(naming, left, floor[1], bool(rivals))
+    remains = left is not None and not complete
     overall = {key: _overall(gaps, key) for key in ("nominal", "refitted", "updated")}
     return Discovery(
         status=Status.CONVERGED if verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
@@ -216,20 +235,71 @@ def _result(
         window=problem.records[0].windows.length * problem.records[0].record.dt,
         steps=tuple(_step(s) for s in naming.steps),
         candidates=tuple(dict.fromkeys(c.effect.id for c in pool)),
-        structure=structure,
+        structure=vars(left.structure) | {"found": left.structure.found} if left else {},
+        residual_force=left.curves() if remains and left else None,
+        unnamed=left.unnamed() if remains and left else None,
+        noise_floor=floor[0],
+        floor_excess=floor[1],
         findings=findings,
         series=series,
+        model=updated_plant(problem, fit, f"fitted to {', '.join(r.name for r in records)}"),
+        next_experiment=_next_experiment(problem, naming, rivals),
         seconds=time.perf_counter() - began,
     )
+
+
+def _next_experiment(problem: Problem, naming: Naming, rivals: Sequence[Alternative]) -> NextExperiment | None:
+    """What would separate the named effects from their rivals."""
+    if not rivals:
+        return None
+    from robustlab.identification.next_experiment import propose_experiment
+
+    return propose_experiment(problem, naming.fit, [a.fit for a in rivals])
+
+
+def _floor_excess(
+    records: Sequence[Record], repeats: Sequence[Record], period: float | None, naming: Naming, problem: Problem
+) -> tuple[NoiseFloor | None, dict[str, float]]:
+    """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
+    from robustlab.identification.noise_floor import noise_floor
+
+    first = problem.records[0]
+    names = [problem.plant.outputs[k].name for k in first.columns]
+    try:
+        floor = noise_floor(records[0], period=period, repeats=repeats, outputs=names)
+    except NoTrustworthyNumber:
+        return None, {}
+    if floor.source != "periods" or first.record.n != records[0].n:
+        return floor, {}
+    # Windows at the same phases of every period.
+    per_period = max(1, round(floor.samples / first.windows.length))
+    length = floor.samples // per_period
+    starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
+    s = first.smoothed
+    cut = replace(
+        first, windows=Windows(starts.astype(np.int64), length), x0=s.x[starts].copy(),
+        x0_std=START_INFLATION * s.x_std[starts],
+    )  # fmt: skip
+    there = problem.on([cut])
+    fit = held_out_fit(there, naming.settled, white(naming.noise))
+    errors = cut.measured - simulated_outputs(there, fit)[0]
+    excess = {}
+    for j, name in enumerate(names):
+        residual = np.full((floor.count, floor.samples), np.nan)
+        residual[:, : per_period * length] = errors[:, :, j].reshape(floor.count, per_period * length)
+        found = floor.excess(residual)
+        if found.F is not None:
+            excess[name] = found.F
+    return floor, excess
 
 
 def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]]:
     """Windowed errors on held-out data of the three models, and their signals."""
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), naming.noise, 0)
+    plain = white(naming.noise)
     models = {
-        "nominal": held_out_fit(held, as_given, naming.noise),
-        "refitted": held_out_fit(held, naming.bare, naming.noise),
-        "updated": held_out_fit(held, naming.fit, naming.noise),
+        key: held_out_fit(held, fit, plain)
+        for key, fit in (("nominal", as_given), ("refitted", naming.bare), ("updated", naming.settled))
     }
     outputs = {key: simulated_outputs(held, fit) for key, fit in models.items()}
     measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
@@ -242,7 +312,13 @@ def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]
     for j, column in enumerate(first.columns):
         signal = held.plant.outputs[column]
         rms = {
-            key: float(np.sqrt(np.nanmean(np.concatenate([(m - y)[:, :, j].ravel() for m, y in zip(measured, values, strict=True)]) ** 2)))
+            key: float(
+                np.sqrt(
+                    np.nanmean(
+                        np.concatenate([(m - y)[:, :, j].ravel() for m, y in zip(measured, values, strict=True)]) ** 2
+                    )
+                )
+            )
             for key, values in outputs.items()
         }
         span = max(float(np.nanmax(r.y[:, j]) - np.nanmin(r.y[:, j])) for r in held.records)
@@ -260,11 +336,23 @@ def _overall(gaps: Mapping[str, Gap], key: str) -> float:
     return float(100.0 * np.sqrt(np.mean(np.square(shares))))
 
 
-def _verdict(problem: Problem, naming: Naming, gaps: Mapping[str, Gap], has_rivals: bool) -> tuple[Verdict, bool, dict[str, Any]]:
-    named = bool(naming.fit.hypothesis.candidates)
-    if not named:
-        return "no missing effect", True, {}
-    return ("ambiguous" if has_rivals else "named"), True, {}
+def _verdict(
+    naming: Naming, left: LeftOver | None, floor: Mapping[str, float], has_rivals: bool
+) -> tuple[Verdict, bool]:
+    """The verdict, and whether the model is complete with what was named."""
+    remains = (left is not None and left.structure.found) or any(f > REPEATABLE for f in floor.values())
+    if not naming.fit.hypothesis.candidates:
+        return ("unknown", False) if remains else ("no missing effect", True)
+    if remains and left is not None and left.structure.found and _explained(naming, left) < EXPLAINED:
+        return "unknown", False
+    return ("ambiguous" if has_rivals else "named"), not remains
+
+
+def _explained(naming: Naming, left: LeftOver) -> float:
+    """Share of the fall in V from the bare model to noise that the named effects brought about."""
+    bare, now = naming.bare_cost, naming.fit.cost
+    points = float(naming.points)
+    return 1.0 if bare <= points else (bare - now) / (bare - points)
 
 
 def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
@@ -288,7 +376,7 @@ def _named(problem: Problem, naming: Naming, k: int, rivals: Sequence[Alternativ
     evidence = step.taken.evidence - step.ranking.base.evidence if step and step.taken else 0.0
     effect = candidate.effect
     return NamedEffect(
-        effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(problem, naming.fit, k),
+        effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(problem, naming.settled, k),
         confidence, evidence, tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
     )  # fmt: skip
 
@@ -321,6 +409,4 @@ def _step(step: Any) -> NamingStep:
     entries = tuple(
         StepEntry(r.id, r.candidate.site.name if r.candidate else "", r.evidence, r.wins) for r in step.ranking.ranked
     )
-    return NamingStep(
-        tuple(c.effect.id for c in step.base.candidates), entries, step.decision, float(step.held_out)
-    )
+    return NamingStep(tuple(c.effect.id for c in step.base.candidates), entries, step.decision, float(step.held_out))

@@ -74,7 +74,7 @@ class Candidate:
         return {p.name: p.prior.value(float(v)) for p, v in zip(self.parameters, z, strict=True)}
 
     def standardised(self, values: Mapping[str, float]) -> Array:
-        """z of the values."""
+        """Z of the values."""
         return np.array([p.prior.standardised(values[p.name]) for p in self.parameters])
 
 
@@ -116,6 +116,8 @@ class Fit:
         Of V / 2 over z, starts eliminated, prior included.
     noise
         The noise model that V was measured with.
+    covariance
+        Of z from the scatter of the windows' gradients (sandwich), where it was asked for.
     """
 
     hypothesis: Hypothesis
@@ -126,6 +128,7 @@ class Fit:
     hessian: Array
     noise: NoiseModel
     evaluations: int
+    covariance: Array | None = None
 
     @property
     def evidence(self) -> float:
@@ -136,7 +139,10 @@ class Fit:
     @property
     def std(self) -> Array:
         """Posterior standard deviations of z."""
-        return np.sqrt(np.abs(np.diag(np.linalg.pinv(self.hessian))))
+        laplace = np.sqrt(np.abs(np.diag(np.linalg.pinv(self.hessian))))
+        if self.covariance is None:
+            return laplace
+        return np.maximum(laplace, np.sqrt(np.abs(np.diag(self.covariance))))
 
 
 class Problem:
@@ -206,7 +212,12 @@ class Problem:
         ]
 
     def _record_errors(
-        self, k: int, simulator: Simulator, factors: Mapping[str, float], values: Sequence[Mapping[str, float]], xi: Array
+        self,
+        k: int,
+        simulator: Simulator,
+        factors: Mapping[str, float],
+        values: Sequence[Mapping[str, float]],
+        xi: Array,
     ) -> Array:
         record, chosen = self.records[k], self.chosen[k]
         with np.errstate(all="ignore"):
@@ -214,7 +225,12 @@ class Problem:
         return averaged(record.measured[chosen] - outputs, record.thin)
 
     def outputs(
-        self, k: int, simulator: Simulator, factors: Mapping[str, float], values: Sequence[Mapping[str, float]], xi: Array
+        self,
+        k: int,
+        simulator: Simulator,
+        factors: Mapping[str, float],
+        values: Sequence[Mapping[str, float]],
+        xi: Array,
     ) -> Array:
         """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
         record, chosen = self.records[k], self.chosen[k]
@@ -242,12 +258,13 @@ class Problem:
         tolerance: float = 0.05,
         fixed: bool = False,
         borrowed: Sequence[tuple[Array, Array]] | None = None,
+        robust: bool = False,
     ) -> Fit:
         """Levenberg-Marquardt from z; stops when V falls by less than ``tolerance``.
 
         With ``fixed`` the parameters stay and only the window starts are fitted (a prediction of data that the fit
         did not see). ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from
-        elsewhere (`derivatives`) to save their simulations in a first look.
+        elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance.
         """
         z = np.array(z, dtype=float)
         n_x = len(self.plant.states)
@@ -259,9 +276,12 @@ class Problem:
         hessian = np.eye(len(z))
         rounds = iterations
         while True:
-            parts = [self._linearised(k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed,
-                                      borrowed[k] if borrowed else None)
-                     for k in range(len(xi))]
+            parts = [
+                self._linearised(
+                    k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed, borrowed[k] if borrowed else None
+                )
+                for k in range(len(xi))
+            ]
             count += 1
             hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
             if rounds <= 0:
@@ -281,7 +301,8 @@ class Problem:
             if improved < max(tolerance, RELATIVE * cost):
                 break
         window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
-        return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count)
+        covariance = _sandwich(parts, hessian) if robust else None
+        return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
 
     @staticmethod
     def _stepped(
@@ -353,6 +374,7 @@ class _Linearised:
     xx: Array  # X^T X + 1, (n_windows, n_x, n_x)
     xj: Array  # X^T J, (n_windows, n_x, n_z)
     xr: Array  # X^T r + xi, (n_windows, n_x)
+    scores: Array  # J^T r of each window, (n_windows, n_z)
 
     @classmethod
     def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> _Linearised:
@@ -360,7 +382,7 @@ class _Linearised:
         flat = j.reshape(-1, j.shape[2])
         return cls(
             flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
-            (xt @ residual[:, :, None])[:, :, 0] + xi,
+            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual),
         )  # fmt: skip
 
     @property
@@ -377,6 +399,14 @@ class _Linearised:
         hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
         gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
         return _Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
+
+
+def _sandwich(parts: Sequence[_Linearised], hessian: Array) -> Array:
+    """Covariance of z from the scatter of the windows' gradients, starts eliminated: it holds under any noise."""
+    scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
+    inverse = np.linalg.pinv(hessian)
+    count = len(scores)
+    return inverse @ (scores.T @ scores) @ inverse * (count / max(1, count - 1))
 
 
 def averaged(error: Array, thin: int) -> Array:

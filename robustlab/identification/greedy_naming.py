@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.naming import Ranked, Ranking, first_noise, rank
 
-__all__ = ["Alternative", "Naming", "Step", "alternatives", "held_out_fit", "name_effects", "rms_percent"]
+__all__ = ["Alternative", "Naming", "Step", "alternatives", "held_out_fit", "name_effects", "rms_percent", "white"]
 
 Array = NDArray[np.float64]
 
@@ -19,10 +19,9 @@ MOST_EFFECTS = 5
 # A new effect must be this much more probable than none, on top of the number of effects that were tried.
 CONVINCING = 4.0
 WRONG_PARAMETER = 2.0  # the same for a parameter beyond its tolerance: those are few, and asked for by name
-REFINING = 5.0  # log evidence that a refinement must be ahead of its parent
 HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
+HELD_OUT_LOSS = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well, by chance better
 HELD_OUT_FALL = 0.01  # of the held-out error
-COLLAPSED = 0.1  # of the parent's own value: a refinement whose parent term vanished is no refinement of it
 # Rivals.
 EVIDENCE_TIE = 3.0
 WIN_SHARE = 0.05
@@ -43,12 +42,28 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Naming:
-    """Result of the search: the hypothesis, its fit, the fit of the bare nominal model, and the steps."""
+    """Result of the search.
+
+    Attributes
+    ----------
+    fit
+        The hypothesis, fitted under the noise model it is judged with.
+    settled, bare
+        Its parameters, and those of the bare nominal model, by least squares of the windowed error: what is not
+        modelled biases these least. Their covariance is the robust one.
+    steps, noise
+        The steps, and the noise model of the last.
+    bare_cost, points
+        V of the bare model under that noise model, and the number of residuals.
+    """
 
     fit: Fit
+    settled: Fit
     bare: Fit
     steps: tuple[Step, ...]
     noise: NoiseModel
+    bare_cost: float
+    points: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +121,10 @@ def name_effects(
         if len(base.candidates) >= MOST_EFFECTS:
             break
     checked = _checked_backwards(problem, fit, noise)
-    return Naming(checked, bare, tuple(steps), noise)
+    settled = _least_squares(problem, checked, noise)
+    again = problem.fit(bare.hypothesis, noise, bare.z, bare.starts, iterations=8)
+    points = sum(r.size for r in problem.whitened(problem.errors(bare.hypothesis, again.z, again.starts), noise))
+    return Naming(checked, settled, _least_squares(problem, bare, noise), tuple(steps), noise, again.cost, points)
 
 
 def _may_follow(candidate: Candidate, base: Hypothesis) -> bool:
@@ -149,8 +167,7 @@ def _decided(
             parent = _parent(entry, ranking)
             if parent is None or parent.evidence - ranking.base.evidence < threshold:
                 continue
-            if entry.evidence - parent.evidence < REFINING or _collapsed(problem, entry, parent):
-                chosen = parent
+            chosen = parent  # the refinement has to earn its place in the next step
         return _judged_on_held_out(held, base, ranking, chosen)
     return Step(base, ranking, None, "stop: no effect is left", np.nan)
 
@@ -171,14 +188,6 @@ def _parent(entry: Ranked, ranking: Ranking) -> Ranked | None:
     return None
 
 
-def _collapsed(problem: Problem, entry: Ranked, parent: Ranked) -> bool:
-    """True where the refinement has no share of its parent left (Stribeck friction with a Coulomb level of zero)."""
-    assert entry.candidate is not None and parent.candidate is not None
-    own = problem.split(entry.fit.hypothesis, entry.fit.z)[1][-1]
-    theirs = problem.split(parent.fit.hypothesis, parent.fit.z)[1][-1]
-    return any(abs(own[name]) < COLLAPSED * abs(value) for name, value in theirs.items() if name in own)
-
-
 def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chosen: Ranked) -> Step:
     assert chosen.candidate is not None
     before = held_out_fit(held, ranking.base.fit, ranking.noise)
@@ -186,10 +195,12 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
     gain = 0.5 * (before.cost - after.cost) - 0.5 * float(
         ranking.base.fit.z @ ranking.base.fit.z - chosen.fit.z @ chosen.fit.z
     )
-    fall_before, fall_after = rms_percent(held, before), rms_percent(held, after)
+    fall_before, fall_after = (
+        rms_percent(held, held_out_fit(held, fit, white(ranking.noise))) for fit in (ranking.base.fit, chosen.fit)
+    )
     # The refit may have stretched a tolerance to fit a wrong parameter; naming it then explains, but gains nothing.
     helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - HELD_OUT_FALL) * fall_before
-    if not helps and not (_is_parameter(chosen) and fall_after < (1.0 + HELD_OUT_FALL) * fall_before):
+    if not helps and not (_is_parameter(chosen) and gain > -HELD_OUT_LOSS):
         text = (
             f"stop: {chosen.id} does not help on held-out data "
             f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"
@@ -204,12 +215,25 @@ def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
     return held.fit(fit.hypothesis, noise, fit.z, iterations=8, fixed=True, tolerance=0.5)
 
 
+def white(noise: NoiseModel) -> NoiseModel:
+    """White noise of the same innovations: with it the window starts are those of least squares."""
+    return NoiseModel(noise.std, noise.ar[:0])
+
+
 def rms_percent(problem: Problem, fit: Fit) -> float:
     """Windowed RMS error over all outputs in percent of their measured ranges."""
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     ranges = np.nanmax([np.ptp(np.where(np.isfinite(r.y), r.y, r.y[0]), axis=0) for r in problem.records], axis=0)
     squares = np.concatenate([(e / np.where(ranges > 0, ranges, 1.0)).reshape(-1, len(ranges)) ** 2 for e in errors])
     return float(100.0 * np.sqrt(np.nanmean(squares)))
+
+
+def _least_squares(problem: Problem, fit: Fit, noise: NoiseModel) -> Fit:
+    """The fit under white noise of the size of its own errors, with the covariance that the windows' scatter tells."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    flat = np.concatenate([e.reshape(-1, e.shape[2]) for e in errors])
+    size = np.maximum(np.sqrt(np.nanmean(flat**2, axis=0)), noise.std)
+    return problem.fit(fit.hypothesis, NoiseModel(size, noise.ar[:0]), fit.z, fit.starts, iterations=12, robust=True)
 
 
 def _without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:

@@ -28,7 +28,7 @@ SEED = 20261121
 FIRST, SECOND, LAST = 4, 6, 8
 KEPT_SECOND, KEPT_LAST = 10, 7
 PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
-MANY_WINDOWS = 10
+FIRST_WINDOWS, SECOND_WINDOWS = 6, 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,9 @@ def whitening(problem: Problem, fit: Fit, order: int = AR_ORDER) -> NoiseModel:
     for j in range(n_y):
         past = np.concatenate(
             [
-                np.stack([e[:, order - lag - 1 : e.shape[1] - lag - 1, j] for lag in range(order)], axis=2).reshape(-1, order)
+                np.stack([e[:, order - lag - 1 : e.shape[1] - lag - 1, j] for lag in range(order)], axis=2).reshape(
+                    -1, order
+                )
                 for e in errors
             ]
         )
@@ -132,29 +134,37 @@ def rank(
         for start in (*candidate.starts, *_as_refitted(problem, base_fit, candidate))
     ]
 
-    half = problem.on(problem.records, [c[::2] for c in problem.chosen]) if _many(problem) else problem
-    half_starts = [x[::2] for x in base_fit.starts] if _many(problem) else base_fit.starts
-    half_base = half.fit(base, noise, base_fit.z, half_starts, 1)
-    borrowed = half.derivatives(half_base)
+    few, few_starts = _thinned(problem, base_fit, FIRST_WINDOWS)
+    some, some_starts = _thinned(problem, base_fit, SECOND_WINDOWS)
+    few_base = few.fit(base, noise, base_fit.z, few_starts, 1)
+    some_base = some.fit(base, noise, base_fit.z, some_starts, 1)
+    borrowed = few.derivatives(few_base)
 
     def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
-        return job[0], half.fit(job[1], noise, job[2], half_base.starts, FIRST, borrowed=borrowed)
+        return job[0], few.fit(job[1], noise, job[2], few_base.starts, FIRST, borrowed=borrowed)
 
     def second_of(entry: tuple[Candidate, Fit]) -> tuple[Candidate | None, Fit]:
-        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, SECOND)
+        return entry[0], some.fit(entry[1].hypothesis, noise, entry[1].z, some_base.starts, SECOND)
 
-    def on(iterations: int, model: NoiseModel) -> Callable[[tuple[Candidate | None, Fit]], tuple[Candidate | None, Fit]]:
+    def placed(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
+        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, 2)
+
+    def on(
+        iterations: int, model: NoiseModel
+    ) -> Callable[[tuple[Candidate | None, Fit]], tuple[Candidate | None, Fit]]:
         return lambda c: (c[0], problem.fit(c[1].hypothesis, model, c[1].z, c[1].starts, iterations))
 
     with ThreadPoolExecutor(WORKERS) as pool:
         fitted = _best_of_each(pool.map(first, jobs))
         if progress:
             progress(f"{len(jobs)} starts of {len(fitted)} effects tried")
-        gain = {key: half_base.cost - fit.cost for key, (_, fit) in fitted.items()}
+        gain = {key: few_base.cost - fit.cost for key, (_, fit) in fitted.items()}
         kept = [key for key in sorted(gain, key=gain.__getitem__, reverse=True) if gain[key] > 2.0 * PROMISING]
         second = list(pool.map(second_of, [fitted[key] for key in kept[:KEPT_SECOND]]))
         second.sort(key=lambda c: c[1].cost)
-        leader = second[0][1] if second and second[0][1].cost < base_fit.cost else base_fit
+        gaining = [c for c in second if c[1].cost < some_base.cost][:KEPT_LAST]
+        second = list(pool.map(placed, gaining)) if some is not problem else gaining
+        leader = min([base_fit, *(fit for _, fit in second)], key=lambda f: f.cost)
         final_noise = whitening(problem, leader)
         # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
         reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
@@ -178,9 +188,12 @@ def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dic
     return ()
 
 
-def _many(problem: Problem) -> bool:
-    """True where half the windows are enough for a first look."""
-    return sum(len(c) for c in problem.chosen) >= MANY_WINDOWS
+def _thinned(problem: Problem, fit: Fit, wanted: int) -> tuple[Problem, list[Array]]:
+    """Every so manieth window for a first look, and the fitted starts of those."""
+    stride = max(1, round(sum(len(c) for c in problem.chosen) / wanted))
+    if stride == 1:
+        return problem, list(fit.starts)
+    return problem.on(problem.records, [c[::stride] for c in problem.chosen]), [x[::stride] for x in fit.starts]
 
 
 def _extended(

@@ -43,7 +43,10 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
         if name not in plant.parameters:
             known = tuple(plant.parameters)
             raise InputError(
-                f"tolerances: {name!r}", f"no such parameter of {plant.name}", ", ".join(known), did_you_mean(name, known)
+                f"tolerances: {name!r}",
+                f"no such parameter of {plant.name}",
+                ", ".join(known),
+                did_you_mean(name, known),
             )
         if not tolerance >= 0 or not math.isfinite(tolerance):
             raise InputError(f"tolerances: {name}", f"{tolerance}", "a relative tolerance, 0 or more")

@@ -125,7 +125,9 @@ def prepare(
     starts = np.arange(0, record.n - length + 1, length, dtype=np.int64)
     if len(starts) < FEWEST_WINDOWS:
         raise InputError(
-            f"discover {record.name}", f"{record.n} samples", f"at least {FEWEST_WINDOWS * length} ({FEWEST_WINDOWS} windows)"
+            f"discover {record.name}",
+            f"{record.n} samples",
+            f"at least {FEWEST_WINDOWS * length} ({FEWEST_WINDOWS} windows)",
         )
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.column_stack([p.force for p in joints]) if joints else model.B

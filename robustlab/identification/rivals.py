@@ -34,7 +34,7 @@ def predicted(problem: Problem, fit: Fit) -> Problem:
 
 
 def refit_distance(problem: Problem, true: Fit, rival: Fit) -> float:
-    """d of the rival's hypothesis, refitted from where it stands, to the prediction of the true one."""
+    """D of the rival's hypothesis, refitted from where it stands, to the prediction of the true one."""
     there = predicted(problem, true)
     prior = float(true.z @ true.z) + sum(float((x**2).sum()) for x in true.starts)
     fitted = there.fit(rival.hypothesis, true.noise, rival.z, rival.starts, iterations=10)

@@ -87,7 +87,7 @@ class Simulator:
         """
         model = self.model(factors, values)
         laws = [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
-        seen = self._input(values)
+        seen = self.seen_input(values)
         motion, forces = self._step(model, laws, seen, x0, windows)
         u = seen[:: self.sub][windows.starts[:, None] + np.arange(windows.length)] if model.D.any() else None
         outputs = motion @ model.C.T
@@ -115,7 +115,7 @@ class Simulator:
             model = effect.extend(model, site, v)
         return model
 
-    def _input(self, values: Sequence[Mapping[str, float]]) -> Array:
+    def seen_input(self, values: Sequence[Mapping[str, float]]) -> Array:
         """Inputs in steps of the simulation, as the plant sees them."""
         u = self.held
         names = [s.name for s in self.plant.inputs]
