@@ -49,6 +49,7 @@ Array = NDArray[np.float64]
 WHERE = "smooth_disturbance"
 
 GRID = 9  # bandwidths tried before the search
+HIGHEST = 0.1  # bandwidth over the sample rate: noise that was filtered before it was stored would ask for more
 SHOCK = 3.0  # a shock beyond this many standard deviations is given a variance of its own
 JUMP = 4.5  # and beyond this many it is called a jump
 JUMP_ROUNDS = 4
@@ -199,7 +200,7 @@ class _Task:
 
     def span(self) -> tuple[float, float]:
         """Logarithms of the lowest and highest bandwidth in Hz that a record of this length can tell."""
-        return math.log(0.2 / (self.h * len(self.t))), math.log(0.4 / self.h)
+        return math.log(0.2 / (self.h * len(self.t))), math.log(HIGHEST / self.h)
 
 
 @dataclass(frozen=True)
