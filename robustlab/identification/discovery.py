@@ -143,7 +143,7 @@ def discover(
 
 
 def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
-    """False for a parameter effect whose total factor lies within the parameter's tolerance: nothing is missing then."""
+    """False for a parameter effect whose factor lies within the parameter's tolerance: nothing is missing then."""
     if candidate.site.kind != "parameter":
         return True
     factors, values = problem.split(fit.hypothesis, fit.z)
@@ -307,18 +307,11 @@ def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]
     first = held.records[0]
     order = (first.windows.starts[held.chosen[0]][:, None] + np.arange(first.windows.length)).ravel()
     series: dict[str, Any] = {"t": first.record.t[order], "outputs": {}}
-    for name, unit in first.record.inputs and [(s.name, s.unit) for s in held.plant.inputs]:
-        series.setdefault("inputs", {})[name] = first.record.inputs[name][order]
+    series["inputs"] = {s.name: first.record.inputs[s.name][order] for s in held.plant.inputs}
     for j, column in enumerate(first.columns):
         signal = held.plant.outputs[column]
         rms = {
-            key: float(
-                np.sqrt(
-                    np.nanmean(
-                        np.concatenate([(m - y)[:, :, j].ravel() for m, y in zip(measured, values, strict=True)]) ** 2
-                    )
-                )
-            )
+            key: _rms([(m - y)[:, :, j] for m, y in zip(measured, values, strict=True)])
             for key, values in outputs.items()
         }
         span = max(float(np.nanmax(r.y[:, j]) - np.nanmin(r.y[:, j])) for r in held.records)
@@ -328,6 +321,10 @@ def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]
             **{key: values[0][:, :, j].ravel() for key, values in outputs.items()},
         }
     return gaps, series
+
+
+def _rms(errors: Sequence[Array]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate([e.ravel() for e in errors]) ** 2)))
 
 
 def _overall(gaps: Mapping[str, Gap], key: str) -> float:

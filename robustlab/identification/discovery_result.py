@@ -18,7 +18,17 @@ if TYPE_CHECKING:
     from robustlab.identification.suitability import Finding
     from robustlab.identification.unnamed_effect import ResidualForce, UnnamedForce
 
-__all__ = ["Discovery", "EffectValue", "Gap", "NamedEffect", "NamingStep", "NominalValue", "Rival", "StepEntry", "Verdict"]
+__all__ = [
+    "Discovery",
+    "EffectValue",
+    "Gap",
+    "NamedEffect",
+    "NamingStep",
+    "NominalValue",
+    "Rival",
+    "StepEntry",
+    "Verdict",
+]
 
 Array = NDArray[np.float64]
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]

@@ -91,14 +91,7 @@ def whitening(problem: Problem, fit: Fit, order: int = AR_ORDER) -> NoiseModel:
     n_y = errors[0].shape[2]
     ar, std = np.zeros((order, n_y)), np.ones(n_y)
     for j in range(n_y):
-        past = np.concatenate(
-            [
-                np.stack([e[:, order - lag - 1 : e.shape[1] - lag - 1, j] for lag in range(order)], axis=2).reshape(
-                    -1, order
-                )
-                for e in errors
-            ]
-        )
+        past = np.concatenate([_past(e[:, :, j], order) for e in errors])
         now = np.concatenate([e[:, order:, j].ravel() for e in errors])
         known = np.isfinite(past).all(axis=1) & np.isfinite(now)
         past, now = past[known], now[known]
@@ -106,6 +99,13 @@ def whitening(problem: Problem, fit: Fit, order: int = AR_ORDER) -> NoiseModel:
         rest = now - past @ ar[:, j]
         std[j] = max(float(np.sqrt(np.mean(rest**2))), 1e-12 * float(np.abs(now).max(initial=1e-300)))
     return NoiseModel(std, ar)
+
+
+def _past(errors: Array, order: int) -> Array:
+    """The ``order`` points before each point of a window, (n, order), latest first."""
+    length = errors.shape[1]
+    lagged = [errors[:, order - lag - 1 : length - lag - 1] for lag in range(order)]
+    return np.stack(lagged, axis=2).reshape(-1, order)
 
 
 def rank(
@@ -149,10 +149,9 @@ def rank(
     def placed(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
         return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, 2)
 
-    def on(
-        iterations: int, model: NoiseModel
-    ) -> Callable[[tuple[Candidate | None, Fit]], tuple[Candidate | None, Fit]]:
-        return lambda c: (c[0], problem.fit(c[1].hypothesis, model, c[1].z, c[1].starts, iterations))
+    def finally_(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
+        fit = entry[1]
+        return entry[0], problem.fit(fit.hypothesis, final_noise, fit.z, fit.starts, LAST)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         fitted = _best_of_each(pool.map(first, jobs))
@@ -174,7 +173,7 @@ def rank(
             *second[:KEPT_LAST],
             *((c, replace(fit, starts=base_fit.starts)) for c, fit in wrong),
         ]
-        final = list(pool.map(on(LAST, final_noise), last))
+        final = list(pool.map(finally_, last))
     return _ranked(final, final_noise)
 
 

@@ -136,10 +136,11 @@ def prepare(
     known = np.isfinite(y).all(axis=1)
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     windows = Windows(np.array(usable, dtype=np.int64), length)
+    std = START_INFLATION * smoothed.x_std[windows.starts]
+    thin = max(1, length // POINTS_PER_WINDOW)
     return PreparedRecord(
-        record, u, y, columns, windows, smoothed.x[windows.starts].copy(),
-        START_INFLATION * smoothed.x_std[windows.starts], smoothed, push, max(1, length // POINTS_PER_WINDOW), resolution,
-    )  # fmt: skip
+        record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, push, thin, resolution
+    )
 
 
 def _resolution(y: Array) -> float:
