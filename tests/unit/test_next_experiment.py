@@ -1,0 +1,301 @@
+"""The proposed experiment: known answers of the catalogue's table, and the proposal tried on an independent machine."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hidden import make_case
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robustlab.dynamics.effects.port_model import port_model
+from robustlab.errors import InputError
+from robustlab.identification import experiment_bench as bench
+from robustlab.identification.candidates import candidates
+from robustlab.identification.effect_fit import Hypothesis, NoiseModel, Problem, simulated_outputs
+from robustlab.identification.experiment_menu import Piece, experiment_menu
+from robustlab.identification.naming import first_noise, whitening
+from robustlab.identification.next_experiment import propose_experiment
+from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
+from robustlab.identification.prepared_record import prepare, window_length
+from robustlab.result import plain
+
+SEED = 5
+DT = 1e-3
+
+
+def problem_of(plant, record, length=None):
+    model = port_model(plant)
+    prepared = prepare(plant, model, record, length or window_length(plant, [record]))
+    return Problem(plant, [prepared], nuisance_parameters(plant, stated_tolerances(plant, None)))
+
+
+def best_fit(problem, pool, name, noise):
+    """The cheapest fit of the nominal model with this effect over all its sites and starts."""
+    bare = np.zeros(len(problem.nuisances))
+    if name == "none":
+        return problem.fit(Hypothesis(()), noise, bare)
+    tries = [
+        problem.fit(Hypothesis((c,)), noise, np.array([*bare, *c.standardised(s)]))
+        for c in pool
+        if c.effect.id == name
+        for s in c.starts
+    ]
+    return min(tries, key=lambda f: f.cost)
+
+
+@cache
+def opened(true, excitation, *names, factor=None, plant="dc-motor", noise="mid"):
+    """A blind case, its problem, and the fits of these hypotheses under the noise that the first leaves."""
+    parameters = {true: {"factor": factor}} if factor else None
+    case = make_case(true, SEED, excitation=excitation, parameters=parameters, plant=plant, noise=noise)
+    problem = problem_of(case.plant, case.record)
+    pool = candidates(case.plant, port_model(case.plant), problem.records)
+    first = best_fit(problem, pool, names[0], first_noise(problem))
+    final = whitening(problem, first)
+    return case, problem, tuple(best_fit(problem, pool, name, final) for name in names)
+
+
+@cache
+def proposal(true, excitation, *names, **more):
+    case, problem, fits = opened(true, excitation, *names, **more)
+    return case, problem, fits, propose_experiment(problem, fits[0], fits[1:])
+
+
+# --- known answers ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rival", ["constant-load", "input-dead-zone"])
+def test_one_way_steps_hide_what_coulomb_friction_is_and_reversals_show_it(rival):
+    case, problem, fits, found = proposal("coulomb-friction", "oneway", "coulomb-friction", rival)
+    assert found.now < 3
+    assert found.separation > 10
+    assert found.separates
+    assert found.advice == ""
+    assert found.added == ()
+    u = found.inputs["u"]
+    assert u.min() < 0 < u.max()  # the record has one sign only
+    assert np.abs(u).max() <= np.abs(case.record.inputs["u"]).max()
+    one_way = {t.sensors: t.separation for t in found.menu if t.name == "one-way steps"}
+    assert one_way["phi",] < 3
+    # A current tells a loss of voltage from a loss of torque, but not one torque from another.
+    assert (one_way["phi", "i"] > 10) == (rival == "input-dead-zone")
+
+    # The machine of the blind tests, an integrator of its own, answers the proposal; both hypotheses are fitted anew.
+    record = case.experiment(u)
+    there = problem_of(case.plant, record, problem.records[0].windows.length)
+    named, other = (there.fit(f.hypothesis, f.noise, f.z) for f in fits)
+    realised = np.sqrt(max(0.0, other.cost - named.cost))
+    assert realised > 10
+    assert 0.5 < realised / found.separation < 2.0
+
+
+def test_a_wrong_inertia_and_a_wrong_resistance_ask_for_a_current_sensor():
+    _, _, _, found = proposal("inertia", "rich", "inertia", "resistance", factor=0.8)
+    assert found.added == ("i",)
+    assert found.sensors == ("phi", "i")
+    assert found.now < 3 < found.separation
+    blind = max(t.separation for t in found.menu if t.sensors == ("phi",))
+    assert found.separation > 1.5 * blind
+    # 0.1 % of the range of a current that reverses at full voltage: twice 2 U / R.
+    assert found.assumed_noise["i"] == pytest.approx(1e-3 * 4 * 24 / 2.07, rel=0.15)
+    assert "i is new" in found.description
+
+
+def test_stribeck_friction_asks_for_slow_motion_through_zero():
+    _, _, _, found = proposal("stribeck-friction", "oneway", "stribeck-friction", "coulomb-friction")
+    assert found.now < 3
+    assert found.separation > 10
+    assert "triangle" in found.description
+    # Coulomb friction is contained in its refinement: nothing that it predicts could speak against that.
+    assert [(p.truth, p.rival) for p in found.pairs] == [("stribeck-friction", "coulomb-friction")]
+    fast = [t.separation for t in found.menu if t.name in ("square wave", "one-way steps", "step")]
+    assert max(fast) < 0.1 * found.separation
+
+
+def test_a_torque_constant_and_a_sensor_gain_ask_for_an_independent_measurement():
+    _, _, _, found = proposal("torque-constant", "rich", "torque-constant", "sensor-gain", factor=0.93)
+    assert found.separation < 3
+    assert not found.separates
+    assert found.advice.startswith("nothing on the menu separates sensor-gain and torque-constant")
+    assert "open-circuit voltage" in found.advice
+    assert "known from elsewhere" in found.advice
+
+
+def test_a_saturation_above_the_recorded_range_is_out_of_reach_and_says_so():
+    case, problem, _ = opened("none", "square", "none")
+    top = float(np.abs(case.record.inputs["u"]).max())
+    pool = candidates(case.plant, port_model(case.plant), problem.records)
+    saturation = next(c for c in pool if c.effect.id == "input-saturation")
+    bare = opened("none", "square", "none")[2][0]
+    z = np.array([*bare.z, *saturation.standardised({"u_max": 0.9999 * top})])
+    high = problem.fit(Hypothesis((saturation,)), bare.noise, z, iterations=0)
+    found = propose_experiment(problem, bare, [high])
+    assert found.separation < 3
+    assert f"u between {-top:.3g} and {top:.3g} V" in found.advice
+    assert "driver's output voltage" in found.advice
+    assert np.abs(found.inputs["u"]).max() <= top
+
+
+# --- the parts -------------------------------------------------------------------------------------------------------
+
+
+def test_the_truth_predicts_its_own_experiment_without_error_and_the_windows_continue_the_run():
+    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
+    ranges = {"u": (-12.0, 12.0)}
+    limits = bench.Limits(ranges, {}, problem.records[0].record.n, 0.3, (1, 2))
+    trials = bench.trials_of(problem, fits, limits)
+    noise, assumed = bench.noise_of(problem, fits[0].noise, trials)
+    assert set(assumed) == {"omega", "i"}
+    trial = next(t for t in trials if t.excitation.name == "rich")
+    judge = bench.Bench(problem, fits, ("a", "b"), noise)
+    there = judge._predicted(trial, 0, (0, 1, 2), 12, noise)
+    windowed = there.records[0].y
+    np.testing.assert_allclose(windowed, trial.outputs[: len(windowed)], atol=1e-9 * np.ptp(trial.outputs))
+    again = simulated_outputs(there, bench._from_rest(fits[0], there, noise))[0]
+    np.testing.assert_allclose(again.reshape(windowed.shape), windowed, atol=1e-12 * np.ptp(windowed))
+
+
+def test_the_linearised_distance_is_a_least_squares_problem():
+    rng = np.random.default_rng(1)
+    windows, points, n_z, n_x = 3, 7, 2, 2
+    j, x, r = (rng.normal(size=(windows, points, k)) for k in (n_z, n_x, 1))
+    z = rng.normal(size=n_z)
+    columns = np.concatenate([j, x, r], axis=2)
+    products = np.swapaxes(columns, 1, 2) @ columns
+    # All unknowns at once: dz, and a start for each window.
+    size = n_z + windows * n_x
+    rows, right = [np.eye(size)], [np.concatenate([z, np.zeros(windows * n_x)])]
+    for w in range(windows):
+        block = np.zeros((points, size))
+        block[:, :n_z], block[:, n_z + w * n_x : n_z + (w + 1) * n_x] = j[w], x[w]
+        rows.append(block)
+        right.append(r[w, :, 0])
+    a, b = np.vstack(rows), np.concatenate(right)
+    step = np.linalg.lstsq(a, -b, rcond=None)[0]
+    expected = np.sum((a @ step + b) ** 2) - z @ z
+    assert bench._linearised_distance(products, z) == pytest.approx(np.sqrt(max(0.0, expected)), rel=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    lowest=st.floats(-50, 5), width=st.floats(0.01, 60), samples=st.integers(200, 3000),
+    share=st.floats(0.03, 0.25), warm=st.booleans(),
+)  # fmt: skip
+def test_no_signal_of_the_menu_leaves_its_range(lowest, width, samples, share, warm):
+    menu = experiment_menu("u", "V", lowest, lowest + width, samples, DT, share * samples * DT, warm)
+    assert len({e.name for e in menu}) == len(menu)
+    for entry in menu:
+        signal = entry.signal(DT)
+        assert len(signal) == entry.samples
+        assert signal.min() >= lowest - 1e-9
+        assert signal.max() <= lowest + width + 1e-9
+        assert entry.text(entry.samples, DT).startswith("u from rest: ")
+    assert any(e.samples > samples for e in menu) == warm
+
+
+def test_the_pieces_are_what_their_words_say():
+    square = Piece("square", 4.0, 0.4, -6.0, 6.0)
+    assert square.text("V") == "a square wave between -6 V and +6 V with period 400 ms for 4 s".replace(
+        "400 ms", "0.4 s"
+    )
+    u = square.samples(DT)
+    assert len(u) == 4000
+    assert (u[:200] == 6).all()
+    assert (u[200:400] == -6).all()
+    assert np.count_nonzero(np.diff(u)) == 19
+    levels = Piece("levels", 0.3, 0.1, levels=(1.0, -1.0, 0.5))
+    assert levels.text("V") == "the levels +1, -1 and +0.5 V, each for 0.1 s (0.3 s)"
+    assert levels.samples(DT)[[0, 99, 100, 199, 200, 299]].tolist() == [1, 1, -1, -1, 0.5, 0.5]
+    slow = Piece("triangle", 2.0, 2.0, -1.0, 1.0).samples(DT)
+    assert np.abs(np.diff(slow)).max() == pytest.approx(4.0 / 2000)
+    spectrum = np.abs(np.fft.rfft(Piece("multisine", 1.0, 1.0, -1.0, 1.0, shortest=0.1).samples(DT)))
+    assert np.flatnonzero(spectrum > 1e-6 * spectrum.max()).tolist() == [1, 3, 5, 7, 9]
+    sweep = Piece("sweep", 4.0, 1.0, -1.0, 1.0, shortest=0.1).samples(DT)
+    crossings = np.flatnonzero(np.diff(np.sign(sweep)) != 0) * DT
+    assert np.diff(crossings)[-1] == pytest.approx(0.05, rel=0.1)  # half the shortest period
+
+
+def test_a_truncated_pattern_is_described_as_far_as_it_goes():
+    menu = {e.name: e for e in experiment_menu("u", "V", -10.0, 10.0, 4000, DT, 0.25)}
+    assert menu["step"].text(2000, DT) == "u from rest: 0 V for 0.25 s, then +10 V for 1.75 s"
+    assert "over and over for 4 s" in menu["coast-down"].text(4000, DT)
+
+
+# --- limits and the answer as an object ------------------------------------------------------------------------------
+
+
+def test_the_limits_are_kept():
+    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
+    found = propose_experiment(problem, *fits[:1], fits[1:], input_range={"u": (-3.0, 2.0)}, longest=2.0, may_add=())
+    u = found.inputs["u"]
+    assert u.min() >= -3.0
+    assert u.max() <= 2.0
+    assert found.duration <= 2.0
+    assert {t.sensors for t in found.menu} == {("phi",)}
+    assert len(found.t) == len(u)
+    assert found.t[1] - found.t[0] == pytest.approx(DT)
+
+
+def test_an_axis_is_kept_within_its_travel():
+    case, problem, fits = opened("coulomb-friction", "rich", "coulomb-friction", "viscous-friction", plant="servo-axis")
+    found = propose_experiment(problem, fits[0], fits[1:])
+    span = np.ptp(problem.records[0].smoothed.x[:, 0])
+    moved = case.clean(found.inputs["u"])["q"]
+    assert np.ptp(moved) < 1.1 * span
+    tight = propose_experiment(problem, fits[0], fits[1:], travel={"q": 0.2 * span})
+    assert np.ptp(case.clean(tight.inputs["u"])["q"]) < 0.25 * span
+
+
+def test_nothing_open_asks_for_nothing():
+    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
+    assert propose_experiment(problem, fits[0], []) is None
+    assert propose_experiment(problem, fits[0], [fits[0]]) is None
+
+
+@pytest.mark.parametrize(
+    ("limits", "named"),
+    [
+        ({"input_range": {"U": (-1, 1)}}, "input_range"),
+        ({"input_range": {"u": (1, -1)}}, "input_range"),
+        ({"travel": {"x": 1.0}}, "travel"),
+        ({"travel": {"phi": 0.0}}, "travel"),
+        ({"may_add": ["torque"]}, "may_add"),
+        ({"longest": 0.1}, "longest"),
+        ({"longest": float("nan")}, "longest"),
+        ({"longest": float("inf")}, "longest"),
+        ({"input_range": {"u": (-float("inf"), 1)}}, "input_range"),
+    ],
+)
+def test_wrong_limits_are_named(limits, named):
+    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
+    with pytest.raises(InputError, match=named):
+        propose_experiment(problem, fits[0], fits[1:], **limits)
+
+
+def test_the_signal_is_saved_and_everything_becomes_json(tmp_path):
+    _, _, _, found = proposal("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
+    path = found.save(tmp_path / "experiment.csv")
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table, np.column_stack([found.t, found.inputs["u"]]), rtol=1e-8)
+    assert path.read_text().startswith("t,u\n0,")
+    data = plain(found.to_json())
+    assert data["name"] == found.name
+    assert len(data["inputs"]["u"]) == len(found.t)
+    assert data["menu"][0][0] == found.menu[0].name
+    lines = found.summary().splitlines()
+    assert lines[0] == found.description
+    assert "noise sigmas" in lines[1]
+    with pytest.raises(ValueError, match="read-only"):
+        found.t[0] = 1.0
+
+
+def test_noise_of_a_recorded_output_is_that_of_the_records():
+    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
+    present = NoiseModel(np.array([0.3]), np.array([[0.5]]))
+    trial = bench.trials_of(problem, fits, bench.Limits({"u": (-1.0, 1.0)}, {}, 2000, 0.1, ()))[0]
+    noise, assumed = bench.noise_of(problem, present, [trial])
+    assert noise.std[0] == 0.3
+    assert noise.ar.tolist() == [[0.5, 0.0, 0.0]]
+    assert assumed["i"] == pytest.approx(1e-3 * np.ptp(trial.outputs[:, 2]))
+    assert noise.std[2] == pytest.approx(assumed["i"] / np.sqrt(problem.records[0].thin))
