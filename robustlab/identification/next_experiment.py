@@ -269,8 +269,8 @@ def _limits(
         if not fewest * dt <= longest < np.inf:
             raise InputError(
                 "propose_experiment: longest", f"{longest:g} s", f"at least {fewest * dt:g} s (four windows)"
-        samples = round(longest / dt)
             )
+        samples = round(longest / dt)
     duration = samples * dt
     beat = min(max(SETTLED * slowest, duration / BEATS[0]), duration / BEATS[1])
     return Limits(_ranges(problem, input_range), _travel(problem, travel), samples, beat, tuple(new))
