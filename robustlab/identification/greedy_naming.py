@@ -26,6 +26,7 @@ HELD_OUT_FALL = 0.01  # of the held-out error
 EVIDENCE_TIE = 3.0
 WIN_SHARE = 0.05
 CANNOT_TELL = 3.0  # refit distance in noise sigmas
+MOST_RIVALS = 5  # looked at for each named effect
 FAR_BEHIND = 40.0  # log evidence; beyond this the distance is not worth its time
 
 
@@ -271,38 +272,46 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
     refitted to that prediction under the priors, and d is the root of what remains in noise sigmas.
     """
     found = []
+    taken = [step for step in naming.steps if step.taken is not None]
     for k, named in enumerate(naming.fit.hypothesis.candidates):
-        pool: dict[str, Candidate] = {}
-        for step in naming.steps:
-            for entry in step.ranking.ranked:
-                c = entry.candidate
-                if c is None or entry.evidence - step.ranking.base.evidence < 0.0:
-                    continue
-                if c.key not in pool and all(c.key != other.key for other in naming.fit.hypothesis.candidates):
-                    pool[c.key] = c
+        step = next(s for s in taken if s.taken and s.taken.candidate and s.taken.candidate.key == named.key)
+        last = step is taken[-1]
         rest, z = _without(problem, naming.fit, k)
-        rivals = [
-            c
-            for c in pool.values()
-            if _may_follow(c, rest) and not (c.effect.refines == named.effect.id and c.site == named.site)
+        entries = [
+            (entry.candidate, entry.fit)
+            for entry in step.ranking.ranked
+            if entry.candidate is not None
+            and entry.candidate.key != named.key
+            and entry.evidence > step.ranking.base.evidence
+            and (not last or entry.evidence > -FAR_BEHIND)
+            and _may_follow(entry.candidate, rest)
+            and not (entry.candidate.effect.refines == named.effect.id and entry.candidate.site == named.site)
         ]
-        found.extend(_judged(problem, naming, named, rest, z, rivals))
+        found.extend(_judged(problem, naming, named, rest, z, entries[:MOST_RIVALS]))
     return found
 
 
 def _judged(
-    problem: Problem, naming: Naming, named: Candidate, rest: Hypothesis, z: Array, rivals: Sequence[Candidate]
+    problem: Problem,
+    naming: Naming,
+    named: Candidate,
+    rest: Hypothesis,
+    z: Array,
+    entries: Sequence[tuple[Candidate, Fit]],
 ) -> list[Alternative]:
     from robustlab.identification.rivals import refit_distance
 
-    fits = []
-    for candidate in rivals:
-        hypothesis = Hypothesis((*rest.candidates, candidate))
-        tries = [
-            problem.fit(hypothesis, naming.noise, np.array([*z, *candidate.standardised(s)]), naming.fit.starts, 6)
-            for s in candidate.starts
-        ]
-        fits.append(min(tries, key=lambda f: f.cost))
+    rivals = [candidate for candidate, _ in entries]
+    fits = [
+        problem.fit(
+            Hypothesis((*rest.candidates, candidate)),
+            naming.noise,
+            np.concatenate([z, fit.z[len(fit.z) - len(candidate.parameters) :]]),
+            naming.fit.starts,
+            iterations=8,
+        )
+        for candidate, fit in entries
+    ]
     wins = _wins([naming.fit, *fits])
     found = []
     for candidate, fit, share in zip(rivals, fits, wins[1:], strict=True):
