@@ -151,24 +151,31 @@ def _as_record(problem: Problem, trial: Trial, truth: int, columns: Sequence[int
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An experiment of ``count`` windows with all these sensors, the first ``added`` of which are new, and its d."""
+    """An experiment of ``count`` windows with all these sensors, those ``added`` of which are new, and its d.
+
+    ``named`` is the smallest d with the named hypothesis as the truth, ``separation`` that of all pairs.
+    """
 
     trial: Trial
     sensors: tuple[int, ...]
     added: tuple[int, ...]
     count: int
+    named: float
     separation: float
     refitted: bool
 
 
-def preference(entry: Entry) -> tuple[bool, int, int, float]:
-    """Sorts the safe ones first, of these the ones without a new sensor, then the short ones; the others by d.
+def preference(entry: Entry) -> tuple[int, int, int, float]:
+    """Sorts the safe ones first, of these the ones without a new sensor, then the short ones.
 
-    Of that, a new sensor must bring enough.
+    Next come those that are safe if the named hypothesis is right, and then the others, by d. A rival may have come out
+    so weak that no experiment could show it: that must not buy a sensor.
     """
     if entry.separation >= SAFE:
-        return False, len(entry.added), entry.count, -entry.separation
-    return True, 0, 0, -entry.separation / (1.0 + SENSOR_WORTH * len(entry.added))
+        return 0, len(entry.added), entry.count, -entry.separation
+    if entry.named >= SAFE:
+        return 1, len(entry.added), 0, -entry.separation
+    return 2, 0, 0, -entry.separation / (1.0 + SENSOR_WORTH * len(entry.added))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +194,7 @@ class Bench:
         counts = [whole] if trial.long or whole < 2 * FEWEST_WINDOWS else [whole // 2, whole]
         choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
         everything = range(len(self.problem.plant.outputs))
-        smallest = np.full((len(choices), len(counts)), np.inf)
+        smallest, named = np.full((2, len(choices), len(counts)), np.inf)
         for a, b in permutations(range(len(self.fits)), 2):
             # Among several rivals, those with the named one decide; the others are looked at in the refits.
             if (a and b) or _contains(self.fits[b], self.fits[a]):
@@ -199,8 +206,11 @@ class Bench:
                 for j, count in enumerate(counts):
                     d = _linearised_distance(own[:count], self.fits[b].z)
                     smallest[i, j] = min(smallest[i, j], d)
+                    if a == 0:
+                        named[i, j] = min(named[i, j], d)
+        named = np.where(np.isfinite(named), named, smallest)  # all rivals contain it
         return [
-            Entry(trial, sensors, added, count, float(smallest[i, j]), False)
+            Entry(trial, sensors, added, count, float(named[i, j]), float(smallest[i, j]), False)
             for i, (sensors, added) in enumerate(choices)
             for j, count in enumerate(counts)
         ]
@@ -226,7 +236,9 @@ class Bench:
             seen |= kinds
             best = max((e.separation for e, _ in done), default=0.0)
             pairs = self._refitted(entry, best)
-            done.append((replace(entry, separation=min(p.separation for p in pairs), refitted=True), pairs))
+            smallest = min(p.separation for p in pairs)
+            named = min((p.separation for p in pairs if p.truth == self.labels[0]), default=smallest)
+            done.append((replace(entry, named=named, separation=smallest, refitted=True), pairs))
             if done[-1][0].separation >= SAFE or len(done) >= REFITTED:
                 break
         chosen, pairs = min(done, key=lambda d: preference(d[0]))
@@ -245,7 +257,7 @@ class Bench:
             pairs.append(Pair(self.labels[a], self.labels[b], d))
             if closest is None or d < closest[0]:
                 closest = d, there, self.fits[a], rival
-            if d < min(best, SAFE):
+            if a and d < min(best, SAFE):
                 return tuple(pairs)
         # A refit may have ended in a side valley; the pair that decides is tried again from elsewhere.
         assert closest is not None
@@ -268,9 +280,9 @@ def _from_rest(fit: Fit, there: Problem, noise: NoiseModel) -> Fit:
 
 
 def _ordered(fits: Sequence[Fit]) -> list[tuple[int, int]]:
-    """Truth and rival of all pairs, those with the named hypothesis first; no rival contains its truth."""
+    """Truth and rival of all pairs, the named hypothesis as truth first, then as rival; no rival contains its truth."""
     pairs = [(a, b) for a, b in permutations(range(len(fits)), 2) if not _contains(fits[b], fits[a])]
-    return sorted(pairs, key=lambda pair: min(pair) > 0)
+    return sorted(pairs, key=lambda pair: (pair[0] > 0, pair[1] > 0))
 
 
 def _contains(rich: Fit, poor: Fit) -> bool:

@@ -122,6 +122,8 @@ class NextExperiment(Evidence):
     separation
         Smallest predicted refit distance d over all pairs of open hypotheses, in noise sigmas: below 3 nothing will be
         told, beyond 10 it is safe.
+    if_named
+        The same over the pairs with the named hypothesis as the truth.
     now
         Smallest refit distance of the named hypothesis and a rival for the present records (`rivals.refit_distance`).
     hypotheses
@@ -143,6 +145,7 @@ class NextExperiment(Evidence):
     added: tuple[str, ...]
     assumed_noise: Mapping[str, float]
     separation: float
+    if_named: float
     now: float
     hypotheses: tuple[str, ...]
     pairs: tuple[Pair, ...]
@@ -354,7 +357,7 @@ def _proposal(
     return NextExperiment(
         tried.name,
         _description(entry, n, dt, plant, tried, noise),
-        _advice(tried.separation, pairs, labels, fits, limits, plant),
+        _advice(entry, pairs, labels, fits, limits, plant),
         dt * np.arange(n, dtype=float),
         {s.name: entry.trial.u[:n, k].copy() for k, s in enumerate(plant.inputs)},
         {s.name: s.unit for s in plant.inputs},
@@ -363,6 +366,7 @@ def _proposal(
         added,
         noise,
         tried.separation,
+        entry.named,
         now,
         labels,
         pairs,
@@ -380,9 +384,9 @@ def _description(entry: Entry, n: int, dt: float, plant: object, tried: Tried, n
 
 
 def _advice(
-    d: float, pairs: Sequence[Pair], labels: Sequence[str], fits: Sequence[Fit], limits: Limits, plant: object
+    entry: Entry, pairs: Sequence[Pair], labels: Sequence[str], fits: Sequence[Fit], limits: Limits, plant: object
 ) -> str:
-    if d >= SAFE:
+    if entry.separation >= SAFE:
         return ""
     units = {s.name: s.unit for s in plant.inputs}  # type: ignore[attr-defined]
     within = ", ".join(
@@ -397,6 +401,10 @@ def _advice(
         if c.effect.id in label
     )
     ways = [f"{name}: {INDEPENDENT[name]}" for name in ids if name in INDEPENDENT]
-    word = "nothing on the menu separates" if d < CANNOT_TELL else "this may, but need not, separate"
+    word = "this may, but need not, separate"
+    if entry.separation < CANNOT_TELL:
+        word = "nothing on the menu separates"
+    if entry.named >= SAFE:
+        word = f"if {labels[0]} is right, this will show it ({entry.named:.3g} noise sigmas); else it may not separate"
     text = f"{word} {' and '.join(sorted(open_labels))} with {within}"
     return f"{text}; an independent measurement would ({'; '.join(ways)})" if ways else text

@@ -113,6 +113,15 @@ def test_stribeck_friction_asks_for_slow_motion_through_zero():
     assert max(fast) < 0.1 * found.separation
 
 
+def test_a_rival_too_weak_to_be_shown_buys_no_sensor():
+    _, _, _, found = proposal("asymmetric-viscous-friction", "oneway", "asymmetric-viscous-friction", "constant-load")
+    assert found.now < 3
+    assert found.separation < 10 < found.if_named
+    assert found.if_named == min(p.separation for p in found.pairs if p.truth == found.hypotheses[0])
+    assert found.added == ()
+    assert found.advice.startswith("if asymmetric-viscous-friction is right, this will show it")
+
+
 def test_a_torque_constant_and_a_sensor_gain_ask_for_an_independent_measurement():
     _, _, _, found = proposal("torque-constant", "rich", "torque-constant", "sensor-gain", factor=0.93)
     assert found.separation < 3
