@@ -1,0 +1,233 @@
+"""Ports of linear plants, groups of parameters, bare models as plants, and the windowed simulator, by closed forms."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.effect_contract import Site
+from robustlab.dynamics.effects.port_model import Port, linear_plant_of, parameter_groups, port_model
+from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.errors import InputError
+from robustlab.statespace import Signal, StateSpaceModel
+
+MOTOR = rl.plant("dc-motor")
+
+
+# --- ports -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_motor_has_a_joint_with_its_angle_and_a_current_port():
+    model = port_model(MOTOR)
+    assert list(model.ports) == ["omega", "i"]
+    joint, current = model.ports["omega"], model.ports["i"]
+    assert (joint.kind, joint.unit, joint.speed_unit, joint.position_unit) == ("joint", "N m", "rad/s", "rad")
+    assert joint.force == pytest.approx([0, 1 / 7.2e-6, 0], rel=1e-12)  # a torque of 1 N m turns the rotor at 1/J
+    assert joint.velocity.tolist() == [0, 1, 0]
+    assert joint.position is not None
+    assert joint.position.tolist() == [1, 0, 0]
+    assert (current.kind, current.unit) == ("current", "V")
+    assert current.force == pytest.approx([0, 0, 1 / 0.62e-3], rel=1e-12)  # 1 V into the coil: di/dt = 1/L
+    assert current.position is None
+
+
+def test_the_actuators_joint_carries_all_its_inertia():
+    p = rl.plant("linear-actuator").values
+    h = p["lead"] / (2 * np.pi * p["ratio"])
+    total = p["J"] + p["J_nut"] / p["ratio"] ** 2 + (p["m_screw"] + p["m_cart"]) * h**2
+    assert port_model(rl.plant("linear-actuator")).ports["omega"].force[1] == pytest.approx(1 / total, rel=1e-12)
+
+
+def test_two_masses_have_two_joints_each_with_its_own_angle():
+    ports = port_model(rl.plant("two-mass")).ports
+    assert {n: np.flatnonzero(p.position).tolist() for n, p in ports.items()} == {"omega1": [0], "omega2": [1]}
+    assert ports["omega1"].force == pytest.approx([0, 0, 1e3, 0])
+    assert ports["omega2"].force == pytest.approx([0, 0, 0, 500.0])
+
+
+def test_a_position_must_integrate_the_velocity_and_nothing_else():
+    a = np.array([[0.0, 1.0], [0.0, -1.0]])
+    signals = {"states": (Signal("q", "m"), Signal("v", "m/s")), "inputs": (Signal("u", "V"),), "outputs": ("y",)}
+    found = {}
+    for name, b, leak in (("exact", 0.0, 0.0), ("driven", 1e-9, 0.0), ("leaking", 0.0, -1e-9)):
+        model = StateSpaceModel(a + np.diag([leak, 0.0]), [[b], [1.0]], [[1.0, 0.0]], [[0.0]], **signals)
+        found[name] = port_model(linear_plant_of(model)).ports["v"].position is not None
+    assert found == {"exact": True, "driven": False, "leaking": False}
+
+
+def test_factors_give_the_plant_with_those_parameters():
+    changed = port_model(MOTOR, {"J": 2.0, "R": 0.5})
+    there = MOTOR.with_parameters(J=2 * 7.2e-6, R=0.5 * 2.07).state_space()
+    assert pytest.approx(there.A, rel=1e-13) == changed.A
+    assert pytest.approx(there.B, rel=1e-13) == changed.B
+
+
+def test_a_factor_of_an_unknown_parameter_is_refused():
+    with pytest.raises(InputError, match=r"'Jx'.*no such parameter.*R, L, Km, Kb, Kf, J"):
+        port_model(MOTOR, {"Jx": 1.0})
+
+
+@settings(max_examples=25, deadline=None)
+@given(k=st.floats(-50.0, 500.0))
+def test_a_force_fed_back_from_the_position_is_a_spring(k):
+    plant = rl.plant("mass-spring-damper")
+    model = port_model(plant)
+    port = model.ports["v"]
+    assert port.position is not None
+    stiffer = plant.with_parameters(k=plant.values["k"] + k)
+    fed_back = model.with_state_feedback(port, -k * port.position)
+    assert np.abs(fed_back.A - stiffer.state_space().A).max() < 1e-12 * (100 + abs(k))
+
+
+def test_a_widened_model_keeps_its_response_and_reads_its_new_state():
+    model = port_model(MOTOR)
+    wide = model.widened(np.array([[0.0, 1.0, 0.0, -5.0]]))  # z' = omega - 5 z
+    assert wide.A[:3, :3].tolist() == model.A.tolist()
+    assert not wide.A[:3, 3].any()
+    assert wide.A[3].tolist() == [0, 1, 0, -5]
+    assert not wide.B[3].any()
+    assert not wide.C[:, 3].any()
+    assert wide.own == model.own == 3
+    assert all(p.force[3] == p.velocity[3] == 0 and len(p.force) == 4 for p in wide.ports.values())
+    extra = Port("z", "relative", "N m", "rad/s", "", np.eye(4)[3], np.eye(4)[3], None)
+    assert list(wide.with_port(extra).ports) == ["omega", "i", "z"]
+
+
+# --- groups of parameters --------------------------------------------------------------------------------------------
+
+
+def groups(plant) -> dict[str, str]:
+    return {label: role for role, label, _ in parameter_groups(plant)}
+
+
+def test_what_one_misjudgement_changes_stands_in_one_group():
+    assert groups(MOTOR) == {
+        "R": "resistance", "L": "inductance", "Km+Kb": "torque-constant", "Kf": "viscous-friction", "J": "inertia",
+    }  # fmt: skip
+    assert "J+J_nut+m_screw+m_cart" in groups(rl.plant("linear-actuator"))  # one equation of motion
+    assert not {"ratio", "lead"} & set("+".join(groups(rl.plant("linear-actuator"))).split("+"))  # no role
+    assert groups(rl.plant("two-mass")) == {
+        "J1": "inertia", "J2": "inertia", "c": "viscous-friction", "k": "stiffness",
+    }  # fmt: skip
+
+
+def test_a_parameter_that_is_zero_belongs_to_no_group():
+    assert "Kf" not in groups(MOTOR.with_parameters(Kf=0.0))
+    assert "J_nut+m_screw+m_cart" in groups(rl.plant("linear-actuator", J=0.0))
+
+
+# --- bare models -----------------------------------------------------------------------------------------------------
+
+
+def bare(plant) -> StateSpaceModel:
+    m = plant.state_space()
+    return StateSpaceModel(m.A, m.B, m.C, m.D, inputs=plant.inputs, outputs=plant.outputs, states=plant.states)
+
+
+def test_a_bare_model_becomes_a_plant_with_the_same_matrices():
+    model = bare(MOTOR)
+    plant = linear_plant_of(model)
+    for there, here in zip(
+        (plant.state_space().A, plant.state_space().B, plant.state_space().C), (model.A, model.B, model.C), strict=True
+    ):
+        assert there.tolist() == here.tolist()
+    assert plant.values == {"gain_u": 1.0, "inertia_omega": 1.0, "damping_omega": pytest.approx(4.8e-5 / 7.2e-6)}
+    assert groups(plant) == {
+        "gain_u": "input-gain", "inertia_omega": "inertia", "damping_omega": "viscous-friction",
+    }  # fmt: skip
+
+
+def test_a_bare_models_parameters_scale_its_equation_of_motion():
+    model = bare(MOTOR)
+    changed = port_model(linear_plant_of(model), {"inertia_omega": 2.0, "damping_omega": 3.0, "gain_u": 0.5})
+    expected = model.A.copy()
+    expected[1, 1] *= 3.0
+    expected[1] /= 2.0
+    assert pytest.approx(expected, rel=1e-13) == changed.A
+    assert pytest.approx(0.5 * model.B, rel=1e-13) == changed.B
+
+
+def test_a_bare_models_forces_are_accelerations():
+    joint = port_model(linear_plant_of(bare(MOTOR))).ports["omega"]
+    assert (joint.unit, joint.force.tolist()) == ("rad/s2", [0, 1, 0])
+    axis = port_model(linear_plant_of(bare(rl.plant("servo-axis")))).ports["v"]
+    assert axis.unit == "m/s2"
+
+
+def test_a_plant_stays_itself():
+    assert linear_plant_of(MOTOR) is MOTOR
+
+
+def test_a_discrete_model_and_what_is_none_are_refused():
+    model = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.01)
+    with pytest.raises(InputError, match=r"discover.*discrete model \(dt = 0.01 s\).*continuous"):
+        linear_plant_of(model, "discover")
+    with pytest.raises(InputError, match=r"effects.*a dict.*linear Plant or a StateSpaceModel"):
+        linear_plant_of({})  # type: ignore[arg-type]
+
+
+# --- windows ---------------------------------------------------------------------------------------------------------
+
+T = np.arange(600) * 2e-3
+U = np.sin(9 * T) + 0.4 * np.sign(np.sin(23 * T))
+PARAMETERS = {"M": 1.1, "Fv": 0.6}
+
+
+def test_windows_are_the_plants_own_response_from_their_starts():
+    plant = rl.plant("servo-axis")
+    true = plant.with_parameters(**{n: f * plant.values[n] for n, f in PARAMETERS.items()})
+    run = rl.simulate(true, T, U, x0=[0.1, -0.2])
+    starts = np.array([0, 150, 437])
+    x0 = np.column_stack([run["q"][starts], run["v"][starts]])
+    motion = Simulator(plant, [], U[:, None], 2e-3).run(PARAMETERS, [], x0, Windows(starts, 160))
+    expected = np.stack([np.column_stack([run["q"], run["v"]])[s : s + 160] for s in starts])
+    assert np.abs(motion.outputs - expected).max() < 1e-12
+    assert motion.forces.shape == (3, 160, 0)
+
+
+def test_wrong_parameter_and_factor_multiply():
+    plant, effect = rl.plant("servo-axis"), catalogue()["inertia"]
+    simulator = Simulator(plant, [(effect, Site("parameter", "M"))], U[:, None], 2e-3)
+    name = effect.parameters(_scales())[0].name
+    model = simulator.model({"M": 1.25, "Fv": 0.5}, [{name: 1.6}])
+    assert model.A[1, 1] == pytest.approx(-0.5 * plant.values["Fv"] / (2.0 * plant.values["M"]), rel=1e-12)
+
+
+def _scales():
+    from robustlab.dynamics.effects.effect_contract import Scales
+
+    return Scales()
+
+
+def test_input_and_output_effects_act_before_and_after_the_plant():
+    plant = rl.plant("servo-axis")
+    u = np.where(T < 0.3, 0.0, 1.0)
+    delay = catalogue()["input-delay"]
+    (name,) = (p.name for p in delay.parameters(_scales()))
+    whole = Windows(np.zeros(1, dtype=np.int64), len(T))
+    late = Simulator(plant, [(delay, Site("input", "u"))], u[:, None], 2e-3)
+    shifted = late.run({}, [{name: 0.1}], np.zeros((1, 2)), whole).outputs[0, :, 0]
+    expected = rl.simulate(plant, T, np.where(T < 0.4, 0.0, 1.0))["q"]  # linear and at rest: the input a tenth later
+    assert np.abs(shifted - expected).max() < 1e-3 * np.ptp(expected)
+
+    gain = catalogue()["sensor-gain"]
+    (name,) = (p.name for p in gain.parameters(_scales()))
+    plain = Simulator(plant, [], u[:, None], 2e-3).run({}, [], np.zeros((1, 2)), whole)
+    seen = Simulator(plant, [(gain, Site("output", "q"))], u[:, None], 2e-3).run(
+        {}, [{name: 1.2}], np.zeros((1, 2)), whole
+    )
+    assert seen.outputs[0, :, 0] == pytest.approx(1.2 * plain.outputs[0, :, 0], rel=1e-12)
+    assert (seen.outputs[0, :, 1] == plain.outputs[0, :, 1]).all()
+    assert (seen.states == plain.states).all()
+
+
+def test_direct_feedthrough_sees_the_input_of_the_same_sample():
+    model = StateSpaceModel(
+        [[-3.0]], [[1.0]], [[2.0]], [[0.7]], inputs=(Signal("u", "V"),), outputs=("y",), states=(Signal("v", "m/s"),)
+    )
+    run = rl.simulate(model, T, U)
+    windows = Windows(np.zeros(1, dtype=np.int64), len(T))
+    motion = Simulator(linear_plant_of(model), [], U[:, None], 2e-3).run({}, [], np.zeros((1, 1)), windows)
+    assert np.abs(motion.outputs[0, :, 0] - run["y"]).max() < 1e-12
