@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
-from robustlab.identification.naming import Ranked, Ranking, first_noise, rank
+from robustlab.identification.naming import Ranked, Ranking, first_noise, rank, whitening
 
 __all__ = ["Alternative", "Naming", "Step", "alternatives", "held_out_fit", "name_effects", "rms_percent", "white"]
 
 Array = NDArray[np.float64]
 
 MOST_EFFECTS = 5
+SETTLING = 15  # iterations of the reported fits
 # A new effect must be this much more probable than none, on top of the number of effects that were tried.
 CONVINCING = 4.0
 WRONG_PARAMETER = 2.0  # the same for a parameter beyond its tolerance: those are few, and asked for by name
@@ -50,8 +51,7 @@ class Naming:
     fit
         The hypothesis, fitted under the noise model it is judged with.
     settled, bare
-        Its parameters, and those of the bare nominal model, by least squares of the windowed error: what is not
-        modelled biases these least. Their covariance is the robust one.
+        Its parameters, and those of the bare nominal model, as they are reported, with the robust covariance.
     steps, noise
         The steps, and the noise model of the last.
     bare_cost, points
@@ -122,10 +122,10 @@ def name_effects(
         if len(base.candidates) >= MOST_EFFECTS:
             break
     checked = _checked_backwards(problem, fit, noise)
-    settled = _least_squares(problem, checked, noise)
+    settled = _settled(problem, checked, noise)
     again = problem.fit(bare.hypothesis, noise, bare.z, bare.starts, iterations=8)
     points = sum(r.size for r in problem.whitened(problem.errors(bare.hypothesis, again.z, again.starts), noise))
-    return Naming(checked, settled, _least_squares(problem, bare, noise), tuple(steps), noise, again.cost, points)
+    return Naming(checked, settled, _settled(problem, bare, noise), tuple(steps), noise, again.cost, points)
 
 
 def _may_follow(candidate: Candidate, base: Hypothesis) -> bool:
@@ -229,12 +229,22 @@ def rms_percent(problem: Problem, fit: Fit) -> float:
     return float(100.0 * np.sqrt(np.nanmean(squares)))
 
 
-def _least_squares(problem: Problem, fit: Fit, noise: NoiseModel) -> Fit:
-    """The fit under white noise of the size of its own errors, with the covariance that the windows' scatter tells."""
+def _settled(problem: Problem, fit: Fit, noise: NoiseModel) -> Fit:
+    """The parameters to report: least squares, then twice with the hypothesis' own errors made white to first order.
+
+    The noise model of the ranking is that of the best of all hypotheses; a stronger whitening than the first order
+    trusts differences between neighbouring points, which is where what is not modelled (a small ripple) shows first.
+    The covariance is the one that the scatter of the windows tells.
+    """
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     flat = np.concatenate([e.reshape(-1, e.shape[2]) for e in errors])
     size = np.maximum(np.sqrt(np.nanmean(flat**2, axis=0)), noise.std)
-    return problem.fit(fit.hypothesis, NoiseModel(size, noise.ar[:0]), fit.z, fit.starts, iterations=12, robust=True)
+    plain = NoiseModel(size, noise.ar[:0])
+    found = problem.fit(fit.hypothesis, plain, fit.z, fit.starts, SETTLING, tolerance=1e-3)
+    for _ in range(2):
+        own = whitening(problem, found, order=1)
+        found = problem.fit(fit.hypothesis, own, found.z, found.starts, SETTLING, tolerance=1e-3, robust=True)
+    return found
 
 
 def _without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
