@@ -1,0 +1,233 @@
+r"""Periodic lines in the force that is left once the named effects are in the model.
+
+A screw, a gear or a magnet repeats with the position, hum and unbalanced auxiliaries repeat with time. Such a line may
+be too weak to make simulations of unseen data better, so that no effect is named for it, and be certain all the same:
+a maintainer wants to know of it. For the wave number :math:`\kappa` over a coordinate x the force d is set against
+
+.. math:: d = a_r \cos \kappa x + b_r \sin \kappa x
+
+with a phase of its own in each record r, since an encoder that counts from where it was switched on has another zero
+every time, and over the position in each direction of motion too: a screw pushes with the other flank. Judged is the
+power that this explains, over the mean power under random signs of the blocks of time, which is what a force of this
+spectrum explains by chance. A level counts against the largest level of all wave numbers under each set of signs, and
+twice where two coordinates are searched, so that looking in many places is paid for (as in
+`robustlab.identification.unnamed_effect`). Lines are taken off one by one, the one that explains most first.
+
+Smooth curves over speed, position, time and input are taken off before: they are no lines, and their edges would look
+like some.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.identification.block_regression import (
+    BlockRegression,
+    MovingSamples,
+    coordinate_bases,
+    moving_samples,
+    random_signs,
+    role,
+)
+
+if TYPE_CHECKING:
+    from robustlab.identification.residual_after_naming import LeftOver
+
+__all__ = ["remaining_lines"]
+
+Array = NDArray[np.float64]
+
+ALARM = 0.01
+MOST_LINES = 4
+WORTH = 0.02  # of the mean square of the force: a weaker line is certain and of no use
+FEWEST_TURNS = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
+TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
+MOST_WAVES = 3000
+OVERSAMPLING = 2.0  # wave numbers tried per turn over the range
+CHUNK = 300  # wave numbers at a time: bounds the memory
+STIFFNESS = 1e-4  # of the smooth curves
+FINER = 41  # wave numbers of the last search, between the neighbours of the best one
+
+
+def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
+    """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first.
+
+    Parameters
+    ----------
+    left
+        The residual force along the records: ``force``, ``std``, ``coordinates``, ``blocks`` and the units.
+
+    Returns
+    -------
+    tuple of dict
+        ``over`` ("position" or "time"), ``period`` in ``unit``, ``amplitude`` in ``force_unit`` (RMS over records and
+        directions), ``p_value``. Empty where there is none, or hardly any motion.
+
+    Raises
+    ------
+    InputError
+        Lengths that differ, NaN, a std that is not positive.
+    """
+    try:
+        data = moving_samples(left.force, left.std, left.coordinates, left.blocks)
+    except InputError as fault:
+        if "blocks" in str(fault):  # too little motion: nothing to say
+            return ()
+        raise
+    signs = random_signs(data.n_blocks, 0)
+    data = replace(data, d=_without_curves(data))
+    searches = list(_searches(data))
+    least = WORTH * float(data.weight @ data.d**2)
+    found: list[dict[str, float | str]] = []
+    while len(found) < MOST_LINES:
+        sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches)))]
+        if not sure:
+            break
+        power, p, place, at = max(sure, key=lambda line: line[0])
+        if power < least:
+            break
+        wave = _refined(data, place, at)
+        fitted, amplitude = _line(data, place, wave)
+        data = replace(data, d=data.d - fitted)
+        found.append(
+            {
+                "over": role(place.name),
+                "period": float(1.0 / wave),
+                "unit": left.units.get(place.name, ""),
+                "amplitude": amplitude,
+                "force_unit": left.unit,
+                "p_value": p,
+            }
+        )
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Wave numbers (turns per unit) that are tried over one coordinate; samples of one group share a phase."""
+
+    name: str
+    x: Array
+    waves: Array
+    group: NDArray[np.int_]
+
+    @property
+    def groups(self) -> list[int]:
+        return np.unique(self.group).tolist()
+
+
+def _records(data: MovingSamples) -> NDArray[np.int_]:
+    """Record of each sample: a clock that goes back begins a new one."""
+    time = next((x for name, x in data.x.items() if role(name) == "time"), None)
+    if time is None:
+        return np.zeros(len(data.d), dtype=int)
+    return np.concatenate([[0], np.cumsum(np.diff(time) < 0)])
+
+
+def _without_curves(data: MovingSamples) -> Array:
+    """The force less a sum of smooth curves over all coordinates."""
+    from scipy.linalg import block_diag
+
+    bases = coordinate_bases(data)
+    if not bases:
+        return data.d - np.average(data.d, weights=data.weight)
+    columns = np.hstack([b.columns for b in bases])
+    regression = BlockRegression(data, data.d, columns, np.asarray(block_diag(*(b.penalty for b in bases))))
+    return data.d - columns @ regression.solve(STIFFNESS)[:, 0]
+
+
+def _searches(data: MovingSamples) -> Iterator[_Search]:
+    """Position and time, each with the wave numbers that its samples can show."""
+    record = _records(data)
+    for name, x in data.x.items():
+        span = float(np.ptp(x))
+        if role(name) not in ("position", "time") or not span > 0:
+            continue
+        step = np.abs(np.diff(x))
+        longest, group = span / FEWEST_TURNS, record
+        if role(name) == "time":
+            length = float(np.median([np.ptp(x[data.block == b]) for b in range(data.n_blocks)]))
+            longest = min(longest, length / TURNS_PER_BLOCK)
+        else:
+            group = 2 * record + (data.sign > 0)
+        low, high = 1.0 / longest, 0.5 / float(np.median(step[step > 0]))
+        count = min(MOST_WAVES, int((high - low) * span * OVERSAMPLING))
+        if count >= 2:
+            yield _Search(name, x, low + np.arange(count) / (span * OVERSAMPLING), group)
+
+
+def _strongest(
+    data: MovingSamples, place: _Search, signs: Array, searches: int
+) -> tuple[float, float, _Search, int] | None:
+    """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
+    power = _power(data, place, signs)
+    mean = power[1:].mean(axis=0)
+    level = power / np.where(mean > 0, mean, 1.0)
+    chance = np.sort(level[1:].max(axis=1))
+    p = searches * (1 + len(chance) - np.searchsorted(chance, level[0])) / len(level)
+    sure = np.flatnonzero(p < ALARM)
+    if not len(sure):
+        return None
+    at = int(sure[power[0, sure].argmax()])
+    return float(power[0, at]), float(p[at]), place, at
+
+
+def _power(data: MovingSamples, place: _Search, signs: Array) -> Array:
+    """Explained power of every wave number for every set of signs, (n_signs, n_waves)."""
+    parts = []
+    for first in range(0, len(place.waves), CHUNK):
+        waves = place.waves[first : first + CHUNK]
+        power = np.zeros((len(signs), len(waves)))
+        for moment, inverse in _normal_equations(data, place, waves):
+            turned = np.einsum("sb,bwp->swp", signs, moment, optimize=True)
+            power += np.einsum("swp,wpq,swq->sw", turned, inverse, turned, optimize=True)
+        parts.append(power)
+    return np.hstack(parts)
+
+
+def _normal_equations(data: MovingSamples, place: _Search, waves: Array) -> Iterator[tuple[Array, Array]]:
+    """For each group the sums over each block of (cos, sin) times the force, and the inverse sums of their products.
+
+    Shapes (n_blocks, n_waves, 2) and (n_waves, 2, 2).
+    """
+    for g in place.groups:
+        own = place.group == g
+        phase = 2.0 * np.pi * np.outer(place.x[own] - place.x.min(), waves)
+        cos, sin = np.cos(phase), np.sin(phase)
+        weight = data.weight[own]
+        belongs = (np.arange(data.n_blocks)[:, None] == data.block[own]) * (weight * data.d[own])
+        cc, cs, total = weight @ cos**2, weight @ (cos * sin), float(weight.sum())
+        gram = np.stack([np.stack([cc, cs], axis=1), np.stack([cs, total - cc], axis=1)], axis=2)
+        # The ridge keeps it regular where the samples happen to miss one of the two phases.
+        yield np.stack([belongs @ cos, belongs @ sin], axis=2), np.linalg.inv(gram + 1e-6 * total * np.eye(2))
+
+
+def _refined(data: MovingSamples, place: _Search, at: int) -> float:
+    """Wave number of the most power between the neighbours of the best one of the grid."""
+    step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)
+    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, FINER)
+    power = np.zeros(FINER)
+    for moment, inverse in _normal_equations(data, place, waves):
+        whole = moment.sum(axis=0)
+        power += np.einsum("wp,wpq,wq->w", whole, inverse, whole)
+    return float(waves[power.argmax()])
+
+
+def _line(data: MovingSamples, place: _Search, wave: float) -> tuple[Array, float]:
+    """The fitted line along the samples, and its amplitude: RMS over the samples of each group's own."""
+    phase = 2.0 * np.pi * wave * (place.x - place.x.min())
+    columns = np.column_stack([np.cos(phase), np.sin(phase)])
+    fitted, square = np.empty(len(phase)), 0.0
+    equations = _normal_equations(data, place, np.array([wave]))
+    for g, (moment, inverse) in zip(place.groups, equations, strict=True):
+        own = place.group == g
+        ab = inverse[0] @ moment[:, 0].sum(axis=0)
+        fitted[own] = columns[own] @ ab
+        square += float(ab @ ab) * float(np.mean(own))
+    return fitted, float(np.sqrt(square))

@@ -1,0 +1,86 @@
+"""Lines that remain over position and time: those that were put in are found, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.identification.remaining_lines import remaining_lines
+from robustlab.identification.residual_after_naming import LeftOver
+from robustlab.identification.unnamed_effect import StructureTest
+
+UNITS = {"speed": "m/s", "time": "s", "position": "m", "input u": "V"}
+N, DT, BLOCKS = 2400, 0.01, 16
+
+
+def left_over(force_of, seed, zeros=(0.0, 0.0)):
+    """Two records of back-and-forth motion with slow noise, and ``force_of(time, place, speed)`` besides.
+
+    The encoder shows the place less ``zeros``, where it was switched on.
+    """
+    rng = np.random.default_rng(seed)
+    parts = []
+    for k, zero in enumerate(zeros):
+        t = DT * np.arange(N)
+        # Frequencies without a common period, so that position and time are told apart.
+        q = 0.1 * np.sin(0.9 * t + k) + 0.05 * np.sin(2.3 * t + rng.uniform(0, 6)) + zero
+        v = np.gradient(q, DT)
+        noise = np.zeros(N)
+        for j in range(1, N):
+            noise[j] = 0.9 * noise[j - 1] + 0.2 * rng.standard_normal()
+        parts.append((force_of(t, q, v) + noise, t, q - zero, v, k * BLOCKS + np.arange(N) * BLOCKS // N))
+    force, t, q, v, blocks = (np.concatenate(column) for column in zip(*parts, strict=True))
+    coordinates = {"speed": v, "time": t, "position": q, "input u": rng.standard_normal(len(t))}
+    nothing = StructureTest(0.0, 1.0, "constant", 0.02)
+    return LeftOver("v", "N", UNITS, force, np.full(len(t), 0.3), coordinates, blocks, nothing)
+
+
+def test_a_line_over_the_position_is_found_with_its_period_and_size():
+    (line,) = remaining_lines(left_over(lambda t, q, v: 0.5 * np.cos(2 * np.pi * q / 0.0025 + 0.7), 1))
+    assert (line["over"], line["unit"], line["force_unit"]) == ("position", "m", "N")
+    assert line["period"] == pytest.approx(0.0025, rel=2e-3)
+    assert line["amplitude"] == pytest.approx(0.5, rel=0.1)
+    assert line["p_value"] < 0.01
+
+
+def test_each_record_may_count_from_its_own_zero():
+    made = left_over(lambda t, q, v: 0.5 * np.cos(2 * np.pi * q / 0.004), 2, zeros=(0.0, 0.0123))
+    (line,) = remaining_lines(made)
+    assert line["period"] == pytest.approx(0.004, rel=2e-3)
+    assert line["amplitude"] == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_line_may_turn_with_the_direction():
+    """Averaged over both directions there is nothing: the force changes sign with the speed."""
+    (line,) = remaining_lines(left_over(lambda t, q, v: 0.5 * np.sign(v) * np.cos(2 * np.pi * q / 0.003), 3))
+    assert line["period"] == pytest.approx(0.003, rel=2e-3)
+    assert line["amplitude"] == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_line_over_time_is_told_from_one_over_the_position():
+    made = left_over(lambda t, q, v: 0.5 * np.sin(2 * np.pi * 7.3 * t) + 0.4 * np.cos(2 * np.pi * q / 0.0025), 4)
+    lines = {line["over"]: line for line in remaining_lines(made)}
+    assert set(lines) == {"time", "position"}
+    assert lines["time"]["period"] == pytest.approx(1 / 7.3, rel=1e-3)
+    assert lines["position"]["period"] == pytest.approx(0.0025, rel=2e-3)
+
+
+def test_noise_and_smooth_curves_are_no_lines():
+    """Twelve records of coloured noise and friction, at a false alarm rate of one in a hundred."""
+    friction = lambda t, q, v: 2.0 * np.tanh(v / 0.01) + 5.0 * v + 3.0 * q  # noqa: E731
+    assert sum(bool(remaining_lines(left_over(friction, seed))) for seed in range(100, 112)) <= 1
+
+
+def test_too_little_motion_says_nothing():
+    made = left_over(lambda t, q, v: 0.0 * t, 5)
+    few = np.zeros_like(made.blocks)
+    assert remaining_lines(LeftOver("v", "N", UNITS, made.force, made.std, made.coordinates, few, made.structure)) == ()
+
+
+def test_a_broken_force_is_refused():
+    made = left_over(lambda t, q, v: 0.0 * t, 6)
+    force = made.force.copy()
+    force[7] = np.nan
+    with pytest.raises(InputError, match="d"):
+        remaining_lines(LeftOver("v", "N", UNITS, force, made.std, made.coordinates, made.blocks, made.structure))
