@@ -143,16 +143,21 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: NDArray[np.bool_]) -> t
         return ()
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
-    # Mean force in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
+    # Force summed in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
     bins = int(min(4 * FINEST_LINES, max(64, len(q) // 2)))
     place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
-    total = np.bincount(place, weights=rest, minlength=bins)
     padded = 8 * bins
-    power = np.abs(np.fft.rfft(total, padded))
-    k = 2.0 * np.pi / span * bins / padded * np.arange(len(power))
+    k = 2.0 * np.pi / span * bins / padded * np.arange(padded // 2 + 1)
     keep = (k >= 2.0 * np.pi / span) & (k <= 2.0 * np.pi / span * min(FINEST_LINES, bins / 4))
-    k, power = k[keep], power[keep]
-    inner = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
-    peaks = np.flatnonzero(inner) + 1
-    best = peaks[np.argsort(-power[peaks])][:ORDERS]
-    return tuple(float(x) for x in k[best])
+    k = k[keep]
+    found: list[float] = []
+    # A line brings side lobes that stand above weaker lines; each is taken out before the next is looked for.
+    for _ in range(ORDERS):
+        power = np.abs(np.fft.rfft(np.bincount(place, weights=rest, minlength=bins), padded))[keep]
+        peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
+        if not len(peaks):
+            break
+        found.append(float(k[peaks[np.argmax(power[peaks])]]))
+        wave = np.column_stack([np.cos(found[-1] * q), np.sin(found[-1] * q)])
+        rest = rest - wave @ np.linalg.lstsq(wave, rest, rcond=None)[0]
+    return tuple(found)

@@ -64,11 +64,13 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
 def nuisance_parameters(plant: LinearPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
     r"""The groups of parameters with a tolerance r, each with a common factor :math:`e^{s z}`, z standard normal.
 
+    Of a group only those with a tolerance move, by the widest of theirs.
     :math:`s = \ln(1 + r) / \sqrt 3` gives the factor the spread of one that lies anywhere within the tolerance.
     """
     found = []
     for _, label, names in parameter_groups(plant):
-        widest = max(tolerances[name][0] for name in names)
-        if widest > 0:
-            found.append(Nuisance(label, names, math.log1p(widest) / math.sqrt(3.0)))
+        moving = tuple(name for name in names if tolerances[name][0] > 0)
+        if moving:
+            widest = max(tolerances[name][0] for name in moving)
+            found.append(Nuisance(label, moving, math.log1p(widest) / math.sqrt(3.0)))
     return tuple(found)

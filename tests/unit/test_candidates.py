@@ -1,0 +1,329 @@
+"""Priors, refitted nominal parameters, and which effects are tried where, by what plants and signals are made of."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.effect_contract import Prior, Scales
+from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
+from robustlab.errors import InputError
+from robustlab.identification.candidates import candidates, spatial_orders
+from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
+from robustlab.identification.prepared_record import PreparedRecord, prepare, window_length
+from robustlab.statespace import Signal, StateSpaceModel
+
+# --- priors ----------------------------------------------------------------------------------------------------------
+
+magnitude = st.floats(1e-6, 1e6)
+
+
+@given(z=st.floats(-8.0, 8.0), centre=magnitude, spread=st.floats(0.01, 3.0))
+def test_log_priors_turn_back(z, centre, spread):
+    prior = Prior("log", centre, spread)
+    assert prior.value(z) == pytest.approx(centre * math.exp(spread * z), rel=1e-12)
+    assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-9 / spread)
+
+
+@given(z=st.floats(-8.0, 8.0), centre=st.floats(-1e3, 1e3), spread=st.floats(1e-2, 1e3))
+def test_linear_priors_turn_back(z, centre, spread):
+    prior = Prior("linear", centre, spread)
+    assert prior.value(z) == pytest.approx(centre + spread * z)
+    assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-9)
+
+
+@given(z=st.floats(-4.0, 4.0), part=st.floats(0.05, 0.95), spread=st.floats(0.1, 2.0), top=magnitude)
+def test_shares_stay_below_the_top_and_turn_back(z, part, spread, top):
+    prior = Prior("share", part * top, spread, top)
+    assert 0.0 < prior.value(z) < top
+    assert prior.value(0.0) == pytest.approx(part * top)  # the centre is the median
+    assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-6)
+
+
+@pytest.mark.parametrize("prior", [Prior("log", 2.0, 3.0), Prior("share", 0.5, 3.0)])
+def test_far_out_a_prior_stays_finite(prior):
+    assert all(math.isfinite(prior.value(z)) for z in (-1e6, 1e6))
+
+
+scales = st.builds(
+    Scales,
+    force=st.floats(1e-4, 1e3), speed=st.floats(1e-3, 1e3), position=st.floats(1e-3, 1e3), inertia=st.floats(1e-6, 1e2),
+    input=st.floats(0.01, 100.0), output=st.floats(1e-3, 1e3), current=st.floats(0.01, 50.0),
+    dt=st.floats(1e-4, 1e-2), duration=st.floats(1.0, 100.0), orders=st.tuples(st.floats(1.0, 500.0)),
+)  # fmt: skip
+
+
+@settings(max_examples=20, deadline=None)
+@given(seen=scales, z=st.floats(-3.0, 3.0))
+@pytest.mark.parametrize("name", list(catalogue()))
+def test_priors_of_the_catalogue_turn_back(name, seen, z):
+    for parameter in catalogue()[name].parameters(seen):
+        value = parameter.prior.value(z)
+        assert math.isfinite(value)
+        assert parameter.prior.standardised(value) == pytest.approx(z, abs=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seen=scales)
+@pytest.mark.parametrize("name", list(catalogue()))
+def test_starts_are_values_that_the_prior_allows(name, seen):
+    effect = catalogue()[name]
+    parameters = {p.name: p.prior for p in effect.parameters(seen)}
+    for start in effect.starts(seen):
+        assert set(start) == set(parameters)
+        assert all(abs(prior.standardised(start[p])) < 4.0 for p, prior in parameters.items())
+
+
+# --- nominal parameters that are refitted ----------------------------------------------------------------------------
+
+
+def test_a_plant_without_tolerances_is_given_usual_ones_and_told_so():
+    found = stated_tolerances(rl.plant("dc-motor"), None)
+    assert found == {
+        "R": (0.05, True), "L": (0.10, True), "Km": (0.03, True), "Kb": (0.03, True), "Kf": (0.35, False),
+        "J": (0.05, True),
+    }  # fmt: skip
+
+
+def test_a_stated_tolerance_is_kept_and_a_given_one_comes_first():
+    motor = rl.plant("dc-motor", J=(7.2e-6, 0.2))
+    assert stated_tolerances(motor, None)["J"] == (0.2, False)
+    assert stated_tolerances(motor, {"J": 0.02, "R": 0.0}) | {} == {
+        **stated_tolerances(motor, None), "J": (0.02, False), "R": (0.0, False)
+    }  # fmt: skip
+
+
+def test_a_parameter_without_a_role_is_exact():
+    found = stated_tolerances(rl.plant("linear-actuator"), None)
+    assert found["ratio"] == found["lead"] == (0.0, False)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"Jx": 0.1}, r"'Jx'.*no such parameter of dc-motor.*R, L, Km.*J"),
+        ({"J": -0.1}, r"tolerances: J.*-0.1.*0 or more"),
+        ({"J": math.nan}, r"tolerances: J.*nan"),
+        ({"J": math.inf}, r"tolerances: J.*inf"),
+    ],
+)
+def test_wrong_tolerances_are_refused(wrong, message):
+    with pytest.raises(InputError, match=message):
+        stated_tolerances(rl.plant("dc-motor"), wrong)
+
+
+def nuisances(plant, given=None):
+    return {n.label: n for n in nuisance_parameters(plant, stated_tolerances(plant, given))}
+
+
+def test_a_factor_has_the_spread_of_one_anywhere_within_its_tolerance():
+    found = nuisances(rl.plant("dc-motor"), {"J": 0.5})["J"]
+    draws = np.random.default_rng(3).uniform(-math.log(1.5), math.log(1.5), 200_000)
+    assert found.spread == pytest.approx(draws.std(), rel=0.01)
+
+
+def test_what_is_one_quantity_moves_together():
+    assert nuisances(rl.plant("dc-motor"))["Km+Kb"].names == ("Km", "Kb")
+    actuator = nuisances(rl.plant("linear-actuator"))["J+J_nut+m_screw+m_cart"]
+    assert actuator.names == ("J", "J_nut", "m_screw", "m_cart")
+    assert actuator.spread == pytest.approx(math.log(1.5) / math.sqrt(3))  # the widest: the cart's 50 %
+    assert set(nuisances(rl.plant("two-mass"))) == {"J1", "J2", "c", "k"}
+
+
+def test_a_parameter_with_tolerance_zero_is_held():
+    assert set(nuisances(rl.plant("servo-axis"))) == {"M", "Fv"}  # the gain is what forces are measured in
+    assert set(nuisances(rl.plant("servo-axis"), {"M": 0.0, "gain": 0.1})) == {"Fv", "gain"}
+    held = nuisances(rl.plant("linear-actuator"), {"J": 0.0})["J+J_nut+m_screw+m_cart"]
+    assert held.names == ("J_nut", "m_screw", "m_cart")
+
+
+# --- spatial lines ---------------------------------------------------------------------------------------------------
+
+
+def unequal_travel():
+    """Angle and speed of a run that is slow at first and fast later, forth and back, 20 rad far."""
+    t = np.linspace(0.0, 1.0, 6000)
+    q = 20.0 * (t**2 * (3 - 2 * t))
+    q = np.concatenate([q, q[::-1] + 0.37])
+    return q, np.gradient(q)
+
+
+@pytest.mark.parametrize("k", [13.0, 2.5, 77.0])
+def test_a_torque_ripple_is_found_at_unequal_speed(k):
+    q, v = unequal_travel()
+    d = 0.02 * np.cos(k * q + 0.4) + 0.3 * np.sign(v) - 5.0 * v + 0.05  # with friction that is no ripple
+    d = d + 0.005 * np.random.default_rng(5).normal(size=len(d))
+    found = spatial_orders(q, d, v, np.abs(v) > 0.01 * np.abs(v).max())
+    assert found[0] == pytest.approx(k, abs=0.25 * 2 * np.pi / np.ptp(q))  # a quarter of the width of a line
+
+
+def test_two_ripples_come_with_the_stronger_first():
+    q, v = unequal_travel()
+    found = spatial_orders(q, 0.01 * np.sin(8 * q) + 0.03 * np.sin(31 * q), v, v != 0)
+    assert found[0] == pytest.approx(31.0, abs=0.1)
+    assert any(abs(k - 8.0) < 0.1 for k in found)
+
+
+def test_without_travel_there_are_no_lines():
+    still = np.zeros(500)
+    assert spatial_orders(still, np.sin(np.arange(500)), still, still == 0) == ()
+    assert spatial_orders(np.arange(9.0), np.arange(9.0), np.ones(9), np.ones(9, dtype=bool)) == ()
+    assert spatial_orders(still[:0], still[:0], still[:0], still[:0] == 0) == ()
+
+
+# --- what is tried where ---------------------------------------------------------------------------------------------
+
+T = np.arange(1000) * 2e-3
+U = np.sin(2 * np.pi * 1.3 * T) + 0.5 * np.sign(np.sin(2 * np.pi * 3.1 * T + 0.5))
+
+
+def prepared(plant, outputs=None) -> PreparedRecord:
+    run = rl.simulate(plant, T, U)
+    rng = np.random.default_rng(2)
+    noisy = {s: y + 1e-4 * np.ptp(y) * rng.normal(size=len(T)) for s, y in run.outputs.items()}
+    record = rl.Record(run.t, run.inputs, {k: noisy[k] for k in outputs or noisy}, name="run")
+    return prepare(plant, port_model(plant), record, window_length(plant, [record]))
+
+
+@cache
+def tried(name: str, outputs: tuple[str, ...] = ()) -> dict[str, list]:
+    plant = linear_plant_of(BARE) if name == "bare" else rl.plant(name)
+    found: dict[str, list] = {}
+    for c in candidates(plant, port_model(plant), [prepared(plant, outputs)]):
+        found.setdefault(c.key, []).append(c)
+    return found
+
+
+SPEED_ONLY = StateSpaceModel(
+    [[-2.0]], [[3.0]], [[1.0]], [[0.0]], inputs=(Signal("u", "V"),), outputs=(Signal("v", "m/s"),),
+    states=(Signal("v", "m/s"),),
+)  # fmt: skip
+BARE = SPEED_ONLY
+
+
+def ids(found) -> set[str]:
+    return {key.split(" @ ")[0] for key in found}
+
+
+ELECTRICAL = {"brush-drop", "resistance", "resistance-heating", "torque-constant"}
+AT_A_POSITION = {"cogging", "cubic-stiffness", "end-stop", "position-dependent-friction"}
+
+
+def test_an_axis_without_a_current_has_no_electrical_effects():
+    found = ids(tried("servo-axis"))
+    assert not found & ELECTRICAL
+    assert found >= AT_A_POSITION | {"coulomb-friction", "backlash", "inertia", "input-delay"}
+    assert "quantisation" not in found  # known noise, never a name
+
+
+def test_a_motor_has_electrical_effects_at_its_current():
+    assert {"brush-drop @ i", "resistance @ R", "resistance-heating @ i", "torque-constant @ Km+Kb"} <= set(
+        tried("dc-motor")
+    )
+
+
+def test_a_plant_without_a_position_has_no_effects_of_the_position():
+    found = tried("bare")
+    assert not ids(found) & AT_A_POSITION
+    assert {"coulomb-friction @ v", "viscous-friction @ damping_v", "input-gain @ u", "sensor-delay @ v"} <= set(found)
+
+
+def test_sensors_that_were_not_recorded_have_no_effects():
+    found = [key for key in tried("servo-axis", ("q",)) if key.startswith("sensor-")]
+    assert found
+    assert all(key.endswith("@ q") for key in found)
+
+
+def test_what_needs_a_period_is_tried_once_for_each_line():
+    lines = [c.scales.orders for c in tried("servo-axis")["cogging @ v"]]
+    assert 1 <= len(lines) <= 6
+    assert all(len(k) == 1 for k in lines)
+    assert len(set(lines)) == len(lines)
+    assert len(tried("servo-axis")["coulomb-friction @ v"]) == 1
+
+
+def test_the_magnitudes_are_those_of_the_record():
+    plant = rl.plant("servo-axis")
+    run = rl.simulate(plant, T, U)
+    seen = tried("servo-axis")["coulomb-friction @ v"][0].scales
+    assert seen.inertia == pytest.approx(plant.values["M"])
+    assert seen.speed == pytest.approx(np.abs(run["v"]).max(), rel=0.02)
+    assert (seen.lowest, seen.highest) == pytest.approx((run["q"].min(), run["q"].max()), abs=0.02 * np.ptp(run["q"]))
+    moving = plant.values["M"] * np.gradient(run["v"], 2e-3)
+    assert seen.force == pytest.approx(np.sqrt(np.mean(moving**2)), rel=0.1)
+    assert (seen.force_unit, seen.speed_unit, seen.position_unit) == ("N", "m/s", "m")
+    there = tried("servo-axis")["input-dead-zone @ u"][0].scales
+    assert (there.input, there.signal_unit) == (pytest.approx(np.abs(U).max()), "V")
+    assert (there.dt, there.duration) == pytest.approx((2e-3, T[-1]))
+
+
+def test_a_candidates_starts_are_points_of_its_prior():
+    for candidate in (c for several in tried("dc-motor").values() for c in several):
+        for start in candidate.starts:
+            assert candidate.values(candidate.standardised(start)) == pytest.approx(dict(start), rel=1e-9)
+
+
+# --- records made ready ----------------------------------------------------------------------------------------------
+
+
+def test_windows_cover_the_record_without_overlap():
+    ready = prepared(rl.plant("servo-axis"))
+    starts, length = ready.windows.starts, ready.windows.length
+    assert (np.diff(starts) == length).all()
+    assert starts[0] == 0
+    assert len(T) - length < starts[-1] + length <= len(T)
+    assert ready.measured.shape == (ready.count, length, 2)
+    assert (ready.measured[1, 0] == ready.y[starts[1]]).all()
+
+
+def test_windows_last_as_long_as_the_slowest_motion_but_four_fit():
+    plant = rl.plant("servo-axis")  # M / Fv = 0.467 s
+    long = rl.Record(np.arange(20000) * 2e-3, {"u": np.ones(20000)}, {"q": np.ones(20000)})
+    assert window_length(plant, [long]) == pytest.approx(480, abs=1)  # a twelfth would be 1666: the longest
+    slow = rl.Record(np.arange(2400) * 2e-3, {"u": np.ones(2400)}, {"q": np.ones(2400)})
+    assert window_length(plant, [slow]) == round(95.1089 / 203.5034 / 2e-3)
+    short = rl.Record(np.arange(500) * 2e-3, {"u": np.ones(500)}, {"q": np.ones(500)})
+    assert window_length(plant, [short]) == 125
+
+
+def test_a_record_without_the_input_or_any_output_is_refused():
+    plant = rl.plant("servo-axis")
+    wrong = rl.Record(T, {"torque": U}, {"q": U}, name="run 3")
+    with pytest.raises(InputError, match=r"discover run 3.*no input 'u'.*all inputs of servo-axis"):
+        prepare(plant, port_model(plant), wrong, 100)
+    wrong = rl.Record(T, {"u": U}, {"x": U}, name="run 3")
+    with pytest.raises(InputError, match=r"discover run 3.*outputs x.*at least one of q, v"):
+        prepare(plant, port_model(plant), wrong, 100)
+
+
+def test_fewer_than_four_windows_are_refused():
+    plant = rl.plant("servo-axis")
+    record = rl.simulate(plant, T[:399], U[:399])
+    with pytest.raises(InputError, match=r"399 samples.*at least 400 \(4 windows\)"):
+        prepare(plant, port_model(plant), record, 100)
+
+
+def test_samples_that_were_not_measured_are_none_and_their_windows_are_left_out():
+    plant = rl.plant("servo-axis")
+    record = rl.simulate(plant, T, U)
+    valid = np.ones(len(T), dtype=bool)
+    valid[210:290] = False  # most of the window 200..299
+    valid[610:620] = False
+    ready = prepare(plant, port_model(plant), record, 100, {"q": valid})
+    assert ready.windows.starts.tolist() == [0, 100, 300, 400, 500, 600, 700, 800, 900]
+    assert np.isnan(ready.y[:, 0]).tolist() == (~valid).tolist()
+    assert np.isfinite(ready.y[:, 1]).all()
+
+
+def test_a_sensors_step_is_seen():
+    plant = rl.plant("servo-axis")
+    run = rl.simulate(plant, T, U)
+    coarse = np.ptp(run["q"]) / 100
+    record = rl.Record(T, run.inputs, {"q": coarse * np.round(run["q"] / coarse), "v": run["v"]})
+    ready = prepare(plant, port_model(plant), record, 100)
+    assert ready.resolution == pytest.approx([coarse, 0.0], rel=1e-9)
