@@ -35,7 +35,7 @@ from robustlab.identification.discovery_result import (
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
 from robustlab.identification.greedy_naming import Alternative, Naming, alternatives, held_out_fit, name_effects, white
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-from robustlab.identification.prepared_record import START_INFLATION, prepare, window_length
+from robustlab.identification.prepared_record import prepare, start_std, window_length
 from robustlab.identification.residual_after_naming import LeftOver, left_over
 from robustlab.identification.updated_plant import updated_plant
 from robustlab.record import Record
@@ -53,6 +53,7 @@ Array = NDArray[np.float64]
 HELD_OUT_EVERY = 4  # without a held-out record, every fourth window is kept from the fit
 INTERVAL = 1.96  # standard deviations of a 95 % interval
 EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
+BEYOND_NOISE = 60.0  # times the sensors' noise; torque noise of a quiet machine stays below 25
 REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
 
 
@@ -215,7 +216,8 @@ def _result(
     effects = tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates)))
     left = left_over(data.everything(), fit, naming.noise)
     floor = _floor_excess(records, repeats, period, naming, problem)
-    verdict, complete = _verdict(naming, left, floor[1], bool(rivals))
+    ratio = _noise_ratio(problem, fit)
+    verdict, complete = _verdict(naming, left, floor[1], ratio, bool(rivals))
     remains = left is not None and not complete
     overall = {key: _overall(gaps, key) for key in ("nominal", "refitted", "updated")}
     return Discovery(
@@ -235,7 +237,7 @@ def _result(
         window=problem.records[0].windows.length * problem.records[0].record.dt,
         steps=tuple(_step(s) for s in naming.steps),
         candidates=tuple(dict.fromkeys(c.effect.id for c in pool)),
-        structure=vars(left.structure) | {"found": left.structure.found} if left else {},
+        structure={"noise_ratio": ratio} | (vars(left.structure) | {"found": left.structure.found} if left else {}),
         residual_force=left.curves() if remains and left else None,
         unnamed=left.unnamed() if remains and left else None,
         noise_floor=floor[0],
@@ -275,11 +277,9 @@ def _floor_excess(
     per_period = max(1, round(floor.samples / first.windows.length))
     length = floor.samples // per_period
     starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
+    windows = Windows(starts.astype(np.int64), length)
     s = first.smoothed
-    cut = replace(
-        first, windows=Windows(starts.astype(np.int64), length), x0=s.x[starts].copy(),
-        x0_std=START_INFLATION * s.x_std[starts],
-    )  # fmt: skip
+    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows, first.record.dt))
     there = problem.on([cut])
     fit = held_out_fit(there, naming.settled, white(naming.noise))
     errors = cut.measured - simulated_outputs(there, fit)[0]
@@ -334,18 +334,30 @@ def _overall(gaps: Mapping[str, Gap], key: str) -> float:
 
 
 def _verdict(
-    naming: Naming, left: LeftOver | None, floor: Mapping[str, float], has_rivals: bool
+    naming: Naming, left: LeftOver | None, floor: Mapping[str, float], ratio: float, has_rivals: bool
 ) -> tuple[Verdict, bool]:
     """The verdict, and whether the model is complete with what was named."""
-    remains = (left is not None and left.structure.found) or any(f > REPEATABLE for f in floor.values())
+    structure = left is not None and left.structure.found
+    remains = structure or ratio > BEYOND_NOISE or any(f > REPEATABLE for f in floor.values())
     if not naming.fit.hypothesis.candidates:
         return ("unknown", False) if remains else ("no missing effect", True)
-    if remains and left is not None and left.structure.found and _explained(naming, left) < EXPLAINED:
+    if remains and _explained(naming) < EXPLAINED:
         return "unknown", False
     return ("ambiguous" if has_rivals else "named"), not remains
 
 
-def _explained(naming: Naming, left: LeftOver) -> float:
+def _noise_ratio(problem: Problem, fit: Fit) -> float:
+    """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    size = np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
+    single = np.max(
+        [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
+        axis=0,
+    )
+    return float(np.max(size / single))
+
+
+def _explained(naming: Naming) -> float:
     """Share of the fall in V from the bare model to noise that the named effects brought about."""
     bare, now = naming.bare_cost, naming.fit.cost
     points = float(naming.points)

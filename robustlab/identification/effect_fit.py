@@ -379,7 +379,7 @@ class _Linearised:
     @classmethod
     def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> _Linearised:
         xt = np.swapaxes(x, 1, 2)
-        flat = j.reshape(-1, j.shape[2])
+        flat = j.reshape(residual.size, j.shape[2])  # a size of its own: there may be no parameter at all
         return cls(
             flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
             (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual),
@@ -410,7 +410,11 @@ def _sandwich(parts: Sequence[_Linearised], hessian: Array) -> Array:
 
 
 def averaged(error: Array, thin: int) -> Array:
-    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known."""
+    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known.
+
+    The first twentieth of a window is left out: what a late sensor showed then happened before the window.
+    """
+    error = error[:, error.shape[1] // 20 :]
     count, length, n_y = error.shape
     points = length // thin
     blocks = error[:, : points * thin].reshape(count, points, thin, n_y)

@@ -156,8 +156,8 @@ def _decided(
     for entry in ranking.ranked:
         if entry.candidate is None:
             return Step(base, ranking, None, "stop: nothing is more probable than what is named", np.nan)
-        if entry.evidence - ranking.base.evidence < (WRONG_PARAMETER if _is_parameter(entry) else threshold):
-            if any(_is_parameter(later) for later in ranking.ranked[ranking.ranked.index(entry) + 1 :]):
+        if entry.evidence - ranking.base.evidence < (WRONG_PARAMETER if _is_gain(entry) else threshold):
+            if any(_is_gain(later) for later in ranking.ranked[ranking.ranked.index(entry) + 1 :]):
                 continue
             return Step(base, ranking, None, "stop: no further effect is convincing", np.nan)
         if not allowed(problem, entry.fit, entry.candidate):
@@ -173,8 +173,8 @@ def _decided(
     return Step(base, ranking, None, "stop: no effect is left", np.nan)
 
 
-def _is_parameter(entry: Ranked) -> bool:
-    return entry.candidate is not None and entry.candidate.site.kind == "parameter"
+def _is_gain(entry: Ranked) -> bool:
+    return entry.candidate is not None and entry.candidate.effect.gain_like
 
 
 def _parent(entry: Ranked, ranking: Ranking) -> Ranked | None:
@@ -201,7 +201,7 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
     )
     # The refit may have stretched a tolerance to fit a wrong parameter; naming it then explains, but gains nothing.
     helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - HELD_OUT_FALL) * fall_before
-    if not helps and not (_is_parameter(chosen) and gain > -HELD_OUT_LOSS):
+    if not helps and not (_is_gain(chosen) and gain > -HELD_OUT_LOSS):
         text = (
             f"stop: {chosen.id} does not help on held-out data "
             f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"
@@ -292,7 +292,7 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
             for entry in step.ranking.ranked
             if entry.candidate is not None
             and entry.candidate.key != named.key
-            and entry.evidence > step.ranking.base.evidence
+            and entry.evidence - step.ranking.base.evidence > WRONG_PARAMETER
             and (not last or entry.evidence > -FAR_BEHIND)
             and _may_follow(entry.candidate, rest)
             and not (entry.candidate.effect.refines == named.effect.id and entry.candidate.site == named.site)

@@ -167,7 +167,7 @@ def rank(
         final_noise = whitening(problem, leader)
         # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
         reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
-        wrong = [fitted[key] for key in fitted if key not in reached and fitted[key][0].site.kind == "parameter"]
+        wrong = [fitted[key] for key in fitted if key not in reached and fitted[key][0].effect.gain_like]
         last: list[tuple[Candidate | None, Fit]] = [
             (None, base_fit),
             *second[:KEPT_LAST],

@@ -14,7 +14,7 @@ from robustlab.errors import InputError
 from robustlab.identification.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.record import Record
 
-__all__ = ["PreparedRecord", "prepare", "window_length"]
+__all__ = ["PreparedRecord", "prepare", "start_std", "window_length"]
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,7 @@ WINDOWS_WANTED = 12
 SHORTEST, LONGEST = 40, 480  # samples of a window
 FEWEST_WINDOWS = 4
 POINTS_PER_WINDOW = 80  # into which the errors of a window are averaged
+START_LAG = 0.02  # s, of a sensor or clock that is late
 START_INFLATION = 30.0  # the smoother has seen the window itself, so its start is told by the fit and not by it
 
 
@@ -136,11 +137,17 @@ def prepare(
     known = np.isfinite(y).all(axis=1)
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     windows = Windows(np.array(usable, dtype=np.int64), length)
-    std = START_INFLATION * smoothed.x_std[windows.starts]
+    std = start_std(smoothed, windows, record.dt)
     thin = max(1, length // POINTS_PER_WINDOW)
     return PreparedRecord(
         record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, push, thin, resolution
     )
+
+
+def start_std(smoothed: SmoothedRecord, windows: Windows, dt: float) -> Array:
+    """How far a fit may move the window starts, (n_windows, n_x): far beyond the noise, and by a late sensor's lag."""
+    rate = np.sqrt(np.mean((np.diff(smoothed.x, axis=0) / dt) ** 2, axis=0))
+    return START_INFLATION * smoothed.x_std[windows.starts] + START_LAG * rate
 
 
 def _resolution(y: Array) -> float:

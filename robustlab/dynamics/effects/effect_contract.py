@@ -199,6 +199,9 @@ class Effect(ABC):
     spatial
         True where its period over the position is a parameter; it is then tried at each strong spatial line
         (``scales.orders`` holds the one line of a trial).
+    gain_like
+        True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
+        tolerances tell the two apart.
     long_memory
         True where its memory outlasts a window (heat), so that windows cannot be simulated out of order.
     structural
@@ -215,6 +218,7 @@ class Effect(ABC):
     spatial: bool = False
     structural: bool = False
     long_memory: bool = False
+    gain_like: bool = False
 
     @abstractmethod
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:

@@ -22,6 +22,7 @@ class InputGain(Effect):
     title = "Input gain"
     equation = "u' = s u"
     site_kind = "input"
+    gain_like = True
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("s", "", "what acts over what was commanded", Prior("log", 1.0, 0.1)),)

@@ -30,6 +30,7 @@ class ParameterEffect(Effect):
     """
 
     site_kind = "parameter"
+    gain_like = True
     spread: float
     quantity: str
 

@@ -20,6 +20,7 @@ class SensorGain(Effect):
     title = "Sensor gain"
     equation = "y' = s y"
     site_kind = "output"
+    gain_like = True
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("s", "", "what is recorded over what is there", Prior("log", 1.0, 0.08)),)
