@@ -1,0 +1,342 @@
+"""Fit of one hypothesis: against dense least squares, closed-form evidence, and records of another integrator."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
+from robustlab.dynamics.effects.port_model import port_model
+from robustlab.identification.candidates import candidates
+from robustlab.identification.effect_fit import (
+    Candidate,
+    Fit,
+    Hypothesis,
+    NoiseModel,
+    Problem,
+    _Linearised,
+    _whiten,
+    averaged,
+    simulated_outputs,
+)
+from robustlab.identification.naming import first_noise
+from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
+from robustlab.identification.prepared_record import prepare
+
+AXIS = rl.plant("servo-axis")
+T = np.arange(1000) * 2e-3
+U = 1.5 * np.sin(2 * np.pi * 1.3 * T) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 20), 50)
+NONE = Hypothesis(())
+
+
+def problem_of(record, plant=AXIS, length=100, tolerances=None) -> tuple[Problem, dict[str, Candidate]]:
+    model = port_model(plant)
+    ready = prepare(plant, model, record, length)
+    nuisances = nuisance_parameters(plant, stated_tolerances(plant, tolerances))
+    return Problem(plant, [ready], nuisances), {c.key: c for c in candidates(plant, model, [ready])}
+
+
+def noisy(record, seed=0, share=1e-3):
+    rng = np.random.default_rng(seed)
+    outputs = {k: y + share * np.ptp(y) * rng.normal(size=len(y)) for k, y in record.outputs.items()}
+    return rl.Record(record.t, record.inputs, outputs, record.units)
+
+
+@cache
+def exact() -> tuple[Problem, dict[str, Candidate]]:
+    """A noisy record of the plant itself; its parameters are known without error."""
+    return problem_of(noisy(rl.simulate(AXIS, T, U)), tolerances={"M": 0.0, "Fv": 0.0})
+
+
+WHITE = NoiseModel(np.array([2e-4, 2e-3]), np.zeros((0, 2)))
+
+
+# --- the normal equations --------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 4), st.integers(1, 3), st.integers(1, 4))
+def test_eliminated_starts_give_the_step_of_dense_least_squares(seed, n_w, n_x, n_z):
+    rng = np.random.default_rng(seed)
+    m = 7
+    r, j, x = rng.normal(size=(n_w, m)), rng.normal(size=(n_w, m, n_z)), rng.normal(size=(n_w, m, n_x))
+    xi, z = rng.normal(size=(n_w, n_x)), rng.normal(size=n_z)
+    # |r + J dz + X dxi|^2 + |xi + dxi|^2 + |z + dz|^2 over all unknowns at once.
+    wide = np.zeros((n_w * m, n_w * n_x))
+    for w in range(n_w):
+        wide[w * m : (w + 1) * m, w * n_x : (w + 1) * n_x] = x[w]
+    a = np.vstack([np.hstack([j.reshape(-1, n_z), wide]), np.eye(n_z + n_w * n_x)])
+    b = np.concatenate([r.ravel(), z, xi.ravel()])
+    dense = -np.linalg.lstsq(a, b, rcond=None)[0]
+
+    reduced = _Linearised.of(r, j, x, xi).reduced(0.0)
+    dz = -np.linalg.solve(np.eye(n_z) + reduced.hessian, z + reduced.gradient)
+    dxi = -(reduced.offset + reduced.slope @ dz)
+    assert dz == pytest.approx(dense[:n_z], abs=1e-9)
+    assert dxi.ravel() == pytest.approx(dense[n_z:], abs=1e-9)
+
+
+def dense_parts(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel):
+    """Residuals at z = 0 without a shift of the starts, and their exact slopes for a problem linear in both."""
+    n_z, starts = problem.size(hypothesis), np.zeros((len(problem.chosen[0]), len(problem.plant.states)))
+
+    def residual(z, xi):
+        return problem.whitened(problem.errors(hypothesis, z, [xi]), noise)[0]
+
+    zero = np.zeros(n_z)
+    r = residual(zero, starts)
+    j = np.stack([residual(e, starts) - r for e in np.eye(n_z)] or [np.zeros_like(r)], axis=2)[:, :, :n_z]
+    x = np.stack([residual(zero, starts + e) - r for e in np.eye(starts.shape[1])], axis=2)
+    return r, j, x
+
+
+def linear_hypotheses() -> dict[str, Hypothesis]:
+    """The records depend linearly on a constant load and on a bias of the speed sensor; their priors are normal."""
+    load, bias = exact()[1]["constant-load @ v"], exact()[1]["sensor-bias @ v"]
+    return {"none": NONE, "load": Hypothesis((load,)), "bias": Hypothesis((bias,)), "both": Hypothesis((load, bias))}
+
+
+def fitted(hypothesis: Hypothesis, **options) -> Fit:
+    problem = exact()[0]
+    return problem.fit(hypothesis, WHITE, np.zeros(problem.size(hypothesis)), tolerance=1e-9, **options)
+
+
+@pytest.mark.parametrize("name", ["load", "bias", "both"])
+def test_a_linear_problem_is_solved_as_by_dense_least_squares(name):
+    hypothesis = linear_hypotheses()[name]
+    r, j, x = dense_parts(exact()[0], hypothesis, WHITE)
+    expected = marginal(r, j, x)
+    fit = fitted(hypothesis)
+    assert fit.z == pytest.approx(expected["z"], abs=1e-5)
+    assert fit.cost == pytest.approx(expected["cost"], rel=1e-8)
+    assert fit.hessian == pytest.approx(expected["hessian"], rel=1e-5)
+
+
+def marginal(r, j, x) -> dict:
+    """Posterior mean of z, V there, and log p(y), all with every window's start integrated out: S = 1 + X X^T."""
+    n_z = j.shape[2]
+    hessian, gradient, quadratic, logdet = np.eye(n_z), np.zeros(n_z), 0.0, 0.0
+    for rw, jw, xw in zip(r, j, x, strict=True):
+        s = np.eye(len(rw)) + xw @ xw.T
+        hessian += jw.T @ np.linalg.solve(s, jw)
+        gradient += jw.T @ np.linalg.solve(s, rw)
+        quadratic += rw @ np.linalg.solve(s, rw)
+        logdet += np.linalg.slogdet(s)[1]
+    z = -np.linalg.solve(hessian, gradient)
+    cost = quadratic + gradient @ z
+    # Matrix determinant lemma: det(S + J J^T) = det S det H.
+    return {
+        "z": z, "cost": cost, "hessian": hessian,
+        "evidence": -0.5 * cost - 0.5 * logdet - 0.5 * np.linalg.slogdet(hessian)[1],
+    }  # fmt: skip
+
+
+def test_the_evidence_is_the_marginal_likelihood_with_the_starts_integrated_out():
+    # Up to -1/2 log det(1 + X^T X) of the starts, which is the same for hypotheses whose starts act alike.
+    ours, theirs = {}, {}
+    for name, hypothesis in linear_hypotheses().items():
+        ours[name] = fitted(hypothesis).evidence
+        theirs[name] = marginal(*dense_parts(exact()[0], hypothesis, WHITE))["evidence"]
+    for name in ("load", "bias", "both"):
+        assert ours[name] - ours["none"] == pytest.approx(theirs[name] - theirs["none"], abs=1e-4)
+    assert len({round(v, 2) for v in theirs.values()}) == 4  # they differ at all
+
+
+def test_the_marginal_likelihood_agrees_with_that_of_the_whole_covariance():
+    r, j, x = dense_parts(exact()[0], linear_hypotheses()["both"], WHITE)
+    n_w, m = r.shape
+    s = np.eye(n_w * m)
+    for w in range(n_w):
+        s[w * m : (w + 1) * m, w * m : (w + 1) * m] += x[w] @ x[w].T
+    flat = j.reshape(n_w * m, -1)
+    s += flat @ flat.T
+    direct = -0.5 * r.ravel() @ np.linalg.solve(s, r.ravel()) - 0.5 * np.linalg.slogdet(s)[1]
+    assert marginal(r, j, x)["evidence"] == pytest.approx(direct, rel=1e-9)
+
+
+def test_the_robust_covariance_is_the_sandwich_over_windows():
+    hypothesis = linear_hypotheses()["both"]
+    r, j, x = dense_parts(exact()[0], hypothesis, WHITE)
+    found = marginal(r, j, x)
+    scores = [
+        jw.T @ np.linalg.solve(np.eye(len(rw)) + xw @ xw.T, rw + jw @ found["z"])
+        for rw, jw, xw in zip(r, j, x, strict=True)
+    ]
+    bread = np.linalg.inv(found["hessian"])
+    sandwich = bread @ sum(np.outer(g, g) for g in scores) @ bread * len(scores) / (len(scores) - 1)
+    fit = fitted(hypothesis, robust=True)
+    assert fit.covariance == pytest.approx(sandwich, rel=1e-3)
+    assert fit.std == pytest.approx(np.sqrt(np.maximum(np.diag(bread), np.diag(sandwich))), rel=1e-3)
+    assert fitted(hypothesis).std == pytest.approx(np.sqrt(np.diag(bread)), rel=1e-4)
+
+
+def test_with_fixed_parameters_only_the_starts_are_fitted():
+    problem, hypothesis = exact()[0], linear_hypotheses()["both"]
+    z = np.array([0.7, -1.3])
+    fit = problem.fit(hypothesis, WHITE, z, fixed=True, tolerance=1e-9)
+    assert fit.z.tolist() == z.tolist()
+    r, j, x = dense_parts(problem, hypothesis, WHITE)
+    for w, start in enumerate(fit.starts[0]):
+        rows = np.vstack([x[w], np.eye(2)])
+        best = -np.linalg.lstsq(rows, np.concatenate([r[w] + j[w] @ z, np.zeros(2)]), rcond=None)[0]
+        assert start == pytest.approx(best, abs=1e-5 * np.abs(fit.starts[0]).max())
+
+
+def test_the_windows_share_the_cost_and_the_prior_takes_the_rest():
+    fit = fitted(linear_hypotheses()["both"])
+    assert len(fit.window_cost) == exact()[0].records[0].count
+    assert fit.window_cost.sum() + fit.z @ fit.z == pytest.approx(fit.cost, rel=1e-12)
+
+
+def test_borrowed_derivatives_give_the_same_step():
+    problem, _ = problem_of(noisy(rl.simulate(AXIS, T, U)))
+    load = linear_hypotheses()["load"]
+    base = problem.fit(NONE, WHITE, np.zeros(2))
+    borrowed = problem.derivatives(base)
+    z = np.append(base.z, 0.0)
+    own = problem.fit(load, WHITE, z, base.starts, iterations=1)
+    lent = problem.fit(load, WHITE, z, base.starts, iterations=1, borrowed=borrowed)
+    assert lent.z == pytest.approx(own.z, abs=1e-4)
+    assert lent.cost == pytest.approx(own.cost, rel=1e-4)
+
+
+# --- errors ----------------------------------------------------------------------------------------------------------
+
+
+def test_errors_are_averaged_over_known_samples():
+    error = np.arange(14.0).reshape(1, 7, 2)
+    assert averaged(error, 3)[0].tolist() == [[2.0, 3.0], [8.0, 9.0]]  # the seventh sample is left over
+    assert averaged(error, 1)[0].tolist() == error[0].tolist()
+    error[0, 0, 0] = error[0, 1, 0] = np.nan
+    error[0, 3:6, 1] = np.nan
+    found = averaged(error, 3)[0]
+    assert found[:, 0].tolist() == [4.0, 8.0]
+    assert found[0, 1] == 3.0
+    assert np.isnan(found[1, 1])
+
+
+def test_whitening_gives_the_innovations_back():
+    rng = np.random.default_rng(4)
+    ar, std = np.array([[0.6, -0.3], [0.2, 0.1]]), np.array([0.5, 4.0])
+    steps = rng.normal(size=(3, 50, 2))
+    e = np.zeros((3, 50, 2))
+    for k in range(50):
+        e[:, k] = std * steps[:, k]
+        for lag in (1, 2):
+            e[:, k] += ar[lag - 1] * e[:, k - lag] if k >= lag else 0.0
+    found = _whiten(e, NoiseModel(std, ar)).reshape(3, 48, 2)
+    assert found == pytest.approx(steps[:, 2:], abs=1e-12)
+
+
+def test_a_missing_error_takes_its_point_and_those_that_need_it_out():
+    e = np.ones((1, 6, 1))
+    e[0, 2, 0] = np.nan
+    assert _whiten(e, NoiseModel(np.array([0.5]), np.array([[0.5]])))[0].tolist() == [1.0, 0.0, 0.0, 1.0, 1.0]
+
+
+def test_wild_errors_count_as_large_and_not_as_nothing():
+    e = np.array([[[np.inf], [-np.inf], [1e300], [0.0]]])
+    assert _whiten(e, NoiseModel(np.array([1e-9]), np.zeros((0, 1))))[0].tolist() == [1e6, -1e6, 1e6, 0.0]
+
+
+def test_missing_samples_carry_no_weight():
+    problem = exact()[0]
+    ready = problem.records[0]
+    rows = slice(100, 200)  # the second window's speed
+    gone = ready.y.copy()
+    gone[rows, 1] = np.nan
+    fit = problem.on([replace(ready, y=gone)]).fit(linear_hypotheses()["load"], WHITE, np.zeros(1), tolerance=1e-9)
+    r, j, x = dense_parts(problem, linear_hypotheses()["load"], WHITE)
+    known = np.arange(r.shape[1]) % 2 == 0  # residuals are (points, outputs) in a row: q, v, q, v
+    for part in (r, j, x):
+        part[1][~known] = 0.0
+    expected = marginal(r, j, x)
+    assert fit.z == pytest.approx(expected["z"], abs=1e-5)
+    assert fit.cost == pytest.approx(expected["cost"], rel=1e-8)
+
+
+# --- known parameters are found again --------------------------------------------------------------------------------
+
+
+def test_changed_parameters_of_the_plant_are_found():
+    true = AXIS.with_parameters(M=1.04 * AXIS.values["M"], Fv=1.5 * AXIS.values["Fv"])
+    problem, _ = problem_of(rl.simulate(true, T, U))
+    fit = problem.fit(NONE, first_noise(problem), np.zeros(2), iterations=20)
+    assert problem.split(NONE, fit.z)[0] == pytest.approx({"M": 1.04, "Fv": 1.5}, rel=1e-6)
+    outputs = simulated_outputs(problem, fit)[0]
+    assert np.abs(outputs - problem.records[0].measured).max() < 1e-6 * np.ptp(problem.records[0].y)
+
+
+def test_tied_parameters_of_a_motor_are_found():
+    motor = rl.plant("dc-motor")
+    p = motor.values
+    true = motor.with_parameters(Km=1.05 * p["Km"], Kb=1.05 * p["Kb"], J=0.95 * p["J"])
+    problem, _ = problem_of(rl.simulate(true, T, U), plant=motor)
+    noise = NoiseModel(1e-6 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 3)))
+    fit = problem.fit(NONE, noise, np.zeros(problem.size(NONE)), iterations=25)
+    factors = problem.split(NONE, fit.z)[0]
+    assert factors == pytest.approx({"Km": 1.05, "Kb": 1.05, "J": 0.95, "R": 1, "L": 1, "Kf": 1}, rel=1e-6)
+
+
+@cache
+def with_friction():
+    true = AXIS.with_parameters(M=1.03 * AXIS.values["M"])
+    return simulate_with_friction(true, DryFriction("v", 20.0), T, U).record
+
+
+def test_coulomb_friction_is_found_in_an_event_driven_simulation():
+    problem, pool = problem_of(with_friction())
+    friction = pool["coulomb-friction @ v"]
+    hypothesis = Hypothesis((friction,))
+    start = np.array([0.0, 0.0, *friction.standardised(friction.starts[0])])
+    fit = problem.fit(hypothesis, first_noise(problem), start, iterations=25)
+    factors, (values,) = problem.split(hypothesis, fit.z)
+    assert values["Fc"] == pytest.approx(20.0, rel=5e-4)  # a step of 1 ms against events between the steps
+    assert factors == pytest.approx({"M": 1.03, "Fv": 1.0}, rel=5e-4)
+
+
+def test_parameters_lie_within_their_intervals():
+    true = np.array([math.log(1.03), 0.0, math.log(20.0)])
+    misses = []
+    for seed in range(4):
+        problem, pool = problem_of(noisy(with_friction(), seed))
+        friction = pool["coulomb-friction @ v"]
+        noise = NoiseModel(1e-3 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 2)))
+        fit = problem.fit(Hypothesis((friction,)), noise, np.zeros(3), iterations=20)
+        spread = np.array([n.spread for n in problem.nuisances] + [friction.parameters[0].prior.spread])
+        centre = np.array([0.0, 0.0, math.log(friction.parameters[0].prior.centre)])
+        misses.append((fit.z - (true - centre) / spread) / fit.std)
+    assert np.abs(misses).max() < 4.0
+    assert np.sqrt(np.mean(np.square(misses))) < 2.0
+
+
+# --- which parameters ------------------------------------------------------------------------------------------------
+
+
+def test_a_wrong_parameter_takes_the_place_of_its_tolerance():
+    problem, pool = problem_of(noisy(rl.simulate(AXIS, T, U)))
+    wrong = Hypothesis((pool["inertia @ M"],))
+    factors, (values,) = problem.split(wrong, np.array([1.0, 1.0, 0.5]))
+    assert set(factors) == {"Fv"}
+    assert values == pool["inertia @ M"].values(np.array([0.5]))
+    assert problem.size(wrong) == 3
+
+
+def test_hypotheses_and_candidates_have_names():
+    load, bias = (exact()[1][key] for key in ("constant-load @ v", "sensor-bias @ v"))
+    assert Hypothesis((load, bias)).key == "constant-load @ v + sensor-bias @ v"
+    assert NONE.key == "none"
+
+
+def test_only_the_chosen_windows_are_fitted():
+    problem = exact()[0]
+    few = problem.on(problem.records, [np.array([1, 4])])
+    r, j, x = dense_parts(problem, linear_hypotheses()["load"], WHITE)
+    fit = few.fit(linear_hypotheses()["load"], WHITE, np.zeros(1), tolerance=1e-9)
+    assert fit.z == pytest.approx(marginal(r[[1, 4]], j[[1, 4]], x[[1, 4]])["z"], abs=1e-5)
+    assert len(fit.window_cost) == 2
