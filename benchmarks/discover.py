@@ -1,0 +1,364 @@
+"""Naming a missing effect, judged on blind cases: ``python benchmarks/discover.py --store FILE.jsonl``.
+
+Every case (machine with something hidden in it, `hidden.make_case`) is one line of the store; cases that are there are
+not run again, and one that was refused, failed, crashed or ran out of time is a line, too, and counts as wrong. Then
+the figures of `discover_figures` are printed. ``--peer`` runs PySINDy on the same cases; ``--report`` runs nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import queue
+import subprocess
+import threading
+import time
+import traceback
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from discover_figures import report
+from hidden import CLASSES, CURRENT_ONLY, OUTSIDE, PAIRS, make_case
+
+__all__ = ["CONDITIONS", "Condition", "Setup", "Task", "main", "run_case", "tasks", "true_error"]
+
+Kind = Literal["single", "none", "outside", "pairs", "poor"]
+Line = dict[str, Any]
+
+DEFAULT_SEEDS = "1-2"  # whoever reports figures names seeds that were never used
+LIMIT = 900.0  # s of wall time for one case
+
+
+class Setup(NamedTuple):
+    """How a machine is measured: noise level, excitation (or "closed-loop"), and whether its current is."""
+
+    noise: str
+    excitation: str
+    current: bool
+
+    def __str__(self) -> str:
+        return f"{self.noise} {self.excitation} {'encoder + current' if self.current else 'encoder'}"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A group of classes measured in one way or several; ``poor`` carries the proposed experiment out, too."""
+
+    kind: Kind
+    classes: tuple[tuple[str, ...], ...]
+    setups: tuple[Setup, ...]
+
+
+class Task(NamedTuple):
+    """One case for one of the two ("robustlab", "pysindy")."""
+
+    who: str
+    condition: str
+    setup: Setup
+    effects: tuple[str, ...]
+    seed: int
+
+    @property
+    def key(self) -> str:
+        return " | ".join((self.who, self.condition, str(self.setup), "+".join(self.effects), str(self.seed)))
+
+
+SINGLE = tuple((name,) for name in CLASSES)
+WITH_CURRENT = (*SINGLE, *((name,) for name in CURRENT_ONLY))
+EVERY_WAY = (
+    *(Setup(n, e, False) for n in ("low", "mid", "high") for e in ("rich", "multisine", "square", "oneway", "steps")),
+    *(Setup(n, e, True) for n in ("low", "mid", "high") for e in ("rich", "square")),
+    *(Setup(n, "closed-loop", False) for n in ("low", "mid", "high")),
+)
+CONDITIONS = {
+    "rich-mid": Condition("single", SINGLE, (Setup("mid", "rich", False),)),
+    "rich-low": Condition("single", SINGLE, (Setup("low", "rich", False),)),
+    "rich-high": Condition("single", SINGLE, (Setup("high", "rich", False),)),
+    "rich-mid-current": Condition("single", WITH_CURRENT, (Setup("mid", "rich", True),)),
+    "closed-loop-mid": Condition("single", SINGLE, (Setup("mid", "closed-loop", False),)),
+    "none": Condition("none", (("none",),), EVERY_WAY),
+    "outside-mid": Condition("outside", tuple((name,) for name in OUTSIDE), (Setup("mid", "rich", False),)),
+    "pairs-mid": Condition("pairs", PAIRS, (Setup("mid", "rich", False),)),
+    "square-mid": Condition("poor", SINGLE, (Setup("mid", "square", False),)),
+    "oneway-mid": Condition("poor", SINGLE, (Setup("mid", "oneway", False),)),
+}
+
+
+def tasks(
+    names: Sequence[str], seeds: Sequence[int], classes: Sequence[str] | None, peer: bool = False
+) -> Iterator[Task]:
+    """All cases asked for, seed by seed, so that a campaign that is cut short has seen all classes alike."""
+    for seed in seeds:
+        for name in names:
+            condition = CONDITIONS[name]
+            for effects in condition.classes:
+                if classes and "+".join(effects) not in classes:
+                    continue
+                for setup in condition.setups:
+                    yield Task("robustlab", name, setup, effects, seed)
+                    if peer:
+                        yield Task("pysindy", name, setup, effects, seed)
+
+
+# --- one case --------------------------------------------------------------------------------------------------------
+
+
+def run_case(task: Task) -> Line:
+    """Run one case; whatever goes wrong is in the line."""
+    line = _head(task)
+    from robustlab.errors import RobustlabError
+
+    try:
+        line |= _peer(task) if task.who == "pysindy" else _named(task)
+    except RobustlabError as error:
+        line |= {"status": "refused", "error": str(error)}
+    except Exception:  # noqa: BLE001 - a lost case would make the figures better than they are
+        line |= {"status": "failed", "error": traceback.format_exc(limit=-4)}
+    return line
+
+
+def _head(task: Task) -> Line:
+    """What is known of a case without running it."""
+    return {
+        "key": task.key, "who": task.who, "condition": task.condition, "kind": CONDITIONS[task.condition].kind,
+        **task.setup._asdict(), "truth": [e for e in task.effects if e != "none"], "seed": task.seed,
+    }  # fmt: skip
+
+
+def _case(task: Task) -> Any:
+    noise, excitation, current = task.setup
+    closed = excitation == "closed-loop"
+    kind = "rich" if closed else excitation
+    return make_case(task.effects, task.seed, noise=noise, excitation=kind, current=current, closed_loop=closed)
+
+
+def _peer(task: Task) -> Line:
+    from sindy_peer import peer_names
+
+    case = _case(task)
+    began = time.process_time()
+    names = peer_names(case)
+    return {"status": "ok", "by_window": names, "cpu_s": time.process_time() - began}
+
+
+def _named(task: Task) -> Line:
+    case = _case(task)
+    found, line = _discovered(case, [case.record])
+    line |= {"status": "ok", "true_error": true_error(case, found)}
+    if CONDITIONS[task.condition].kind == "poor" and found.next_experiment is not None:
+        line |= _after_experiment(case, found.next_experiment)
+    return line
+
+
+def _discovered(case: Any, records: list[Any]) -> tuple[Any, Line]:
+    from robustlab.identification.discovery import discover
+
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = discover(case.plant, records[0] if len(records) == 1 else records, case.held_out)
+    spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    return found, spent | {
+        "verdict": found.verdict, "names": list(found.names), "answer": list(found.answer), "complete": found.complete,
+        "gap_before": found.gap_before, "gap_refitted": found.gap_refitted, "gap_after": found.gap_after,
+    }  # fmt: skip
+
+
+def _after_experiment(case: Any, proposal: Any) -> Line:
+    """What is named from the record and the proposed experiment together; an experiment that fails is no success."""
+    said: Line = {"name": proposal.name, "duration": float(proposal.t[-1] - proposal.t[0]),
+                  "sensors": list(proposal.sensors), "separation": float(proposal.separation)}  # fmt: skip
+    try:
+        u = np.asarray(proposal.inputs["u"], dtype=np.float64)
+        dt = float(np.median(np.diff(proposal.t)))
+        if not np.isclose(dt, case.rig.dt):  # each sample is held until the next
+            u = u[np.minimum((np.arange(round(len(u) * dt / case.rig.dt)) * case.rig.dt / dt).astype(int), len(u) - 1)]
+        extra = case.experiment(u, current="i" in proposal.sensors)
+        after = _discovered(case, [case.record, extra])[1]
+    except Exception:  # noqa: BLE001 - as above
+        return {"experiment": said, "after_error": traceback.format_exc(limit=-4)}
+    return {"experiment": said, "after": after}
+
+
+def true_error(case: Any, found: Any) -> float:
+    """Held-out error of the true machine in percent of the range, with window starts as free as the named model's.
+
+    What measurement and truth differ by is taken as a record without input and fitted by the windows' starts alone.
+    """
+    from robustlab import Record
+    from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
+    from robustlab.identification.effect_fit import Fit, Hypothesis, Problem, simulated_outputs
+    from robustlab.identification.greedy_naming import held_out_fit, white
+    from robustlab.identification.naming import first_noise
+    from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
+    from robustlab.identification.prepared_record import prepare
+
+    measured, plant = case.held_out, linear_plant_of(case.plant, "bench")
+    missed = {name: measured[name] - clean for name, clean in case.held_out_clean.items()}
+    silent = {name: np.zeros(measured.n) for name in measured.inputs}
+    difference = Record(measured.t, silent, missed, measured.units, "measured less true")
+    prepared = prepare(plant, port_model(plant), difference, round(found.window / case.rig.dt))
+    problem = Problem(plant, [prepared], nuisance_parameters(plant, stated_tolerances(plant, None)))
+    noise, size = first_noise(problem), len(problem.nuisances)
+    bare = Fit(Hypothesis(()), np.zeros(size), (), 0.0, np.zeros(0), np.eye(size), noise, 0)
+    rest = prepared.measured - simulated_outputs(problem, held_out_fit(problem, bare, white(noise)))[0]
+    outputs = [plant.outputs[k].name for k in prepared.columns]
+    shares = [np.sqrt(np.mean(rest[:, :, j] ** 2)) / found.gaps[name].range for j, name in enumerate(outputs)]
+    return float(100.0 * np.sqrt(np.mean(np.square(shares))))
+
+
+# --- many cases ------------------------------------------------------------------------------------------------------
+
+
+def _serve(pipe: Any) -> None:
+    """A worker: compiled code is loaded on a case of its own first, so that the times are those of the naming."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        run_case(Task("robustlab", "rich-mid", Setup("low", "rich", False), ("none",), 0))
+        while (task := pipe.recv()) is not None:
+            pipe.send(run_case(task))
+
+
+class _Worker:
+    """A process of its own: where it dies or hangs, the case is said to have, and the next one gets a new process."""
+
+    def __init__(self, limit: float) -> None:
+        self.limit, self.process, self.pipe = limit, None, None
+
+    def run(self, task: Task) -> Line:
+        if self.process is None or not self.process.is_alive():
+            context = multiprocessing.get_context("spawn")
+            self.pipe, theirs = context.Pipe()
+            self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            self.process.start()
+            theirs.close()
+        try:
+            self.pipe.send(task)
+            if self.pipe.poll(self.limit):
+                return self.pipe.recv()
+            status = "timed out"
+        except (EOFError, OSError):
+            status = "crashed"
+        self.close()
+        return _head(task) | {"status": status, "error": f"{status} (limit {self.limit:g} s)"}
+
+    def close(self) -> None:
+        if self.process is not None:
+            self.process.terminate()
+            self.process.join(5)
+        self.process = None
+
+
+def run_all(wanted: Iterable[Task], store: Path | None, workers: int, limit: float) -> list[Line]:
+    """Run what the store lacks; returns the lines of all cases that were asked for."""
+    done = {line["key"]: line for line in stored(store)}
+    wanted = list(wanted)
+    waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
+    for task in wanted:
+        if task.key not in done:
+            waiting.put(task)
+    total, lock, revision, began = waiting.qsize(), threading.Lock(), _revision(), time.time()
+    count = 0
+
+    def serve() -> None:
+        nonlocal count
+        worker = _Worker(limit)
+        while True:
+            try:
+                task = waiting.get_nowait()
+            except queue.Empty:
+                break
+            line = worker.run(task) | {"revision": revision, "at": time.strftime("%Y-%m-%d %H:%M:%S")}
+            with lock:
+                done[task.key], count = line, count + 1
+                if store:
+                    with store.open("a", encoding="utf-8") as stream:
+                        stream.write(json.dumps(line) + "\n")
+                what = line.get("answer", line.get("by_window", {}).get("31*", line["status"]))
+                print(f"# {count}/{total} {time.time() - began:6.0f} s  {task.key}: {what}", flush=True)
+        worker.close()
+
+    threads = [threading.Thread(target=serve) for _ in range(min(workers, max(total, 1)))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return [done[task.key] for task in wanted if task.key in done]
+
+
+def stored(path: Path | None) -> list[Line]:
+    """Lines of the store; a last line that was cut short is run again."""
+    lines: list[Line] = []
+    if path is None or not path.exists():
+        return lines
+    text = path.read_text(encoding="utf-8")
+    for number, row in enumerate(text.splitlines(), 1):
+        try:
+            lines.append(json.loads(row))
+        except json.JSONDecodeError:
+            print(f"# {path.name} line {number} was cut short; its case is run again")
+    if text and not text.endswith("\n"):
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write("\n")
+    return list({line["key"]: line for line in lines}.values())
+
+
+def _revision() -> str:
+    """Commit of the code, with a + where tracked files differ from it."""
+    here = Path(__file__).parent
+    try:
+        commit = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"], cwd=here, capture_output=True, text=True, check=True
+        )
+        changed = subprocess.run(
+            ["git", "status", "--porcelain", "-uno"], cwd=here, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return commit.stdout.strip() + ("+" if changed.stdout.strip() else "")
+
+
+def _seeds(text: str) -> list[int]:
+    """ "1-3,7" -> [1, 2, 3, 7]."""
+    ranges = [part.split("-") for part in text.split(",")]
+    return [seed for ends in ranges for seed in range(int(ends[0]), int(ends[-1]) + 1)]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run and report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--condition", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), metavar="NAME",
+                        help=f"of {', '.join(CONDITIONS)} (all)")  # fmt: skip
+    parser.add_argument("--seeds", type=_seeds, help=f"like 1-3,7 ({DEFAULT_SEEDS}; --report: all)")
+    parser.add_argument("--classes", nargs="+", help="only these; a pair as a+b")
+    parser.add_argument("--workers", type=int, default=2, help="cases at the same time, one thread each")
+    parser.add_argument("--limit", type=float, default=LIMIT, help="wall time in s after which a case is given up")
+    parser.add_argument("--store", type=Path, help="file of one JSON line a case; what it holds is not run again")
+    parser.add_argument("--peer", action="store_true", help="PySINDy on the same cases (pip install robustlab[bench])")
+    parser.add_argument("--report", action="store_true", help="run nothing: print the figures of what --store holds")
+    asked = parser.parse_args(argv)
+    if asked.report:
+        if asked.store is None or not asked.store.exists():
+            parser.error("--report needs a --store that exists")
+        print(report([line for line in stored(asked.store) if _asked_for(line, asked)]))
+        return
+    seeds = asked.seeds or _seeds(DEFAULT_SEEDS)
+    wanted = list(tasks(asked.condition, seeds, asked.classes, asked.peer))
+    if asked.classes and (strange := set(asked.classes) - {"+".join(t.effects) for t in wanted}):
+        parser.error(f"no class {', '.join(sorted(strange))} in these conditions")
+    print(report(run_all(wanted, asked.store, asked.workers, asked.limit)))
+
+
+def _asked_for(line: Line, asked: argparse.Namespace) -> bool:
+    return (
+        line["condition"] in asked.condition
+        and (not asked.seeds or line["seed"] in asked.seeds)
+        and (not asked.classes or ("+".join(line["truth"]) or "none") in asked.classes)
+    )
+
+
+if __name__ == "__main__":
+    main()
