@@ -205,7 +205,8 @@ def _normal_equations(data: MovingSamples, place: _Search, waves: Array) -> Iter
         cc, cs, total = weight @ cos**2, weight @ (cos * sin), float(weight.sum())
         gram = np.stack([np.stack([cc, cs], axis=1), np.stack([cs, total - cc], axis=1)], axis=2)
         # The ridge keeps it regular where the samples happen to miss one of the two phases.
-        yield np.stack([belongs @ cos, belongs @ sin], axis=2), np.linalg.inv(gram + 1e-6 * total * np.eye(2))
+        inverse = np.asarray(np.linalg.inv(gram + 1e-6 * total * np.eye(2)), dtype=np.float64)
+        yield np.stack([belongs @ cos, belongs @ sin], axis=2), inverse
 
 
 def _refined(data: MovingSamples, place: _Search, at: int) -> float:

@@ -314,10 +314,21 @@ class RecordStep(StepBase):
     inputs: list[str] | None = None
     outputs: list[str] | None = None
     dt: Positive | None = None
+    clock: str | None = Field(None, description="Signal with the times, where it is not called t or time.")
     units: dict[str, str] = {}
     about: Text = Field(
         "", description="What the record is, who published it, how to get it; shown where the file is absent."
     )
+
+
+class JoinStep(StepBase):
+    """One record from two loggers with sample times of their own; a shift between their clocks is not looked for."""
+
+    gives: ClassVar[str] = "record"
+    do: Literal["join"]
+    first: ToRecord
+    second: ToRecord
+    dt: Positive | None = Field(None, description="s; the coarser of the two where left out.")
 
 
 class CompareStep(StepBase):
@@ -422,6 +433,7 @@ Step = Annotated[
     | HinfStep
     | CloseLoopStep
     | RecordStep
+    | JoinStep
     | CompareStep
     | DiscoverStep
     | DataSheetStep

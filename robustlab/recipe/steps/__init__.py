@@ -31,6 +31,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "hinf": design.hinf,
     "close-loop": design.close_loop,
     "record": measurement.record,
+    "join": measurement.join,
     "compare": measurement.compare,
     "discover": discovery.discover,
     "data-sheet": measurement.data_sheet,

@@ -68,7 +68,8 @@ def numbers(d: Discovery) -> dict[str, Any]:
     ``verdict``, ``complete``, ``names``, ``answer`` (names and rivals), ``count``, ``gap_before``, ``gap_refitted``,
     ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``gaps.OUTPUT.updated`` in its unit;
     ``effects.ID.PARAMETER`` with ``lower`` and ``upper`` alike (95 %), ``confidence.ID``, ``nominal.PARAMETER``,
-    ``next_experiment.name`` ("none" where no rival is left) and ``.separation``.
+    ``next_experiment.name`` ("none" where no rival is left) and ``.separation``; ``line.position.period`` and
+    ``.amplitude`` of the strongest line that remains over the position, and ``line.time`` alike.
 
     An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
     is not met, while a misspelt one is refused.
@@ -104,8 +105,15 @@ def numbers(d: Discovery) -> dict[str, Any]:
         },
         "structure": dict(d.structure),
         "remaining_lines": [dict(line) for line in d.remaining_lines],
+        "line": {over: _strongest_line(d, over) for over in ("position", "time")},
         "seconds": d.seconds,
     }
+
+
+def _strongest_line(d: Discovery, over: str) -> dict[str, float]:
+    """Period and amplitude of the strongest line that remains over a coordinate; no numbers where there is none."""
+    line = next((line for line in d.remaining_lines if line["over"] == over), None)
+    return {name: math.nan if line is None else float(line[name]) for name in ("period", "amplitude")}
 
 
 def _absent(d: Discovery) -> dict[str, dict[str, float]]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import CompareStep, CoverStep, DataSheetStep, RecordStep
+from robustlab.recipe.schema import CompareStep, CoverStep, DataSheetStep, JoinStep, RecordStep
 
-__all__ = ["compare", "cover", "data_sheet", "record"]
+if TYPE_CHECKING:
+    from robustlab.record import Record
+
+__all__ = ["compare", "cover", "data_sheet", "join", "record"]
 
 
 def record(step: RecordStep, work: Workspace) -> Outcome:
@@ -15,16 +18,30 @@ def record(step: RecordStep, work: Workspace) -> Outcome:
     import robustlab as rl
 
     options: dict[str, Any] = {"units": step.units} if step.units else {}
+    if step.clock is not None:
+        options["clock"] = step.clock
     path = work.sources[work.step]
     found = rl.Record.read(path, group=step.group, inputs=step.inputs, outputs=step.outputs, dt=step.dt, **options)
+    notes = (" ".join(step.about.split()),) if step.about else ()
+    return _as_record(found, f"Record {path.name} read.", notes)
+
+
+def join(step: JoinStep, work: Workspace) -> Outcome:
+    """The signals of two loggers on one clock."""
+    from robustlab.identification.resampling import join_clocks
+
+    found = join_clocks(work.record(step.first), work.record(step.second), step.dt)
+    return _as_record(found, f"{step.first} and {step.second} on one clock.", ())
+
+
+def _as_record(found: Record, summary: str, notes: tuple[str, ...]) -> Outcome:
     signals = [f"{name} [{found.unit(name) or 'unit not stated'}]" for name in (*found.inputs, *found.outputs)]
     numbers = {"samples": found.n, "duration": found.duration, "dt": found.dt}
     facts = (
         Fact("Samples", f"{found.n}, {quantity(found.duration, 's')} in steps of {quantity(found.dt, 's')}"),
         Fact("Signals", ", ".join(signals)),
     )
-    notes = (" ".join(step.about.split()),) if step.about else ()
-    return Outcome(found, f"Record {path.name} read.", numbers, facts, notes=notes)
+    return Outcome(found, summary, numbers, facts, notes=notes)
 
 
 def compare(step: CompareStep, work: Workspace) -> Outcome:

@@ -1,0 +1,105 @@
+"""Recipes that name what models of measured machines lack; the records are not ours to ship."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.recipe.load import load_recipe
+from robustlab.recipe.run import run_recipe
+from robustlab.recipe.shipped import recipe_path
+
+ROOT = Path(__file__).parents[2]
+DATA = Path(__file__).parents[3] / "shared" / "data"
+FILES = {
+    "emps-discover": "emps.h5",
+    "hsm150": "hsm150_torque_steps.h5",
+    "rack-pinion": "rack_pinion_friction.h5",
+    "cascaded-tanks": "cascaded_tanks.h5",
+    "coupled-drives": "ced.h5",
+}
+
+
+def run(name, folder):
+    if not (DATA / FILES[name]).is_file():
+        pytest.skip("the measured record is not at hand")
+    recipe = load_recipe(recipe_path(name))
+    at = [f"{step}.path={DATA / FILES[name]}" for step, s in recipe.recipe.step.items() if s.kind == "record"]
+    return run_recipe(load_recipe(recipe_path(name), at), folder / "out")
+
+
+def numbers(result, step):
+    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
+
+
+def unmet(result):
+    return [f"{q['text']}: {q['why_not'] or q['value']}" for q in result.data["requirements"] if not q["met"]]
+
+
+@pytest.mark.shared
+def test_emps(tmp_path):
+    """Published by Janot, Gautier and Brunot: 166.71 N s/m forwards and 240.42 N s/m backwards."""
+    result = run("emps-discover", tmp_path)
+    assert unmet(result) == []
+    found = numbers(result, "naming")
+    mean, half = found["nominal"]["Fv"], found["effects"]["asymmetric-viscous-friction"]["dFv"]
+    assert mean + half == pytest.approx(166.7061, rel=0.03)
+    assert mean - half == pytest.approx(240.4236, rel=0.03)
+    assert [e.effect.id for e in rl.load(result.folder / "naming-plant.h5").effects] == found["names"]
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["hsm150", "rack-pinion", "cascaded-tanks", "coupled-drives"])
+def test_what_the_other_records_say(name, tmp_path):
+    result = run(name, tmp_path)
+    assert unmet(result) == []
+    assert result.exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["hsm150", "rack_pinion", "cascaded_tanks", "coupled_drives"])
+def test_the_committed_models_are_those_of_their_script(name):
+    from runpy import run_path
+
+    made = run_path(str(ROOT / "recipes/data/make_nominal_models.py"))["MODELS"][name]()
+    committed = rl.load(ROOT / "models" / f"{name}.h5")
+    assert (made.states, made.inputs, made.outputs) == (committed.states, committed.inputs, committed.outputs)
+    for matrix in "ABCD":
+        np.testing.assert_array_equal(getattr(made, matrix), getattr(committed, matrix))
+
+
+TWO_LOGGERS = """schema = "robustlab.recipe/1"
+name = "two"
+[step.a]
+do = "record"
+path = "a.csv"
+inputs = ["f"]
+outputs = []
+clock = "ta"
+[step.b]
+do = "record"
+path = "b.csv"
+inputs = []
+outputs = ["v"]
+clock = "tb"
+[step.both]
+do = "join"
+first = "a"
+second = "b"
+[[require]]
+text = "The coarser clock is kept, where both run"
+that = "both.samples"
+equals = 3.0
+"""
+
+
+def test_two_loggers_are_joined_in_a_recipe(tmp_path):
+    (tmp_path / "a.csv").write_text("ta,f\n0.05,1\n0.15,2\n0.25,3\n0.35,4\n0.45,5\n0.55,6\n0.65,7\n")
+    (tmp_path / "b.csv").write_text("tb,v\n0.0,0\n0.2,1\n0.4,2\n0.6,3\n")
+    (tmp_path / "two.toml").write_text(TWO_LOGGERS)
+    result = run_recipe(load_recipe(tmp_path / "two.toml"), tmp_path / "out")
+    assert unmet(result) == []
+    assert numbers(result, "both")["dt"] == pytest.approx(0.2)
+    assert result.exit_code == 0
