@@ -33,7 +33,7 @@ from robustlab.identification.discovery_result import (
     Verdict,
 )
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
-from robustlab.identification.greedy_naming import Alternative, Naming, alternatives, held_out_fit, name_effects, white
+from robustlab.identification.greedy_naming import Alternative, Naming, held_out_fit, name_effects, overtaken, white
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
 from robustlab.identification.prepared_record import prepare, start_std, window_length
 from robustlab.identification.residual_after_naming import LeftOver, left_over
@@ -135,11 +135,8 @@ def discover(
         return beyond_tolerance(problem, fit, candidate, limits)
 
     naming = name_effects(data.problem, data.held, pool, allowed, progress)
-    rivals = [
-        a
-        for a in alternatives(data.problem, naming)
-        if a.cannot_be_told and beyond_tolerance(data.problem, a.fit, a.candidate, limits)
-    ]
+    naming, others = overtaken(data.problem, naming)
+    rivals = [a for a in others if a.cannot_be_told and beyond_tolerance(data.problem, a.fit, a.candidate, limits)]
     return _result(linear, data, naming, rivals, stated, findings, pool, measured, repeats, period, began)
 
 
@@ -378,11 +375,11 @@ def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...
 
 def _named(problem: Problem, naming: Naming, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
     candidate = naming.fit.hypothesis.candidates[k]
-    taken = [s for s in naming.steps if s.taken is not None and s.taken.candidate is not None]
-    step = next((s for s in taken if s.taken.candidate.key == candidate.key), None)  # type: ignore[union-attr]
     own = [a for a in rivals if a.instead_of.key == candidate.key]
     confidence = max(0.0, 1.0 - sum(a.wins for a in own))
-    evidence = step.taken.evidence - step.ranking.base.evidence if step and step.taken else 0.0
+    step = next((s for s in naming.steps if s.taken is not None and s.entry(candidate) is not None), None)
+    place = step.entry(candidate) if step else None
+    evidence = place.evidence - step.ranking.base.evidence if step and place else 0.0
     effect = candidate.effect
     return NamedEffect(
         effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(problem, naming.settled, k),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.naming import Ranked, Ranking, first_noise, rank, whitening
 
-__all__ = ["Alternative", "Naming", "Step", "alternatives", "held_out_fit", "name_effects", "rms_percent", "white"]
+__all__ = [
+    "Alternative",
+    "Naming",
+    "Step",
+    "alternatives",
+    "held_out_fit",
+    "name_effects",
+    "overtaken",
+    "rms_percent",
+    "white",
+]
 
 Array = NDArray[np.float64]
 
@@ -24,6 +34,7 @@ HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
 HELD_OUT_LOSS = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well, by chance better
 HELD_OUT_FALL = 0.01  # of the held-out error
 # Rivals.
+OVERTAKING = 0.5  # log evidence by which a refitted alternative takes the place of the named effect
 EVIDENCE_TIE = 3.0
 WIN_SHARE = 0.05
 CANNOT_TELL = 3.0  # refit distance in noise sigmas
@@ -40,6 +51,10 @@ class Step:
     taken: Ranked | None
     decision: str
     held_out: float
+
+    def entry(self, candidate: Candidate) -> Ranked | None:
+        """The candidate's place in the ranking."""
+        return next((r for r in self.ranking.ranked if r.candidate and r.candidate.key == candidate.key), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +299,9 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
     found = []
     taken = [step for step in naming.steps if step.taken is not None]
     for k, named in enumerate(naming.fit.hypothesis.candidates):
-        step = next(s for s in taken if s.taken and s.taken.candidate and s.taken.candidate.key == named.key)
+        step = next((s for s in taken if s.entry(named) is not None), None)
+        if step is None:
+            continue
         last = step is taken[-1]
         rest, z = _without(problem, naming.fit, k)
         entries = [
@@ -299,6 +316,18 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
         ]
         found.extend(_judged(problem, naming, named, rest, z, entries[:MOST_RIVALS]))
     return found
+
+
+def overtaken(problem: Problem, naming: Naming) -> tuple[Naming, list[Alternative]]:
+    """The naming with an effect exchanged where, refitted, another turns out more probable; and the alternatives."""
+    found = alternatives(problem, naming)
+    for _ in range(len(naming.fit.hypothesis.candidates)):
+        best = max(found, key=lambda a: a.evidence, default=None)
+        if best is None or best.evidence <= OVERTAKING:
+            break
+        naming = replace(naming, fit=best.fit, settled=_settled(problem, best.fit, naming.noise))
+        found = alternatives(problem, naming)
+    return naming, found
 
 
 def _judged(

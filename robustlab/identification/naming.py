@@ -28,6 +28,7 @@ SEED = 20261121
 FIRST, SECOND, LAST = 4, 6, 8
 KEPT_SECOND, KEPT_LAST = 10, 7
 PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
+MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
 FIRST_WINDOWS, SECOND_WINDOWS = 6, 18
 
 
@@ -133,6 +134,7 @@ def rank(
         for candidate in candidates
         for start in (*candidate.starts, *_as_refitted(problem, base_fit, candidate))
     ]
+    jobs += [job for candidate in candidates for job in _unstretched(problem, base_fit, candidate)]
 
     few, few_starts = _thinned(problem, base_fit, FIRST_WINDOWS)
     some, some_starts = _thinned(problem, base_fit, SECOND_WINDOWS)
@@ -185,6 +187,21 @@ def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dic
         if nuisance.label == candidate.site.name:
             return ({candidate.parameters[0].name: float(np.exp(nuisance.spread * z))},)
     return ()
+
+
+def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[tuple[Candidate, Hypothesis, Array]]:
+    """For a wrong gain: nominal parameters back at their values, and the gain at what the most stretched one had."""
+    if not candidate.effect.gain_like or candidate.site.kind == "parameter" or not problem.nuisances:
+        return []
+    stretch = [n.spread * z for n, z in zip(problem.nuisances, base.z, strict=False)]
+    likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0)
+    found = []
+    for sign in (1.0, -1.0):
+        start = {candidate.parameters[0].name: float(np.exp(sign * likely))}
+        hypothesis, z = _extended(problem, base.hypothesis, base.z, candidate, start)
+        z[: len(problem.nuisances)] = 0.0
+        found.append((candidate, hypothesis, z))
+    return found
 
 
 def _thinned(problem: Problem, fit: Fit, wanted: int) -> tuple[Problem, list[Array]]:
