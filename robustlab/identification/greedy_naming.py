@@ -309,13 +309,17 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
             for entry in step.ranking.ranked
             if entry.candidate is not None
             and entry.candidate.key != named.key
-            and entry.evidence - step.ranking.base.evidence > WRONG_PARAMETER
+            and (entry.evidence - step.ranking.base.evidence > WRONG_PARAMETER or _both_gains(entry.candidate, named))
             and (not last or entry.evidence > -FAR_BEHIND)
             and _may_follow(entry.candidate, rest)
             and not (entry.candidate.effect.refines == named.effect.id and entry.candidate.site == named.site)
         ]
         found.extend(_judged(problem, naming, named, rest, z, entries[:MOST_RIVALS]))
     return found
+
+
+def _both_gains(first: Candidate, second: Candidate) -> bool:
+    return first.effect.gain_like and second.effect.gain_like
 
 
 def overtaken(problem: Problem, naming: Naming) -> tuple[Naming, list[Alternative]]:
