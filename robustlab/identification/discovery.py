@@ -36,6 +36,7 @@ from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, Prob
 from robustlab.identification.greedy_naming import Alternative, Naming, held_out_fit, name_effects, overtaken, white
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
 from robustlab.identification.prepared_record import prepare, start_std, window_length
+from robustlab.identification.remaining_lines import remaining_lines
 from robustlab.identification.residual_after_naming import LeftOver, left_over
 from robustlab.identification.updated_plant import updated_plant
 from robustlab.record import Record
@@ -239,6 +240,7 @@ def _result(
         unnamed=left.unnamed() if remains and left else None,
         noise_floor=floor[0],
         floor_excess=floor[1],
+        remaining_lines=remaining_lines(left) if left else (),
         findings=findings,
         series=series,
         model=updated_plant(problem, fit, f"fitted to {', '.join(r.name for r in records)}"),
