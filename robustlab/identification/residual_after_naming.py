@@ -119,8 +119,13 @@ def _of_record(
     contiguous = np.all(np.diff(used) == 1)
     if not contiguous:
         return None
+    # The test turns the signs of whole blocks, which must not hang together by the smoother's own memory: where there
+    # is hardly any force the likelihood makes that longer than a block, and chance would look like structure.
+    least = max(4, BLOCKS // len(problem.records)) / (len(t) * record.record.dt)
     try:
         smoothed = smooth_disturbance(linear, joint.force[:, None], t, known, y, jumps=False)
+        if smoothed.bandwidth[0] < least:
+            smoothed = smooth_disturbance(linear, joint.force[:, None], t, known, y, bandwidth=least, jumps=False)
     except NoTrustworthyNumber:
         return None
     x = smoothed.x
