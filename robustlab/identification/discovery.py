@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.port_model import linear_plant_of, parameter_groups, port_model
 from robustlab.dynamics.effects.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -115,12 +116,16 @@ def discover(
     Raises
     ------
     InputError
-        Records that do not fit the plant or are too short; a wrong sign, unit or swapped channel.
+        Records that do not fit the plant, have other outputs than the first, or are too short; a wrong sign, unit or
+        swapped channel; an unknown effect in ``exclude``.
     NoTrustworthyNumber
         Records that say nothing: no excitation, dead sensors.
     """
     began = time.perf_counter()
     linear = _linear(plant)
+    left_out = {effect(name).id for name in exclude}
+    if window is not None and not 0.0 < window < np.inf:
+        raise InputError("discover: window", f"{window}", "a length in s above 0")
     measured = [records] if isinstance(records, Record) else list(records)
     kept_out = [] if held_out is None else [held_out] if isinstance(held_out, Record) else list(held_out)
     if not measured:
@@ -129,7 +134,7 @@ def discover(
     stated = stated_tolerances(linear, tolerances)
     model = port_model(linear)
     data = _data(linear, model, measured, kept_out, nuisance_parameters(linear, stated), window)
-    pool = [c for c in candidates(linear, model, data.problem.records) if c.effect.id not in exclude]
+    pool = [c for c in candidates(linear, model, data.problem.records) if c.effect.id not in left_out]
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(linear)}
 
     def allowed(problem: Problem, fit: Fit, candidate: Candidate) -> bool:
@@ -184,13 +189,20 @@ def _data(
     plant: LinearPlant, model: Any, records: Sequence[Record], held_out: Sequence[Record], nuisances: Any,
     window: float | None,
 ) -> _Data:  # fmt: skip
-    from robustlab.identification.resampling import uniform
+    from robustlab.identification.resampling import clock_step, uniform
 
-    dt = records[0].dt
+    dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
     uniformed = [uniform(r, None if r.is_uniform else dt) for r in (*records, *held_out)]
     everything = [u.record for u in uniformed]
     length = window_length(plant, everything) if window is None else max(8, round(window / dt))
     prepared = [prepare(plant, model, u.record, length, dict(u.valid)) for u in uniformed]
+    for r in prepared:
+        if r.columns != prepared[0].columns:
+            raise InputError(
+                f"discover {r.record.name}",
+                f"outputs {', '.join(plant.outputs[k].name for k in r.columns)}",
+                f"{', '.join(plant.outputs[k].name for k in prepared[0].columns)}, as in {prepared[0].record.name}",
+            )
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     if judged:
         problem = Problem(plant, fitted, nuisances)

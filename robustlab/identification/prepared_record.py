@@ -22,6 +22,7 @@ WINDOWS_WANTED = 12
 SHORTEST, LONGEST = 40, 480  # samples of a window
 FEWEST_WINDOWS = 4
 POINTS_PER_WINDOW = 80  # into which the errors of a window are averaged
+LONGEST_GUESS = 2  # samples in a row without any output: the input between them is held
 START_LAG = 0.02  # s, of a sensor or clock that is late
 START_INFLATION = 30.0  # the smoother has seen the window itself, so its start is told by the fit and not by it
 
@@ -39,7 +40,8 @@ class PreparedRecord:
     columns
         Index of each measured output among the plant's outputs.
     windows
-        All windows, in order of time; those with gaps in the input are left out.
+        All windows, in order of time, laid between gaps: where more than two samples in a row are lost, the input is
+        a guess.
     x0, x0_std
         Smoothed states at the window starts and the standard deviation that a fit may move them by,
         (n_windows, n_x).
@@ -106,7 +108,7 @@ def prepare(
     Raises
     ------
     InputError
-        An input of the plant or every output is missing; fewer than four windows.
+        An input of the plant or every output is missing; fewer than four windows, or four without gaps.
     """
     missing = [s.name for s in plant.inputs if s.name not in record.inputs]
     if missing:
@@ -123,8 +125,7 @@ def prepare(
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
             y[~valid[names[k]], j] = np.nan
-    starts = np.arange(0, record.n - length + 1, length, dtype=np.int64)
-    if len(starts) < FEWEST_WINDOWS:
+    if record.n // length < FEWEST_WINDOWS:
         raise InputError(
             f"discover {record.name}",
             f"{record.n} samples",
@@ -135,7 +136,16 @@ def prepare(
     bare = plant.state_space().select(None, [names[k] for k in columns])
     smoothed = smooth_disturbance(bare, push, record.t, u, y, jumps=False)
     known = np.isfinite(y).all(axis=1)
+    stretches = _between_gaps(~np.isfinite(y).any(axis=1))
+    starts = [s for first, last in stretches for s in range(first, last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
+    if len(usable) < FEWEST_WINDOWS:
+        raise InputError(
+            f"discover {record.name}",
+            f"{len(usable)} windows of {length} samples without gaps",
+            f"at least {FEWEST_WINDOWS}",
+            "shorter windows, or a record with fewer gaps",
+        )
     windows = Windows(np.array(usable, dtype=np.int64), length)
     std = start_std(smoothed, windows, record.dt)
     thin = max(1, length // POINTS_PER_WINDOW)
@@ -148,6 +158,14 @@ def start_std(smoothed: SmoothedRecord, windows: Windows, dt: float) -> Array:
     """How far a fit may move the window starts, (n_windows, n_x): far beyond the noise, and by a late sensor's lag."""
     rate = np.sqrt(np.mean((np.diff(smoothed.x, axis=0) / dt) ** 2, axis=0))
     return START_INFLATION * smoothed.x_std[windows.starts] + START_LAG * rate
+
+
+def _between_gaps(lost: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First sample and end of each stretch between runs of lost samples that are too long to hold the input over."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
+    gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > LONGEST_GUESS]
+    firsts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(lost)]
+    return list(zip(firsts, ends, strict=True))
 
 
 def _resolution(y: Array) -> float:

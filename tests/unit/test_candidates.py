@@ -320,6 +320,16 @@ def test_samples_that_were_not_measured_are_none_and_their_windows_are_left_out(
     assert np.isfinite(ready.y[:, 1]).all()
 
 
+def test_windows_lie_between_gaps():
+    plant = rl.plant("servo-axis")
+    valid = np.ones(len(T), dtype=bool)
+    valid[330:350] = False  # the clock stood still: nothing is known of the input either
+    valid[701:703] = False  # two samples, over which the input is held
+    ready = prepare(plant, port_model(plant), rl.simulate(plant, T, U), 100, {"q": valid, "v": valid})
+    assert ready.windows.starts.tolist() == [0, 100, 200, 350, 450, 550, 650, 750, 850]
+    assert np.isnan(ready.measured).sum() == 2 * 2
+
+
 def test_a_sensors_step_is_seen():
     plant = rl.plant("servo-axis")
     run = rl.simulate(plant, T, U)

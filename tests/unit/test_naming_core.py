@@ -1,0 +1,431 @@
+"""Naming on small simulated records whose missing effect is known: ranking, distance, what is left, and `discover`."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.extended_plant import ExtendedPlant
+from robustlab.dynamics.effects.port_model import port_model
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.candidates import candidates
+from robustlab.identification.discovery import beyond_tolerance
+from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem, simulated_outputs
+from robustlab.identification.greedy_naming import CANNOT_TELL, held_out_fit, name_effects, rms_percent
+from robustlab.identification.naming import rank, whitening
+from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
+from robustlab.identification.prepared_record import prepare
+from robustlab.identification.residual_after_naming import left_over
+from robustlab.identification.rivals import predicted, refit_distance
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+
+AXIS = rl.plant("servo-axis")
+N, DT = 1000, 2e-3
+T = np.arange(N) * DT
+U = 1.5 * np.sin(2 * np.pi * 1.3 * T) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 20), 50)
+NONE = Hypothesis(())
+
+
+def noisy(record, outputs=("q", "v"), seed=0, name="run 7"):
+    """With white noise of a thousandth of the range on the named outputs."""
+    rng = np.random.default_rng(seed)
+    noise = {k: 1e-3 * np.ptp(record[k]) * rng.normal(size=record.n) for k in outputs}
+    units = {k: record.unit(k) for k in ("u", *outputs)}
+    return rl.Record(record.t, record.inputs, {k: record[k] + noise[k] for k in outputs}, units, name)
+
+
+def plain(**kwargs):
+    return noisy(rl.simulate(AXIS, T, U), **kwargs)
+
+
+@cache
+def rubbing(seed=0, u_sign=1.0):
+    """The axis with 20 N of Coulomb friction, by an event-driven integrator."""
+    return noisy(simulate_with_friction(AXIS, DryFriction("v", 20.0), T, u_sign * U).record, seed=seed)
+
+
+def problem_of(record, length=100) -> tuple[Problem, dict[str, Candidate]]:
+    model = port_model(AXIS)
+    ready = prepare(AXIS, model, record, length)
+    nuisances = nuisance_parameters(AXIS, stated_tolerances(AXIS, None))
+    return Problem(AXIS, [ready], nuisances), {c.key: c for c in candidates(AXIS, model, [ready])}
+
+
+def noise_of(problem: Problem) -> NoiseModel:
+    """The noise that the record was given, averaged as the errors are."""
+    ready = problem.records[0]
+    std = 1e-3 * (np.nanmax(ready.y, axis=0) - np.nanmin(ready.y, axis=0)) / np.sqrt(ready.thin)
+    return NoiseModel(std, np.zeros((0, len(std))))
+
+
+def fitted(problem: Problem, *effects: Candidate) -> Fit:
+    """The best fit over the effect's starts."""
+    starts = [c.starts for c in effects]
+    z0 = np.zeros(len(problem.nuisances))
+    if not effects:
+        return problem.fit(NONE, noise_of(problem), z0, iterations=20)
+    (only,) = effects
+    tries = [np.concatenate([z0, only.standardised(s)]) for s in starts[0]]
+    fits = [problem.fit(Hypothesis((only,)), noise_of(problem), z, iterations=20) for z in tries]
+    return min(fits, key=lambda f: f.cost)
+
+
+# --- how far apart two effects are -----------------------------------------------------------------------------------
+
+
+@cache
+def late() -> tuple[Problem, dict[str, Fit]]:
+    """An input that comes 4 ms late, seen on the position alone, with the fits of several explanations."""
+    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(2), U[:-2]]))
+    record = rl.Record(T, {"u": U}, {"q": run["q"], "v": run["v"]}, name="late")
+    problem, pool = problem_of(noisy(record, outputs=("q",)))
+    keys = ("input-delay @ u", "sensor-delay @ q", "sensor-gain @ q")
+    return problem, {key: fitted(problem, pool[key]) for key in keys}
+
+
+def test_a_delay_before_and_behind_a_linear_plant_cannot_be_told_apart():
+    problem, fits = late()
+    before, behind = fits["input-delay @ u"], fits["sensor-delay @ q"]
+    for fit in (before, behind):
+        found = fit.hypothesis.candidates[0].values(fit.z[2:])
+        assert found["d"] == pytest.approx(0.004, abs=5e-4)
+    # They differ in how far the starts of the windows move, which has a price, and in the sensor's past before them.
+    assert refit_distance(problem, before, behind) < CANNOT_TELL / 3
+    assert refit_distance(problem, behind, before) < CANNOT_TELL / 3
+
+
+def test_a_delay_and_a_gain_are_told_apart_safely():
+    problem, fits = late()
+    assert refit_distance(problem, fits["input-delay @ u"], fits["sensor-gain @ q"]) > 10.0
+
+
+def test_an_effect_has_no_distance_to_itself():
+    problem, fits = late()
+    assert all(refit_distance(problem, fit, fit) < 1e-3 for fit in fits.values())
+
+
+def test_the_distance_is_the_root_of_what_the_refit_leaves():
+    # The rival may move no parameter, only the starts: its refit is a linear least-squares problem in each window.
+    problem, _ = problem_of(noisy(rl.simulate(AXIS, T, U)))
+    z = np.array([1.5, -0.8])
+    true = problem.fit(NONE, noise_of(problem), z, fixed=True)
+    goal = predicted(problem, true)
+    assert np.abs(goal.records[0].measured - simulated_outputs(problem, true)[0]).max() == 0.0
+    rigid = problem.on(problem.records)
+    rigid.nuisances = ()
+    rival = rigid.fit(NONE, true.noise, np.zeros(0))
+
+    bare = Problem(AXIS, goal.records, ())
+    zero = np.zeros_like(true.starts[0])
+    r = bare.whitened(bare.errors(NONE, np.zeros(0), [zero]), true.noise)[0]
+    x = [bare.whitened(bare.errors(NONE, np.zeros(0), [zero + e]), true.noise)[0] - r for e in np.eye(2)]
+    left = -z @ z - (true.starts[0] ** 2).sum()
+    for w in range(len(r)):
+        s = np.eye(r.shape[1]) + sum(np.outer(c[w], c[w]) for c in x)
+        left += r[w] @ np.linalg.solve(s, r[w])
+    assert left > 100.0  # 4 % more mass and a fourth less friction are seen
+    goal.nuisances = ()
+    fitted_again = goal.fit(NONE, true.noise, np.zeros(0), rival.starts, iterations=10)
+    assert np.sqrt(fitted_again.cost - z @ z - (true.starts[0] ** 2).sum()) == pytest.approx(np.sqrt(left), rel=1e-4)
+    held = Fit(rival.hypothesis, np.zeros(2), rival.starts, 0.0, rival.window_cost, np.eye(2), true.noise, 0)
+    assert refit_distance(problem, true, held) < 0.05 * np.sqrt(left)  # free to move, it comes there
+
+
+# --- what is left ----------------------------------------------------------------------------------------------------
+
+
+def test_with_the_true_effect_nothing_is_left_and_without_it_something_is():
+    problem, pool = problem_of(rubbing())
+    named = left_over(problem, fitted(problem, pool["coulomb-friction @ v"]), noise_of(problem))
+    bare = left_over(problem, fitted(problem), noise_of(problem))
+    assert named is not None
+    assert bare is not None
+    assert not named.structure.found
+    assert bare.structure.found
+    assert (bare.port, bare.unit) == ("v", "N")
+    assert np.sqrt(np.mean(named.force**2)) < 0.2 * np.sqrt(np.mean(bare.force**2))
+
+
+def test_what_is_left_without_friction_is_the_friction():
+    problem, _ = problem_of(rubbing())
+    as_built = problem.fit(NONE, noise_of(problem), np.zeros(2), fixed=True)
+    left = left_over(problem, as_built, noise_of(problem))
+    assert left is not None
+    v = left.coordinates["speed"]
+    fast = np.abs(v) > 0.3 * np.abs(v).max()
+    assert np.mean(-left.force[fast] * np.sign(v[fast])) == pytest.approx(20.0, rel=0.05)
+
+
+def test_a_complete_model_leaves_nothing():
+    problem, _ = problem_of(plain())
+    left = left_over(problem, fitted(problem), noise_of(problem))
+    assert left is not None
+    assert not left.structure.found
+
+
+# --- ranking ---------------------------------------------------------------------------------------------------------
+
+
+def test_whitening_finds_the_autoregression_of_the_errors():
+    rng = np.random.default_rng(8)
+    ar, e = np.array([0.5, -0.2, 0.1]), np.zeros((40, 300, 1))
+    for k in range(300):
+        past = [e[:, k - lag, 0] if k >= lag else np.zeros(40) for lag in (1, 2, 3)]
+        e[:, k, 0] = ar @ past + 0.03 * rng.normal(size=40)
+    e[3, 50:80] = np.nan  # samples that are missing
+    problem = SimpleNamespace(errors=lambda *_: [e])
+    found = whitening(problem, SimpleNamespace(hypothesis=NONE, z=None, starts=None))  # type: ignore[arg-type]
+    assert found.ar[:, 0] == pytest.approx(ar, abs=0.03)  # three standard errors, 1 / sqrt(12000)
+    assert found.std == pytest.approx([0.03], rel=0.02)
+
+
+SHORT_POOL = (
+    "coulomb-friction @ v",
+    "viscous-friction @ Fv",
+    "constant-load @ v",
+    "input-delay @ u",
+    "sensor-gain @ q",
+)
+
+
+def apart(problem: Problem) -> tuple[Problem, Problem]:
+    """Problem and held-out problem: every fifth window is held out."""
+    windows = np.arange(problem.records[0].count)
+    return (
+        problem.on(problem.records, [windows[windows % 5 != 2]]),
+        problem.on(problem.records, [windows[windows % 5 == 2]]),
+    )
+
+
+def test_the_true_effect_ranks_first():
+    problem, pool = problem_of(rubbing())
+    ranking = rank(problem, NONE, np.zeros(2), [pool[k] for k in SHORT_POOL], noise_of(problem))
+    assert ranking.best.id == "coulomb-friction"
+    assert ranking.best.evidence == 0.0
+    assert ranking.base.evidence < -100.0
+    assert ranking.base.id == "none"
+    assert ranking.best.wins > 0.95
+    assert sum(r.wins for r in ranking.ranked) == pytest.approx(1.0)
+    assert [r.evidence for r in ranking.ranked] == sorted((r.evidence for r in ranking.ranked), reverse=True)
+
+
+def named(record, tolerance=None):
+    problem, pool = problem_of(record)
+    fit, held = apart(problem)
+    limits = {"M": 0.05, "Fv": 1.0}
+    return name_effects(
+        fit, held, [pool[k] for k in SHORT_POOL], lambda p, f, c: beyond_tolerance(p, f, c, tolerance or limits)
+    )
+
+
+def test_the_search_names_the_friction_and_stops():
+    found = named(rubbing())
+    (effect,) = found.fit.hypothesis.candidates
+    assert effect.key == "coulomb-friction @ v"
+    assert effect.values(found.settled.z[2:])["Fc"] == pytest.approx(20.0, rel=0.02)
+    assert found.steps[0].taken is not None
+    assert found.steps[-1].taken is None
+    assert found.steps[-1].decision.startswith("stop")
+    assert found.fit.cost < 0.1 * found.bare_cost
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_the_search_names_nothing_where_nothing_is_missing(seed):
+    found = named(plain(seed=seed))
+    assert found.fit.hypothesis.candidates == ()
+    assert found.steps[-1].taken is None
+
+
+def test_a_parameter_within_its_tolerance_is_no_missing_effect():
+    problem, pool = problem_of(plain())
+    wrong = pool["viscous-friction @ Fv"]
+    for factor, expected in ((1.9, False), (2.1, True), (0.6, False), (0.4, True)):
+        z = np.array([0.0, 0.0, *wrong.standardised({"s": factor})])
+        fit = Fit(Hypothesis((wrong,)), z, (), 0.0, np.zeros(0), np.eye(3), noise_of(problem), 0)
+        assert beyond_tolerance(problem, fit, wrong, {"M": 0.05, "Fv": 1.0}) is expected
+    other = pool["coulomb-friction @ v"]
+    fit = Fit(Hypothesis((other,)), np.zeros(3), (), 0.0, np.zeros(0), np.eye(3), noise_of(problem), 0)
+    assert beyond_tolerance(problem, fit, other, {"M": 0.05, "Fv": 1.0})
+
+
+def test_held_out_data_changes_no_parameter_and_shows_the_gap():
+    problem, pool = problem_of(rubbing())
+    fit, held = apart(problem)
+    true, bare = fitted(fit, pool["coulomb-friction @ v"]), fitted(fit)
+    there, without = (held_out_fit(held, f, noise_of(problem)) for f in (true, bare))
+    assert (there.z == true.z).all()
+    # The noise is 0.1 % of the range; averaging over `thin` samples lowers it.
+    expected = 0.1 / np.sqrt(problem.records[0].thin)
+    assert rms_percent(held, there) == pytest.approx(expected, rel=0.25)
+    assert rms_percent(held, without) > 3 * expected
+
+
+# --- discover --------------------------------------------------------------------------------------------------------
+
+FEW = tuple(set(catalogue()) - {"coulomb-friction", "constant-load", "sensor-gain", "inertia"})
+
+
+def discovered(records, plant=AXIS, **options):
+    return rl.discover(plant, records, exclude=FEW, **options)
+
+
+def test_discover_names_the_friction_and_gives_a_plant_that_has_it():
+    found = discovered(rubbing())
+    assert found.verdict == "named"
+    assert found.status is Status.CONVERGED
+    assert found.complete
+    assert found.names == ("coulomb-friction",)
+    (force,) = found.effects[0].parameters
+    assert force.lower < 20.0 < force.upper
+    assert found.gap_after < 0.25 * found.gap_before
+    assert isinstance(found.model, ExtendedPlant)
+    assert found.model.effects[0].values["Fc"] == force.value
+    assert found.held_out == "every 4th window of the records, kept from the fit"
+    assert set(found.candidates) == set(catalogue()) - set(FEW)
+
+
+def test_discover_names_nothing_where_nothing_is_missing():
+    found = discovered(plain(seed=5))
+    assert found.verdict == "no missing effect"
+    assert found.complete
+    assert found.effects == found.rivals == ()
+    assert found.gap_after == pytest.approx(0.1, rel=0.25)  # the noise, in percent of the range
+
+
+def test_held_out_records_are_judged_and_named():
+    found = discovered(rubbing(), held_out=rubbing(seed=9, u_sign=-1.0))
+    assert found.names == ("coulomb-friction",)
+    assert found.held_out == "run 7"
+    other = rubbing(seed=9, u_sign=-1.0)
+    assert found.gaps["q"].range == pytest.approx(np.ptp(other["q"]))
+
+
+def test_two_records_are_named_together():
+    one = discovered(rubbing())
+    both = discovered([rubbing(), rubbing(seed=9, u_sign=-1.0)])
+    assert both.names == ("coulomb-friction",)
+    assert both.records == ("run 7", "run 7")
+    width = [np.subtract(*(getattr(f.effects[0].parameters[0], e) for e in ("upper", "lower"))) for f in (one, both)]
+    assert width[1] < width[0]
+
+
+def test_a_bare_model_serves_as_plant():
+    m = AXIS.state_space()
+    model = StateSpaceModel(m.A, m.B, m.C, m.D, inputs=AXIS.inputs, outputs=AXIS.outputs, states=AXIS.states)
+    found = discovered(rubbing(), plant=model)
+    assert found.names == ("coulomb-friction",)
+    value = found.effects[0].parameters[0]
+    assert value.unit == "m/s2"
+    assert value.value == pytest.approx(20.0 / AXIS.values["M"], rel=0.02)
+
+
+def test_a_record_with_gaps_is_named():
+    run = rubbing()
+    keep = np.ones(N, dtype=bool)
+    keep[330:350] = keep[700:703] = False
+    gappy = rl.Record(
+        run.t[keep], {"u": run["u"][keep]}, {k: run[k][keep] for k in ("q", "v")}, dict(run.units), "gappy"
+    )
+    found = discovered(gappy, window=0.16)
+    assert found.names == ("coulomb-friction",)
+    assert found.effects[0].parameters[0].value == pytest.approx(20.0, rel=0.03)
+
+
+def test_a_record_of_gaps_alone_is_refused():
+    run = rubbing()
+    lost = np.arange(N) % 80 >= 70
+    holes = rl.Record(run.t[~lost], {"u": run["u"][~lost]}, {"q": run["q"][~lost]}, {"u": "V", "q": "m"}, "holes")
+    with pytest.raises(InputError, match=r"holes.*windows of \d+ samples without gaps.*at least 4"):
+        rl.discover(AXIS, holes)
+
+
+def test_a_record_with_a_jittering_clock_is_named():
+    t = T + 0.2 * DT * np.random.default_rng(6).uniform(-1, 1, N)
+    run = noisy(simulate_with_friction(AXIS, DryFriction("v", 20.0), t, U).record, name="jitter")
+    assert not run.is_uniform
+    found = discovered(run)
+    assert found.names[:1] == ("coulomb-friction",)
+    assert found.effects[0].parameters[0].value == pytest.approx(20.0, rel=0.03)
+
+
+def test_one_output_is_enough():
+    run = rubbing()
+    only = rl.Record(run.t, run.inputs, {"q": run["q"]}, {"u": "V", "q": "m"}, "one sensor")
+    found = discovered(only)
+    assert found.names == ("coulomb-friction",)
+    assert set(found.gaps) == {"q"}
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+def test_no_record_is_refused():
+    with pytest.raises(InputError, match=r"discover.*no record.*at least one"):
+        rl.discover(AXIS, [])
+
+
+def test_a_nonlinear_plant_is_refused_with_the_way_out():
+    with pytest.raises(InputError, match=r"discover.*nonlinear plant stewart-platform(?s:.*)rl\.linearise"):
+        rl.discover(rl.plant("stewart-platform"), plain())
+
+
+def test_a_discrete_model_and_no_plant_are_refused():
+    model = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=DT)
+    with pytest.raises(InputError, match=r"discover.*discrete"):
+        rl.discover(model, plain())
+    with pytest.raises(InputError):
+        rl.discover("servo-axis", plain())
+
+
+def test_records_with_other_names_are_refused():
+    run = plain()
+    with pytest.raises(InputError, match=r"run 8.*'u'"):
+        rl.discover(AXIS, rl.Record(T, {"voltage": U}, run.outputs, name="run 8"))
+    with pytest.raises(InputError, match=r"run 8"):
+        rl.discover(AXIS, rl.Record(T, {"u": U}, {"x": run["q"]}, name="run 8"))
+
+
+def test_a_record_that_is_too_short_is_refused():
+    run = plain()
+    short = rl.Record(T[:30], {"u": U[:30]}, {"q": run["q"][:30]}, name="blink")
+    with pytest.raises((InputError, NoTrustworthyNumber), match="blink"):
+        rl.discover(AXIS, short)
+
+
+def test_windows_of_which_four_do_not_fit_are_refused():
+    with pytest.raises(InputError, match=r"run 7.*1000 samples.*at least 1200 \(4 windows\)"):
+        rl.discover(AXIS, plain(), window=0.6)
+
+
+@pytest.mark.parametrize("window", [0.0, -1.0, np.nan, np.inf])
+def test_a_window_that_is_no_length_is_refused(window):
+    with pytest.raises(InputError, match=r"discover: window.*length in s above 0"):
+        rl.discover(AXIS, plain(), window=window)
+
+
+def test_an_unexcited_record_says_nothing():
+    rng = np.random.default_rng(1)
+    idle = rl.Record(
+        T, {"u": np.zeros(N)}, {"q": 1e-6 * rng.normal(size=N), "v": 1e-5 * rng.normal(size=N)}, name="idle"
+    )
+    with pytest.raises(NoTrustworthyNumber, match="idle"):
+        rl.discover(AXIS, idle)
+
+
+def test_a_wrong_tolerance_or_effect_is_refused():
+    with pytest.raises(InputError, match=r"'Mx'.*no such parameter of servo-axis"):
+        rl.discover(AXIS, plain(), tolerances={"Mx": 0.1})
+    with pytest.raises(InputError, match=r"coulom-friction.*coulomb-friction"):
+        rl.discover(AXIS, plain(), exclude=["coulom-friction"])
+
+
+def test_records_of_different_sensors_are_refused():
+    run = plain()
+    one = rl.Record(T, {"u": U}, {"q": run["q"]}, {"u": "V", "q": "m"}, "one sensor")
+    with pytest.raises(InputError, match=r"one sensor.*outputs q.*q, v"):
+        rl.discover(AXIS, [run, one])
