@@ -135,8 +135,9 @@ def prepare(
     push = np.column_stack([p.force for p in joints]) if joints else model.B
     bare = plant.state_space().select(None, [names[k] for k in columns])
     smoothed = smooth_disturbance(bare, push, record.t, u, y, jumps=False)
-    known = np.isfinite(y).all(axis=1)
-    stretches = _between_gaps(~np.isfinite(y).any(axis=1))
+    measured = np.isfinite(y)
+    known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
+    stretches = _between_gaps(lost)
     starts = [s for first, last in stretches for s in range(first, last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < FEWEST_WINDOWS:
