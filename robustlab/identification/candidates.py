@@ -28,6 +28,7 @@ def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedR
 
     An effect whose period over the position must be known is given once for each strong spatial line.
     """
+    model = _with_told_positions(model, records)
     found = []
     known: dict[Site, Scales] = {}
     for effect in catalogue().values():
@@ -40,6 +41,23 @@ def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedR
                 known[site] = _scales(site, plant, model, records)
             found.extend(_at(effect, site, known[site]))
     return found
+
+
+def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) -> PortModel:
+    """The model without the positions that the recorded outputs do not tell: nothing can be said to follow them."""
+    c = model.C[list(records[0].columns)]
+    size = max(float(np.linalg.norm(model.A, 2)), 1e-300)
+    rows = [c / max(float(np.abs(c).max()), 1e-300)]
+    for _ in range(len(model.A) - 1):
+        rows.append(rows[-1] @ model.A / size)
+    basis = np.linalg.svd(np.vstack(rows), full_matrices=False)
+    span = basis.Vh[1e-9 * basis.S.max(initial=0.0) < basis.S]
+    ports = {}
+    for name, port in model.ports.items():
+        q = port.position
+        seen = q is not None and float(np.linalg.norm(q - span.T @ (span @ q))) < 1e-3 * float(np.linalg.norm(q))
+        ports[name] = port if seen else replace(port, position=None, position_unit="")
+    return replace(model, ports=ports)
 
 
 def _recorded(plant: LinearPlant, site: Site, records: Sequence[PreparedRecord]) -> bool:

@@ -34,7 +34,15 @@ from robustlab.identification.discovery_result import (
     Verdict,
 )
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
-from robustlab.identification.greedy_naming import Alternative, Naming, held_out_fit, name_effects, overtaken, white
+from robustlab.identification.greedy_naming import (
+    Alternative,
+    Naming,
+    held_out_fit,
+    name_effects,
+    overtaken,
+    settled,
+    white,
+)
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
 from robustlab.identification.prepared_record import prepare, start_std, window_length
 from robustlab.identification.remaining_lines import remaining_lines
@@ -221,13 +229,14 @@ def _result(
     stated: Mapping[str, tuple[float, bool]], findings: tuple[Any, ...], pool: Sequence[Candidate],
     records: Sequence[Record], repeats: Sequence[Record], period: float | None, began: float,
 ) -> Discovery:  # fmt: skip
-    problem, held, fit = data.problem, data.held, naming.settled
+    problem, held = data.problem, data.held
+    verdict, complete, left, ratio, floor = _judged(data, naming, records, repeats, period, bool(rivals))
+    if not complete and naming.fit.hypothesis.candidates:
+        naming = replace(naming, settled=settled(problem, naming.fit, naming.noise, 1))
+        _, _, left, ratio, floor = _judged(data, naming, records, repeats, period, bool(rivals))
+    fit = naming.settled
     gaps, series = _gaps(held, naming)
     effects = tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates)))
-    left = left_over(data.everything(), fit, naming.noise)
-    floor = _floor_excess(records, repeats, period, naming, problem)
-    ratio = _noise_ratio(problem, fit)
-    verdict, complete = _verdict(naming, left, floor[1], ratio, bool(rivals))
     remains = left is not None and not complete
     overall = {key: _overall(gaps, key) for key in ("nominal", "refitted", "updated")}
     return Discovery(
@@ -290,7 +299,7 @@ def _floor_excess(
     starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
     windows = Windows(starts.astype(np.int64), length)
     s = first.smoothed
-    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows, first.record.dt))
+    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows))
     there = problem.on([cut])
     fit = held_out_fit(there, naming.settled, white(naming.noise))
     errors = cut.measured - simulated_outputs(there, fit)[0]
@@ -342,6 +351,21 @@ def _overall(gaps: Mapping[str, Gap], key: str) -> float:
     """RMS over the outputs of the error in percent of the range."""
     shares = [getattr(g, key) / (g.range or 1.0) for g in gaps.values()]
     return float(100.0 * np.sqrt(np.mean(np.square(shares))))
+
+
+def _judged(
+    data: _Data,
+    naming: Naming,
+    records: Sequence[Record],
+    repeats: Sequence[Record],
+    period: float | None,
+    has_rivals: bool,
+) -> tuple[Verdict, bool, LeftOver | None, float, tuple[NoiseFloor | None, dict[str, float]]]:
+    """Verdict, completeness, and what they rest on: the residual force, error over noise, and F of the floor."""
+    left = left_over(data.everything(), naming.settled, naming.noise)
+    floor = _floor_excess(records, repeats, period, naming, data.problem)
+    ratio = _noise_ratio(data.problem, naming.settled)
+    return *_verdict(naming, left, floor[1], ratio, has_rivals), left, ratio, floor
 
 
 def _verdict(

@@ -236,7 +236,7 @@ class Problem:
         record, chosen = self.records[k], self.chosen[k]
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
-        x0 = record.x0.copy()
+        x0 = record.starts_after(sum(e.lag(v) for (e, _), v in zip(simulator.effects, values, strict=True)))
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
         outputs = simulator.run(factors, values, x0[used], windows).outputs[:, :, list(record.columns)]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
-from robustlab.identification.naming import Ranked, Ranking, first_noise, rank, whitening
+from robustlab.identification.naming import AR_ORDER, Ranked, Ranking, first_noise, rank, whitening
 
 __all__ = [
     "Alternative",
@@ -20,6 +20,7 @@ __all__ = [
     "name_effects",
     "overtaken",
     "rms_percent",
+    "settled",
     "white",
 ]
 
@@ -32,7 +33,7 @@ CONVINCING = 4.0
 WRONG_PARAMETER = 2.0  # the same for a parameter beyond its tolerance: those are few, and asked for by name
 HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
 HELD_OUT_LOSS = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well, by chance better
-HELD_OUT_FALL = 0.01  # of the held-out error
+HELD_OUT_FALL = 0.03  # of the held-out error
 # Rivals.
 OVERTAKING = 0.5  # log evidence by which a refitted alternative takes the place of the named effect
 EVIDENCE_TIE = 3.0
@@ -137,10 +138,18 @@ def name_effects(
         if len(base.candidates) >= MOST_EFFECTS:
             break
     checked = _checked_backwards(problem, fit, noise)
-    settled = _settled(problem, checked, noise)
+    reported = settled(problem, checked, noise)
     again = problem.fit(bare.hypothesis, noise, bare.z, bare.starts, iterations=8)
     points = sum(r.size for r in problem.whitened(problem.errors(bare.hypothesis, again.z, again.starts), noise))
-    return Naming(checked, settled, _settled(problem, bare, noise), tuple(steps), noise, again.cost, points)
+    return Naming(
+        checked,
+        reported,
+        settled(problem, bare, noise, 1 if checked.hypothesis.candidates else AR_ORDER),
+        tuple(steps),
+        noise,
+        again.cost,
+        points,
+    )
 
 
 def _may_follow(candidate: Candidate, base: Hypothesis) -> bool:
@@ -244,20 +253,22 @@ def rms_percent(problem: Problem, fit: Fit) -> float:
     return float(100.0 * np.sqrt(np.nanmean(squares)))
 
 
-def _settled(problem: Problem, fit: Fit, noise: NoiseModel) -> Fit:
-    """The parameters to report: least squares, then twice with the hypothesis' own errors made white to first order.
+def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int = AR_ORDER) -> Fit:
+    """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows.
 
-    The noise model of the ranking is that of the best of all hypotheses; a stronger whitening than the first order
-    trusts differences between neighbouring points, which is where what is not modelled (a small ripple) shows first.
-    The covariance is the one that the scatter of the windows tells.
+    Full whitening is right where the errors are noise. Where something is still missing it is not: then the first
+    order, from a start by least squares, trusts differences between neighbouring points less, in which what is not
+    modelled (a small ripple) shows first.
     """
-    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
-    flat = np.concatenate([e.reshape(-1, e.shape[2]) for e in errors])
-    size = np.maximum(np.sqrt(np.nanmean(flat**2, axis=0)), noise.std)
-    plain = NoiseModel(size, noise.ar[:0])
-    found = problem.fit(fit.hypothesis, plain, fit.z, fit.starts, SETTLING, tolerance=1e-3)
+    found = fit
+    if order == 1:
+        errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+        flat = np.concatenate([e.reshape(-1, e.shape[2]) for e in errors])
+        size = np.maximum(np.sqrt(np.nanmean(flat**2, axis=0)), noise.std)
+        plain = NoiseModel(size, noise.ar[:0])
+        found = problem.fit(fit.hypothesis, plain, fit.z, fit.starts, SETTLING, tolerance=1e-3)
     for _ in range(2):
-        own = whitening(problem, found, order=1)
+        own = whitening(problem, found, order)
         found = problem.fit(fit.hypothesis, own, found.z, found.starts, SETTLING, tolerance=1e-3, robust=True)
     return found
 
@@ -329,7 +340,7 @@ def overtaken(problem: Problem, naming: Naming) -> tuple[Naming, list[Alternativ
         best = max(found, key=lambda a: a.evidence, default=None)
         if best is None or best.evidence <= OVERTAKING:
             break
-        naming = replace(naming, fit=best.fit, settled=_settled(problem, best.fit, naming.noise))
+        naming = replace(naming, fit=best.fit, settled=settled(problem, best.fit, naming.noise))
         found = alternatives(problem, naming)
     return naming, found
 

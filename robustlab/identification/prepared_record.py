@@ -23,7 +23,6 @@ SHORTEST, LONGEST = 40, 480  # samples of a window
 FEWEST_WINDOWS = 4
 POINTS_PER_WINDOW = 80  # into which the errors of a window are averaged
 LONGEST_GUESS = 2  # samples in a row without any output: the input between them is held
-START_LAG = 0.02  # s, of a sensor or clock that is late
 START_INFLATION = 30.0  # the smoother has seen the window itself, so its start is told by the fit and not by it
 
 
@@ -76,6 +75,15 @@ class PreparedRecord:
     def measured(self) -> Array:
         """Measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
+
+    def starts_after(self, lag: float) -> Array:
+        """States at the window starts where the sensors show them ``lag`` seconds late, (n_windows, n_x)."""
+        if lag == 0.0:
+            return self.x0.copy()
+        at = np.minimum(self.windows.starts + lag / self.record.dt, len(self.smoothed.x) - 1.001)
+        k = at.astype(int)
+        part = (at - k)[:, None]
+        return (1.0 - part) * self.smoothed.x[k] + part * self.smoothed.x[k + 1]
 
 
 def window_length(plant: LinearPlant, records: list[Record]) -> int:
@@ -148,17 +156,16 @@ def prepare(
             "shorter windows, or a record with fewer gaps",
         )
     windows = Windows(np.array(usable, dtype=np.int64), length)
-    std = start_std(smoothed, windows, record.dt)
+    std = start_std(smoothed, windows)
     thin = max(1, length // POINTS_PER_WINDOW)
     return PreparedRecord(
         record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, push, thin, resolution
     )
 
 
-def start_std(smoothed: SmoothedRecord, windows: Windows, dt: float) -> Array:
-    """How far a fit may move the window starts, (n_windows, n_x): far beyond the noise, and by a late sensor's lag."""
-    rate = np.sqrt(np.mean((np.diff(smoothed.x, axis=0) / dt) ** 2, axis=0))
-    return START_INFLATION * smoothed.x_std[windows.starts] + START_LAG * rate
+def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
+    """How far a fit may move the window starts, (n_windows, n_x): far beyond what the smoother leaves open."""
+    return START_INFLATION * smoothed.x_std[windows.starts]
 
 
 def _between_gaps(lost: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -38,7 +38,7 @@ MOST_SAMPLES = 6000  # over all records; the force is smooth, so every so maniet
 
 @dataclass(frozen=True, eq=False)
 class LeftOver:
-    """The residual force at one joint with the named effects in the model.
+    """The residual force at the first joint (or the first input) with the named effects in the model.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class LeftOver:
 
 
 def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
-    """The residual force over the given records; None for a plant without a joint, or with too little motion.
+    """The residual force over the given records; None where there is hardly any motion.
 
     The parameters stay as fitted; the starts of all windows are found anew.
     """
@@ -103,10 +103,10 @@ def _of_record(
     record = problem.records[k]
     factors, values = problem.split(fit.hypothesis, fit.z)
     model = simulator.model(factors, values)
-    joints = [p for p in model.ports.values() if p.kind == "joint"]
-    if not joints:
-        return None
-    joint = joints[0]
+    joint = next((p for p in model.ports.values() if p.kind == "joint"), None)
+    # A plant without a joint: what it lacks is told as an addition to its first input.
+    first = problem.plant.inputs[0]
+    push, name, unit = (joint.force, joint.name, joint.unit) if joint else (model.B[:, 0], first.name, first.unit)
     windows = record.windows
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     known, columns, added = _known_inputs(simulator, factors, values, record, fit.starts[k])
@@ -123,21 +123,28 @@ def _of_record(
     # is hardly any force the likelihood makes that longer than a block, and chance would look like structure.
     least = max(4, BLOCKS // len(problem.records)) / (len(t) * record.record.dt)
     try:
-        smoothed = smooth_disturbance(linear, joint.force[:, None], t, known, y, jumps=False)
+        smoothed = smooth_disturbance(linear, push[:, None], t, known, y, jumps=False)
         if smoothed.bandwidth[0] < least:
-            smoothed = smooth_disturbance(linear, joint.force[:, None], t, known, y, bandwidth=least, jumps=False)
+            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least, jumps=False)
     except NoTrustworthyNumber:
         return None
     x = smoothed.x
-    units = {"speed": joint.speed_unit, "time": "s"}
-    coordinates = {"speed": x @ joint.velocity, "time": record.record.t[used]}
-    if joint.position is not None:
+    units, coordinates = {"time": "s"}, {"time": record.record.t[used]}
+    if joint is not None:
+        coordinates["speed"] = x @ joint.velocity
+        units["speed"] = joint.speed_unit
+    else:
+        for k_y in record.columns:
+            signal = problem.plant.outputs[k_y]
+            coordinates[f"output {signal.name}"] = x @ model.C[k_y]
+            units[f"output {signal.name}"] = signal.unit
+    if joint is not None and joint.position is not None:
         coordinates["position"] = x @ joint.position
         units["position"] = joint.position_unit
     for j, signal in enumerate(problem.plant.inputs):
         coordinates[f"input {signal.name}"] = record.u[used, j]
         units[f"input {signal.name}"] = signal.unit
-    return joint.name, joint.unit, smoothed.d[:, 0], smoothed.d_std[:, 0], coordinates, units
+    return name, unit, smoothed.d[:, 0], smoothed.d_std[:, 0], coordinates, units
 
 
 def _known_inputs(

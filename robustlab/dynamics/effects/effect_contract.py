@@ -264,6 +264,10 @@ class Effect(ABC):
         """What is recorded of the output y, shape (n_windows, n), in samples of h seconds."""
         return y
 
+    def lag(self, values: Mapping[str, float]) -> float:
+        """Time in s by which the recorded outputs, and states told from them, lie behind the plant."""
+        return 0.0
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
         """Sector, delay or bound of the effect at this amplitude of its signal; None where the model has it all."""
         return None

@@ -44,6 +44,9 @@ class SensorDelay(Effect):
         left = np.clip(np.floor(at).astype(int), 0, n - 2)  # 0 also where the line goes on backwards
         return y[:, left] + (at - left) * (y[:, left + 1] - y[:, left])
 
+    def lag(self, values: Mapping[str, float]) -> float:
+        return values["d"]
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "output", 1.0, 1.0, delay=values["d"])
 
