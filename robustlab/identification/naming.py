@@ -24,8 +24,9 @@ WORKERS = 2
 AR_ORDER = 3
 BOOTSTRAPS = 500
 SEED = 20261121
-# Successive halving: iterations of each round, and how many hypotheses enter the next.
-FIRST, SECOND, LAST = 4, 6, 8
+# Successive halving: iterations of the base and of each round, and how many hypotheses enter the next. The base must be
+# at its optimum, or whatever is added would seem to gain what it still had to gain itself.
+BASE, FIRST, SECOND, LAST = 25, 4, 6, 8
 KEPT_SECOND, KEPT_LAST = 10, 7
 PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
 MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
@@ -128,7 +129,7 @@ def rank(
     noise
         Noise model of the first rounds; the final one is estimated from the best hypothesis.
     """
-    base_fit = problem.fit(base, noise, base_z, iterations=LAST)
+    base_fit = problem.fit(base, noise, base_z, iterations=BASE)
     jobs = [
         (candidate, *_extended(problem, base, base_fit.z, candidate, start))
         for candidate in candidates

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model
@@ -135,11 +136,19 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
     Raises
     ------
     InputError
-        An input of the model is not recorded, no output is, or a discrete model has another sample time than the
-        record.
+        An input of the model is not recorded, no output is, a discrete model has another sample time than the
+        record, or the plant is nonlinear (a plant with effects).
     UnitMismatch
         A signal carries a unit in the model and another one in the record.
     """
+    if isinstance(plant_or_model, NonlinearPlant):
+        # Its linear model would be compared silently, without the effects that were put in.
+        raise InputError(
+            f"compare {record.name}",
+            f"the nonlinear plant {plant_or_model.name}",
+            "a linear plant or model",
+            "discover shows the gap of a plant with effects; rl.simulate runs it",
+        )
     model = as_model(plant_or_model, "compare")
     where = f"compare {record.name}"
     for signal in model.inputs:
