@@ -73,18 +73,17 @@ def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
 
 def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:
     dt, duration = records[0].record.dt, max(r.record.duration for r in records)
-    common = {"dt": dt, "duration": duration}
     if site.kind == "input":
         k = [s.name for s in plant.inputs].index(site.name)
         largest = max(float(np.abs(r.u[:, k]).max()) for r in records)
-        return Scales(**common, input=largest or 1.0, signal_unit=plant.inputs[k].unit)
+        return Scales(dt=dt, duration=duration, input=largest or 1.0, signal_unit=plant.inputs[k].unit)
     if site.kind == "output":
         k = [s.name for s in plant.outputs].index(site.name)
         half = max(float(np.ptp(r.record.outputs[site.name])) for r in records) / 2.0
         orders = _orders_at_output(plant, model, site, records)
-        return Scales(**common, output=half or 1.0, signal_unit=plant.outputs[k].unit, orders=orders)
+        return Scales(dt=dt, duration=duration, output=half or 1.0, signal_unit=plant.outputs[k].unit, orders=orders)
     if site.kind == "parameter":
-        return Scales(**common)
+        return Scales(dt=dt, duration=duration)
     port = model.ports[site.name]
     motion = [_port_motion(port, r) for r in records]
     inertia = 1.0 / float(port.velocity @ port.force)
@@ -94,12 +93,13 @@ def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[
     if port.kind == "current":
         largest = max(float(np.abs(r.u).max()) for r in records)
         speed = max(float(np.abs(v).max()) for _, v, _, _ in motion)
-        return Scales(**common, force=largest or 1.0, speed=speed or 1.0, current=speed or 1.0, inertia=inertia,
+        return Scales(dt=dt, duration=duration, force=largest or 1.0, speed=speed or 1.0, current=speed or 1.0, inertia=inertia,
                       force_unit=port.unit, speed_unit=port.speed_unit)  # fmt: skip
     force = max(float(np.sqrt(np.mean((inertia * np.gradient(v, dt)) ** 2))) for _, v, _, _ in motion)
     lacking = max(float(np.sqrt(np.mean(d**2))) for _, _, d, _ in motion)
     return Scales(
-        **common,
+        dt=dt,
+        duration=duration,
         force=max(force, lacking) or 1.0,
         speed=max(float(np.abs(v).max()) for _, v, _, _ in motion) or 1.0,
         position=max(float(np.ptp(q)) for q, _, _, _ in motion) or 1.0,

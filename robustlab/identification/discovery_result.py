@@ -263,5 +263,6 @@ class Discovery(Evidence):
     def to_json(self, series: bool = False) -> dict[str, object]:
         """All fields but the plant object; the time series only on request."""
         left_out = {"model", "findings"} | (set() if series else {"series"})
-        data = {key: value for key, value in vars(self).items() if key not in left_out}
-        return data | {"names": self.names, "answer": self.answer, "findings": [vars(f) for f in self.findings]}
+        data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in left_out}
+        data.update(names=self.names, answer=self.answer, findings=[vars(f) for f in self.findings])
+        return data

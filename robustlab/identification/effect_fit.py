@@ -394,7 +394,7 @@ class _Linearised:
         """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
         n_x = self.xx.shape[1]
         inner = self.xx + damping * self.xx * np.eye(n_x)
-        both = np.linalg.solve(inner, np.concatenate([self.xr[:, :, None], self.xj], axis=2))
+        both = np.asarray(np.linalg.solve(inner, np.concatenate([self.xr[:, :, None], self.xj], axis=2)), dtype=float)
         offset, slope = both[:, :, 0], both[:, :, 1:]
         hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
         gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)

@@ -85,7 +85,8 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     per_record = max(4, BLOCKS // len(known))
     step = max(1, sum(len(p[2]) for p in known) // MOST_SAMPLES)
     blocks = [k * per_record + np.arange(len(p[2])) * per_record // len(p[2]) for k, p in enumerate(known)]
-    force, std = (np.concatenate([p[i][::step] for p in known]) for i in (2, 3))
+    force = np.concatenate([p[2][::step] for p in known])
+    std = np.concatenate([p[3][::step] for p in known])
     coordinates = {name: np.concatenate([p[4][name][::step] for p in known]) for name in known[0][4]}
     labels = np.concatenate([b[::step] for b in blocks])
     try:

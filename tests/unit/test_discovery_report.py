@@ -122,7 +122,7 @@ def experiment():
     pairs = (Pair("coulomb-friction", "presliding", 12.0),)
     return NextExperiment(
         "slow ramp", "ramp u slowly through zero", "measure the breakaway force", t, {"u": t}, {"u": "V"}, 0.5, ("q",),
-        (), {}, 12.0, 1.4, ("coulomb-friction", "presliding"), pairs, tried,
+        (), {}, 12.0, 12.0, 1.4, ("coulomb-friction", "presliding"), pairs, tried,
     )  # fmt: skip
 
 

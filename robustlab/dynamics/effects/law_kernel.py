@@ -16,6 +16,7 @@ References
 Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), chapters 9 and 10 (time stepping).
 """
 
+# pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false
 from __future__ import annotations
 
 import warnings
