@@ -93,7 +93,8 @@ def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[
     if port.kind == "current":
         largest = max(float(np.abs(r.u).max()) for r in records)
         speed = max(float(np.abs(v).max()) for _, v, _, _ in motion)
-        return Scales(dt=dt, duration=duration, force=largest or 1.0, speed=speed or 1.0, current=speed or 1.0, inertia=inertia,
+        return Scales(dt=dt, duration=duration, force=largest or 1.0, speed=speed or 1.0,
+                      current=speed or 1.0, inertia=inertia,
                       force_unit=port.unit, speed_unit=port.speed_unit)  # fmt: skip
     force = max(float(np.sqrt(np.mean((inertia * np.gradient(v, dt)) ** 2))) for _, v, _, _ in motion)
     lacking = max(float(np.sqrt(np.mean(d**2))) for _, _, d, _ in motion)
