@@ -16,7 +16,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -199,7 +199,9 @@ def true_error(case: Any, found: Any) -> float:
     missed = {name: measured[name] - clean for name, clean in case.held_out_clean.items()}
     silent = {name: np.zeros(measured.n) for name in measured.inputs}
     difference = Record(measured.t, silent, missed, measured.units, "measured less true")
-    prepared = prepare(plant, port_model(plant), difference, round(found.window / case.rig.dt))
+    ports, length = port_model(plant), round(found.window / case.rig.dt)
+    free = prepare(plant, ports, measured, length).x0_std
+    prepared = replace(prepare(plant, ports, difference, length), x0_std=free)
     problem = Problem(plant, [prepared], nuisance_parameters(plant, stated_tolerances(plant, None)))
     noise, size = first_noise(problem), len(problem.nuisances)
     bare = Fit(Hypothesis(()), np.zeros(size), (), 0.0, np.zeros(0), np.eye(size), noise, 0)

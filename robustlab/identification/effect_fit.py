@@ -259,12 +259,14 @@ class Problem:
         fixed: bool = False,
         borrowed: Sequence[tuple[Array, Array]] | None = None,
         robust: bool = False,
+        draft: bool = False,
     ) -> Fit:
-        """Levenberg-Marquardt from z; stops when V falls by less than ``tolerance``.
+        """Levenberg-Marquardt from z; stops when V falls, or can be expected to fall, by less than ``tolerance``.
 
         With ``fixed`` the parameters stay and only the window starts are fitted (a prediction of data that the fit
         did not see). ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from
-        elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance.
+        elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance. The
+        Hessian of a ``draft`` is not that of its last point (for fits that are only compared by cost or fitted further).
         """
         z = np.array(z, dtype=float)
         n_x = len(self.plant.states)
@@ -275,7 +277,7 @@ class Problem:
         cost = _total(residual, xi, z)
         hessian = np.eye(len(z))
         rounds = iterations
-        while True:
+        while rounds > 0 or not draft:
             parts = [
                 self._linearised(
                     k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed, borrowed[k] if borrowed else None
@@ -284,7 +286,7 @@ class Problem:
             ]
             count += 1
             hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
-            if rounds <= 0:
+            if rounds <= 0 or self._expected(z, xi, parts, fixed) < tolerance:
                 break
             improved = 0.0
             for _ in range(TRIES):
@@ -303,6 +305,16 @@ class Problem:
         window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
         covariance = _sandwich(parts, hessian) if robust else None
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
+
+    @staticmethod
+    def _expected(z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], fixed: bool) -> float:
+        """By how much V would fall in an undamped step, were the errors linear."""
+        reduced = [p.reduced(0.0) for p in parts]
+        fall = sum(float(np.sum(p.xr * r.offset)) for p, r in zip(parts, reduced, strict=True))
+        if fixed:
+            return fall
+        gradient = z + sum(r.gradient for r in reduced)
+        return fall + float(gradient @ np.linalg.solve(np.eye(len(z)) + sum(r.hessian for r in reduced), gradient))
 
     @staticmethod
     def _stepped(

@@ -31,6 +31,7 @@ SETTLING = 15  # iterations of the reported fits
 # A new effect must be this much more probable than none, on top of the number of effects that were tried.
 CONVINCING = 4.0
 WRONG_PARAMETER = 2.0  # the same for a parameter beyond its tolerance: those are few, and asked for by name
+MOST_FAILURES = 3  # effects that are tried on held-out data before the search ends
 HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
 HELD_OUT_LOSS = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well, by chance better
 HELD_OUT_FALL = 0.03  # of the held-out error
@@ -45,13 +46,19 @@ FAR_BEHIND = 40.0  # log evidence; beyond this the distance is not worth its tim
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step of the search: its base, its ranking, the effect that was taken (None: stop) and why."""
+    """One step of the search: its base, its ranking, the effect that was taken (None: stop) and why.
+
+    ``before`` and ``held_out`` are the held-out errors without and with the effect in percent of the range; ``refused``
+    is the most probable effect that did not help there.
+    """
 
     base: Hypothesis
     ranking: Ranking
     taken: Ranked | None
     decision: str
     held_out: float
+    before: float = np.nan
+    refused: Ranked | None = None
 
     def entry(self, candidate: Candidate) -> Ranked | None:
         """The candidate's place in the ranking."""
@@ -126,11 +133,15 @@ def name_effects(
         fit = ranking.base.fit
         if bare is None:
             bare = fit
-        noise = ranking.noise
         step = _decided(problem, held, base, ranking, len({c.key for c in open_ones}), allowed)
-        steps.append(step)
+        found = [step]
+        if step.refused is not None and len(base.candidates) + 2 <= MOST_EFFECTS:
+            found = _two_at_once(problem, held, candidates, step, allowed, progress) or found
+        steps.extend(found)
         if progress:
-            progress(step.decision)
+            progress(" ".join(s.decision for s in found))
+        step = found[-1]
+        noise = step.ranking.noise
         if step.taken is None:
             break
         fit = step.taken.fit
@@ -150,6 +161,27 @@ def name_effects(
         again.cost,
         points,
     )
+
+
+def _two_at_once(
+    problem: Problem,
+    held: Problem,
+    candidates: Sequence[Candidate],
+    step: Step,
+    allowed: Callable[[Problem, Fit, Candidate], bool],
+    progress: Callable[[str], None] | None,
+) -> list[Step] | None:
+    """The refused effect and one more, where both together help: of two that are missing neither need help alone."""
+    first = step.refused
+    assert first is not None
+    base = first.fit.hypothesis
+    open_ones = [c for c in candidates if _may_follow(c, base)]
+    ranking = rank(problem, base, first.fit.z, open_ones, step.ranking.noise, progress)
+    second = _decided(problem, held, base, ranking, len({c.key for c in open_ones}), allowed)
+    if second.taken is None or not second.held_out < (1.0 - HELD_OUT_FALL) * step.before:
+        return None
+    text = f"{first.id}: does not help on held-out data by itself, but together with the next"
+    return [Step(step.base, step.ranking, first, text, np.nan), second]
 
 
 def _may_follow(candidate: Candidate, base: Hypothesis) -> bool:
@@ -177,12 +209,17 @@ def _decided(
 ) -> Step:
     names = {c.effect.id for c in base.candidates}
     threshold = CONVINCING + np.log(max(tried, 1))
+    failed: list[Step] = []
     for entry in ranking.ranked:
-        if entry.candidate is None:
+        if entry.candidate is None or len(failed) == MOST_FAILURES:
+            if failed:
+                return failed[0]
             return Step(base, ranking, None, "stop: nothing is more probable than what is named", np.nan)
         if entry.evidence - ranking.base.evidence < (WRONG_PARAMETER if _is_gain(entry) else threshold):
             if any(_is_gain(later) for later in ranking.ranked[ranking.ranked.index(entry) + 1 :]):
                 continue
+            if failed:
+                return failed[0]
             return Step(base, ranking, None, "stop: no further effect is convincing", np.nan)
         if not allowed(problem, entry.fit, entry.candidate):
             continue
@@ -193,8 +230,11 @@ def _decided(
             if parent is None or parent.evidence - ranking.base.evidence < threshold:
                 continue
             chosen = parent  # the refinement has to earn its place in the next step
-        return _judged_on_held_out(held, base, ranking, chosen)
-    return Step(base, ranking, None, "stop: no effect is left", np.nan)
+        judged = _judged_on_held_out(held, base, ranking, chosen)
+        if judged.taken is not None:
+            return judged
+        failed.append(judged)
+    return failed[0] if failed else Step(base, ranking, None, "stop: no effect is left", np.nan)
 
 
 def _is_gain(entry: Ranked) -> bool:
@@ -230,9 +270,9 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
             f"stop: {chosen.id} does not help on held-out data "
             f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"
         )
-        return Step(base, ranking, None, text, fall_after)
+        return Step(base, ranking, None, text, fall_after, fall_before, chosen)
     text = f"{chosen.id}: held-out error {fall_before:.4g} % -> {fall_after:.4g} % of the range"
-    return Step(base, ranking, chosen, text, fall_after)
+    return Step(base, ranking, chosen, text, fall_after, fall_before)
 
 
 def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:

@@ -27,6 +27,7 @@ SEED = 20261121
 # Successive halving: iterations of the base and of each round, and how many hypotheses enter the next. The base must be
 # at its optimum, or whatever is added would seem to gain what it still had to gain itself.
 BASE, FIRST, SECOND, LAST = 25, 4, 6, 8
+ROUGH = 0.5  # fall of V at which the first two rounds stop
 KEPT_SECOND, KEPT_LAST = 10, 7
 PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
 MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
@@ -144,13 +145,13 @@ def rank(
     borrowed = few.derivatives(few_base)
 
     def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
-        return job[0], few.fit(job[1], noise, job[2], few_base.starts, FIRST, borrowed=borrowed)
+        return job[0], few.fit(job[1], noise, job[2], few_base.starts, FIRST, ROUGH, borrowed=borrowed, draft=True)
 
     def second_of(entry: tuple[Candidate, Fit]) -> tuple[Candidate | None, Fit]:
-        return entry[0], some.fit(entry[1].hypothesis, noise, entry[1].z, some_base.starts, SECOND)
+        return entry[0], some.fit(entry[1].hypothesis, noise, entry[1].z, some_base.starts, SECOND, ROUGH, draft=True)
 
     def placed(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
-        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, 2)
+        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, 2, draft=True)
 
     def finally_(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
         fit = entry[1]
@@ -167,6 +168,7 @@ def rank(
         gaining = [c for c in second if c[1].cost < some_base.cost][:KEPT_LAST]
         second = list(pool.map(placed, gaining)) if some is not problem else gaining
         leader = min([base_fit, *(fit for _, fit in second)], key=lambda f: f.cost)
+        base_fit = _from_leader(problem, base_fit, leader)
         final_noise = whitening(problem, leader)
         # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
         reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
@@ -178,6 +180,19 @@ def rank(
         ]
         final = list(pool.map(finally_, last))
     return _ranked(final, final_noise)
+
+
+def _from_leader(problem: Problem, base: Fit, leader: Fit) -> Fit:
+    """The base fitted once more from where the best extension of it stands, kept where that is better.
+
+    A fit may rest in a minimum that is not the lowest (contacts make many); an effect that only leads out of it would
+    seem to explain what the base explains as well.
+    """
+    kept = base.hypothesis.candidates
+    if leader is base or leader.hypothesis.candidates[: len(kept)] != kept:
+        return base
+    again = problem.fit(base.hypothesis, base.noise, leader.z[: len(base.z)], leader.starts, SECOND)
+    return again if again.cost < base.cost else base
 
 
 def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dict[str, float], ...]:
@@ -206,11 +221,22 @@ def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[tupl
 
 
 def _thinned(problem: Problem, fit: Fit, wanted: int) -> tuple[Problem, list[Array]]:
-    """Every so manieth window for a first look, and the fitted starts of those."""
-    stride = max(1, round(sum(len(c) for c in problem.chosen) / wanted))
-    if stride == 1:
+    """Windows for a first look, and their fitted starts: half of them those that the fit explains worst.
+
+    An effect may act in few windows (a stop, a saturation); the other half lie evenly over the records, so that what
+    explains the worst does not spoil the rest.
+    """
+    count = sum(len(c) for c in problem.chosen)
+    if count < 2 * wanted:
         return problem, list(fit.starts)
-    return problem.on(problem.records, [c[::stride] for c in problem.chosen]), [x[::stride] for x in fit.starts]
+    taken = np.zeros(count, dtype=bool)
+    taken[:: round(2 * count / wanted)] = True
+    worst = [k for k in np.argsort(-fit.window_cost) if not taken[k]]
+    taken[worst[: max(1, wanted - int(taken.sum()))]] = True
+    ends = np.cumsum([len(c) for c in problem.chosen])[:-1]
+    masks = np.split(taken, ends)
+    chosen = [c[m] for c, m in zip(problem.chosen, masks, strict=True)]
+    return problem.on(problem.records, chosen), [x[m] for x, m in zip(fit.starts, masks, strict=True)]
 
 
 def _extended(

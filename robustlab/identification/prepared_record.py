@@ -23,6 +23,7 @@ SHORTEST, LONGEST = 40, 480  # samples of a window
 FEWEST_WINDOWS = 4
 POINTS_PER_WINDOW = 80  # into which the errors of a window are averaged
 LONGEST_GUESS = 2  # samples in a row without any output: the input between them is held
+CURRENT_SHARE = 2.0  # of its RMS: how far a fit may move a current at a window start
 START_INFLATION = 30.0  # the smoother has seen the window itself, so its start is told by the fit and not by it
 
 
@@ -93,7 +94,7 @@ def window_length(plant: LinearPlant, records: list[Record]) -> int:
     rates = np.abs(poles.real)
     rates = rates[rates > 1e-9 * max(np.abs(poles).max(initial=0.0), 1e-300)]
     slowest = round(float(1.0 / rates.min()) / records[0].dt) if len(rates) else 0
-    length = min(max(n // WINDOWS_WANTED, SHORTEST), LONGEST)
+    length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), SHORTEST), LONGEST)
     return min(max(length, min(slowest, 2 * LONGEST)), n // FEWEST_WINDOWS)
 
 
@@ -146,7 +147,7 @@ def prepare(
     measured = np.isfinite(y)
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
     stretches = _between_gaps(lost)
-    starts = [s for first, last in stretches for s in range(first, last - length + 1, length)]
+    starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < FEWEST_WINDOWS:
         raise InputError(
@@ -157,10 +158,24 @@ def prepare(
         )
     windows = Windows(np.array(usable, dtype=np.int64), length)
     std = start_std(smoothed, windows)
+    for port in model.ports.values():
+        if port.kind == "current":  # not told by the sensors but by the voltage, which an effect may delay or change
+            amperes = smoothed.x @ port.velocity
+            own = port.velocity != 0.0
+            std[:, own] = np.maximum(std[:, own], CURRENT_SHARE * float(np.sqrt(np.mean(amperes**2))))
     thin = max(1, length // POINTS_PER_WINDOW)
     return PreparedRecord(
         record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, push, thin, resolution
     )
+
+
+def _lead(first: int, last: int, length: int) -> int:
+    """First sample of the first window of a stretch.
+
+    What the input was before the record is not known, and a plant with a delay still answers to it: the samples that
+    the windows leave over are left out at the beginning, up to a twentieth of a window.
+    """
+    return first + min((last - first) % length, length // 20)
 
 
 def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:

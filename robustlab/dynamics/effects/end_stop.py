@@ -23,6 +23,8 @@ from robustlab.dynamics.effects.step_solutions import bracket, guess, is_open, n
 
 __all__ = ["EFFECT", "stop_force"]
 
+FAR = 5.0  # ranges of the record
+
 
 @nb.njit(cache=True)
 def _residual(push, args):  # type: ignore[no-untyped-def]
@@ -75,31 +77,34 @@ class EndStop(Effect):
         return port.position is not None
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        # A stop is looked for far beyond what the record reaches, where one that the record does not touch belongs.
         lower, upper = _extremes(scales)
-        limit = 0.5 * scales.position
+        far = FAR * scales.position
         stiffness, damping = _contact(scales)
         per_position = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
         per_speed = f"{scales.force_unit} s/{scales.position_unit}" if scales.position_unit else ""
         return (
-            EffectParameter("q_min", scales.position_unit, "lower limit", Prior("linear", lower, limit)),
-            EffectParameter("q_max", scales.position_unit, "upper limit", Prior("linear", upper, limit)),
+            EffectParameter("q_min", scales.position_unit, "lower limit", Prior("linear", lower - far, 0.5 * far)),
+            EffectParameter("q_max", scales.position_unit, "upper limit", Prior("linear", upper + far, 0.5 * far)),
             EffectParameter("kc", per_position, "stiffness of the contact", Prior("log", stiffness, 2.5)),
             EffectParameter("dc", per_speed, "damping of the contact", Prior("log", damping, 2.0)),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # The upper stop, the lower one, and both, each a little inside of what the record reaches.
+        # The upper stop, the lower one, and both: soft ones that the record presses in, and hard ones near its extremes.
         lower, upper = _extremes(scales)
-        inside, far = 0.02 * scales.position, 0.5 * scales.position
+        far = FAR * scales.position
         stiffness, damping = _contact(scales)
-        return tuple(
-            {"q_min": q_min, "q_max": q_max, "kc": stiffness, "dc": damping}
-            for q_min, q_max in (
-                (lower - far, upper - inside),
-                (lower + inside, upper + far),
-                (lower + inside, upper - inside),
-            )
-        )
+        found = []
+        for depth, harder in ((0.02, 1.0), (0.003, 5.0)):
+            inside = depth * scales.position
+            contact = {"kc": harder * stiffness, "dc": math.sqrt(harder) * damping}
+            found += [
+                {"q_min": lower - far, "q_max": upper - inside, **contact},
+                {"q_min": lower + inside, "q_max": upper + far, **contact},
+                {"q_min": lower + inside, "q_max": upper - inside, **contact},
+            ]
+        return tuple(found)
 
     def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
         return (Law(stop_force, site.name, (values["q_min"], values["q_max"], values["kc"], values["dc"])),)

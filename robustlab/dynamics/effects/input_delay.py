@@ -25,6 +25,7 @@ class InputDelay(Effect):
     title = "Input delay"
     equation = "u'(t) = u(t - d)"
     site_kind = "input"
+    substeps = 2  # the mean over a whole sample would leave positions off by a tenth of what encoders resolve
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("d", "s", "delay", Prior("log", 3.0 * scales.dt, 1.2)),)

@@ -19,8 +19,8 @@ __all__ = ["EFFECT"]
 class SensorDelay(Effect):
     """Delay of one output.
 
-    Between samples the output is taken as linear; before the start of a window it goes on backwards along its first
-    two samples. In an open loop the same delay of all outputs is one of all inputs.
+    Between samples the output follows the cubic through its four neighbours (Lagrange's); before the start of a window
+    it goes on backwards along the first two samples. In an open loop the same delay of all outputs is one of all inputs.
     """
 
     id = "sensor-delay"
@@ -38,11 +38,19 @@ class SensorDelay(Effect):
         if values["d"] < 0.0:
             raise InputError("effect sensor-delay: d", f"{values['d']:g} s", "a delay of 0 s or more")
         n = y.shape[1]
-        if n < 2:
+        if n < 4:
             return y
         at = np.arange(n) - values["d"] / h
-        left = np.clip(np.floor(at).astype(int), 0, n - 2)  # 0 also where the line goes on backwards
-        return y[:, left] + (at - left) * (y[:, left + 1] - y[:, left])
+        left = np.clip(np.floor(at).astype(int), 1, n - 3)
+        p = at - left
+        before, here, there, after = (y[:, left + k] for k in (-1, 0, 1, 2))
+        inside = (
+            -p * (p - 1) * (p - 2) / 6 * before
+            + (p + 1) * (p - 1) * (p - 2) / 2 * here
+            - (p + 1) * p * (p - 2) / 2 * there
+            + (p + 1) * p * (p - 1) / 6 * after
+        )
+        return np.where(at < 0.0, y[:, :1] + at * (y[:, 1:2] - y[:, :1]), inside)
 
     def lag(self, values: Mapping[str, float]) -> float:
         return values["d"]
