@@ -149,7 +149,7 @@ def discover(
         return beyond_tolerance(problem, fit, candidate, limits)
 
     naming = name_effects(data.problem, data.held, pool, allowed, progress)
-    naming, others = overtaken(data.problem, naming)
+    naming, others = overtaken(data.problem, naming, allowed)
     rivals = [a for a in others if a.cannot_be_told and beyond_tolerance(data.problem, a.fit, a.candidate, limits)]
     return _result(linear, data, naming, rivals, stated, findings, pool, measured, repeats, period, began)
 

@@ -14,6 +14,7 @@ complement), so that a step costs one simulation a parameter and one a state. Th
 
 References
 ----------
+Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration);
 Björck, *Numerical Methods for Least Squares Problems* (1996), section 9.3 (separable problems); MacKay, *Information
 Theory, Inference, and Learning Algorithms* (2003), chapter 28 (Occam factors).
 """
@@ -21,7 +22,7 @@ Theory, Inference, and Learning Algorithms* (2003), chapter 28 (Occam factors).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,11 @@ STEP = 2e-3  # of a standardised parameter, for differences
 START_STEP = 0.02  # of a window's start
 FARTHEST = 8.0  # standardised parameters are kept within this of their priors
 RELATIVE = 1e-5  # fall of V below which a fit stops
+# Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
+# millionth of its diagonal, and a damping above that creeps.
+DAMPING, LEAST_DAMPING = 1e-4, 1e-10
+BEND = 0.1  # of a step, at which its curvature is measured
+MOST_BENT = 0.75  # share of a step that its correction may be
 TRIES = 8  # damped steps before a fit gives up
 LONGEST_STEP = 2.0  # of a standardised parameter in one step
 WILD = 1e6  # errors beyond this many standard deviations count as this
@@ -265,17 +271,18 @@ class Problem:
 
         With ``fixed`` the parameters stay and only the window starts are fitted (a prediction of data that the fit
         did not see). ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from
-        elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance. The
-        Hessian of a ``draft`` is not that of its last point (for fits that are only compared by cost or fitted further).
+        elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance.
+        The Hessian of a ``draft`` is not that of its last point (its cost is compared, or it is fitted further).
         """
         z = np.array(z, dtype=float)
         n_x = len(self.plant.states)
         xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
         simulators = self.simulators(hypothesis)
-        damping, count = 1e-3, 0
+        damping, count = DAMPING, 0
         residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
         cost = _total(residual, xi, z)
         hessian = np.eye(len(z))
+        parts: list[_Linearised] = []
         rounds = iterations
         while rounds > 0 or not draft:
             parts = [
@@ -290,15 +297,19 @@ class Problem:
                 break
             improved = 0.0
             for _ in range(TRIES):
-                there, moved = self._stepped(z, xi, parts, damping, fixed)
+                dz, dxi = self._step(z, xi, parts, damping, fixed)
+                if not fixed and not borrowed:
+                    bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping)
+                    dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
+                there, moved = _within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
                 trial = self.whitened(self.errors(hypothesis, there, moved, simulators), noise)
                 found = _total(trial, moved, there)
                 if found < cost:
                     improved, cost = cost - found, found
                     z, xi, residual = there, moved, trial
-                    damping = max(damping * 0.2, 1e-6)
+                    damping = max(0.1 * damping, LEAST_DAMPING)
                     break
-                damping = max(damping, 1e-4) * 10.0
+                damping = max(damping, DAMPING) * 10.0
             rounds -= 1
             if improved < max(tolerance, RELATIVE * cost):
                 break
@@ -317,18 +328,46 @@ class Problem:
         return fall + float(gradient @ np.linalg.solve(np.eye(len(z)) + sum(r.hessian for r in reduced), gradient))
 
     @staticmethod
-    def _stepped(
+    def _step(
         z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], damping: float, fixed: bool
     ) -> tuple[Array, list[Array]]:
-        """Parameters and window starts after one damped step."""
+        """The damped step of the parameters and of the window starts."""
         reduced = [p.reduced(damping) for p in parts]
         dz = np.zeros_like(z)
         if not fixed:
-            hessian = np.eye(len(z)) + sum(r.hessian for r in reduced)
-            hessian[np.diag_indices(len(z))] += damping * (1.0 + sum(p.diagonal for p in parts))
-            dz = -np.linalg.solve(hessian, z + sum(r.gradient for r in reduced))
-            dz = np.clip(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP), -FARTHEST, FARTHEST) - z
-        return z + dz, [x - r.offset - r.slope @ dz for x, r in zip(xi, reduced, strict=True)]
+            dz = -np.linalg.solve(_damped(reduced, parts, damping), z + sum(r.gradient for r in reduced))
+            dz = _within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
+        return dz, [-r.offset - r.slope @ dz for r in reduced]
+
+    def _bent(
+        self,
+        z: Array,
+        xi: Sequence[Array],
+        residual: Sequence[Array],
+        parts: Sequence[_Linearised],
+        hypothesis: Hypothesis,
+        simulators: Sequence[Simulator],
+        noise: NoiseModel,
+        step: tuple[Array, list[Array]],
+        damping: float,
+    ) -> tuple[Array, list[Array]]:
+        """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
+        dz, dxi = step
+        ahead = [x + BEND * d for x, d in zip(xi, dxi, strict=True)]
+        errors = self.whitened(self.errors(hypothesis, z + BEND * dz, ahead, simulators), noise)
+        curved = [
+            p.with_residual(2.0 / BEND * ((e - r) / BEND - p.along(dz, d)))
+            for p, r, e, d in zip(parts, residual, errors, dxi, strict=True)
+        ]
+        reduced = [p.reduced(damping) for p in curved]
+        gradient = sum((r.gradient for r in reduced), np.zeros_like(z))
+        bent_z: Array = -0.5 * np.asarray(np.linalg.solve(_damped(reduced, parts, damping), gradient), dtype=float)
+        bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
+        straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
+        bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
+        if bent < MOST_BENT**2 * straight:
+            return bent_z, bent_xi
+        return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 
     def _linearised(
         self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
@@ -387,6 +426,8 @@ class _Linearised:
     xj: Array  # X^T J, (n_windows, n_x, n_z)
     xr: Array  # X^T r + xi, (n_windows, n_x)
     scores: Array  # J^T r of each window, (n_windows, n_z)
+    j: Array  # (n_windows, n_points, n_z)
+    x: Array  # (n_windows, n_points, n_x)
 
     @classmethod
     def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> _Linearised:
@@ -394,8 +435,18 @@ class _Linearised:
         flat = j.reshape(residual.size, j.shape[2])  # a size of its own: there may be no parameter at all
         return cls(
             flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
-            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual),
+            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
         )  # fmt: skip
+
+    def along(self, dz: Array, dxi: Array) -> Array:
+        """Change of the residuals along a step, were they linear."""
+        return self.j @ dz + (self.x @ dxi[:, :, None])[:, :, 0]
+
+    def with_residual(self, residual: Array) -> _Linearised:
+        """The same derivatives with other residuals, and no start of its own."""
+        scores = np.einsum("wmz,wm->wz", self.j, residual)
+        xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
+        return replace(self, jr=scores.sum(axis=0), xr=xr, scores=scores)
 
     @property
     def diagonal(self) -> Array:
@@ -411,6 +462,17 @@ class _Linearised:
         hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
         gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
         return _Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
+
+
+def _damped(reduced: Sequence[_Reduced], parts: Sequence[_Linearised], damping: float) -> Array:
+    """Hessian of V / 2 over z with the prior and the damping."""
+    hessian = sum((r.hessian for r in reduced), np.eye(len(parts[0].jr)))
+    hessian[np.diag_indices(len(hessian))] += damping * (1.0 + sum(p.diagonal for p in parts))
+    return hessian
+
+
+def _within(z: Array) -> Array:
+    return np.clip(z, -FARTHEST, FARTHEST)
 
 
 def _sandwich(parts: Sequence[_Linearised], hessian: Array) -> Array:

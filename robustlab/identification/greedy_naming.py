@@ -373,11 +373,14 @@ def _both_gains(first: Candidate, second: Candidate) -> bool:
     return first.effect.gain_like and second.effect.gain_like
 
 
-def overtaken(problem: Problem, naming: Naming) -> tuple[Naming, list[Alternative]]:
+def overtaken(
+    problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, Candidate], bool]
+) -> tuple[Naming, list[Alternative]]:
     """The naming with an effect exchanged where, refitted, another turns out more probable; and the alternatives."""
     found = alternatives(problem, naming)
     for _ in range(len(naming.fit.hypothesis.candidates)):
-        best = max(found, key=lambda a: a.evidence, default=None)
+        stronger = [a for a in found if allowed(problem, a.fit, a.candidate)]
+        best = max(stronger, key=lambda a: a.evidence, default=None)
         if best is None or best.evidence <= OVERTAKING:
             break
         naming = replace(naming, fit=best.fit, settled=settled(problem, best.fit, naming.noise))

@@ -155,7 +155,9 @@ def rank(
 
     def finally_(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
         fit = entry[1]
-        return entry[0], problem.fit(fit.hypothesis, final_noise, fit.z, fit.starts, LAST)
+        return entry[0], problem.fit(
+            fit.hypothesis, final_noise, fit.z, fit.starts, LAST if entry[0] else BASE, tolerance=0.02
+        )
 
     with ThreadPoolExecutor(WORKERS) as pool:
         fitted = _best_of_each(pool.map(first, jobs))

@@ -91,7 +91,7 @@ class EndStop(Effect):
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # The upper stop, the lower one, and both: soft ones that the record presses in, and hard ones near its extremes.
+        # The upper stop, the lower one, both: soft ones that the record presses in, and hard ones near its extremes.
         lower, upper = _extremes(scales)
         far = FAR * scales.position
         stiffness, damping = _contact(scales)

@@ -20,7 +20,8 @@ class SensorDelay(Effect):
     """Delay of one output.
 
     Between samples the output follows the cubic through its four neighbours (Lagrange's); before the start of a window
-    it goes on backwards along the first two samples. In an open loop the same delay of all outputs is one of all inputs.
+    it goes on backwards along the first two samples. In an open loop the same delay of all outputs is one of all
+    inputs.
     """
 
     id = "sensor-delay"
