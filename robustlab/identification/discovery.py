@@ -40,9 +40,11 @@ from robustlab.identification.greedy_naming import (
     held_out_fit,
     name_effects,
     overtaken,
+    rms_percent,
     settled,
     white,
 )
+from robustlab.identification.naming import BEYOND_NOISE, noise_ratio
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
 from robustlab.identification.prepared_record import prepare, start_std, window_length
 from robustlab.identification.remaining_lines import remaining_lines
@@ -63,7 +65,8 @@ Array = NDArray[np.float64]
 HELD_OUT_EVERY = 4  # without a held-out record, every fourth window is kept from the fit
 INTERVAL = 1.96  # standard deviations of a 95 % interval
 EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
-BEYOND_NOISE = 60.0  # times the sensors' noise; torque noise of a quiet machine stays below 25
+# Held-out error in percent of the range that is no machine's noise, where it is also this many times the sensors'.
+COARSE, ABOVE_NOISE = 3.0, 5.0
 REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
 
 
@@ -364,32 +367,23 @@ def _judged(
     """Verdict, completeness, and what they rest on: the residual force, error over noise, and F of the floor."""
     left = left_over(data.everything(), naming.settled, naming.noise)
     floor = _floor_excess(records, repeats, period, naming, data.problem)
-    ratio = _noise_ratio(data.problem, naming.settled)
-    return *_verdict(naming, left, floor[1], ratio, has_rivals), left, ratio, floor
+    ratio = noise_ratio(data.problem, naming.settled)
+    gap = rms_percent(data.held, held_out_fit(data.held, naming.settled, white(naming.noise)))
+    large = ratio > BEYOND_NOISE or (gap > COARSE and ratio > ABOVE_NOISE)
+    return *_verdict(naming, left, floor[1], large, has_rivals), left, ratio, floor
 
 
 def _verdict(
-    naming: Naming, left: LeftOver | None, floor: Mapping[str, float], ratio: float, has_rivals: bool
+    naming: Naming, left: LeftOver | None, floor: Mapping[str, float], large: bool, has_rivals: bool
 ) -> tuple[Verdict, bool]:
     """The verdict, and whether the model is complete with what was named."""
     structure = left is not None and left.structure.found
-    remains = structure or ratio > BEYOND_NOISE or any(f > REPEATABLE for f in floor.values())
+    remains = structure or large or any(f > REPEATABLE for f in floor.values())
     if not naming.fit.hypothesis.candidates:
         return ("unknown", False) if remains else ("no missing effect", True)
     if remains and _explained(naming) < EXPLAINED:
         return "unknown", False
     return ("ambiguous" if has_rivals else "named"), not remains
-
-
-def _noise_ratio(problem: Problem, fit: Fit) -> float:
-    """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
-    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
-    size = np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
-    single = np.max(
-        [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
-        axis=0,
-    )
-    return float(np.max(size / single))
 
 
 def _explained(naming: Naming) -> float:
@@ -406,8 +400,8 @@ def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...
     z, std = fit.z[at : at + len(candidate.parameters)], fit.std[at : at + len(candidate.parameters)]
     found = []
     for p, centre, spread in zip(candidate.parameters, z, std, strict=True):
-        ends = sorted(p.prior.value(centre + side * INTERVAL * spread) for side in (-1.0, 1.0))
-        found.append(EffectValue(p.name, p.prior.value(centre), p.unit, ends[0], ends[1], p.meaning))
+        ends = sorted(p.prior.value(float(centre + side * INTERVAL * spread)) for side in (-1.0, 1.0))
+        found.append(EffectValue(p.name, p.prior.value(float(centre)), p.unit, ends[0], ends[1], p.meaning))
     return tuple(found)
 
 

@@ -31,10 +31,12 @@ SETTLING = 15  # iterations of the reported fits
 # A new effect must be this much more probable than none, on top of the number of effects that were tried.
 CONVINCING = 4.0
 WRONG_PARAMETER = 2.0  # the same for a parameter beyond its tolerance: those are few, and asked for by name
-MOST_FAILURES = 3  # effects that are tried on held-out data before the search ends
+MOST_FAILURES = 4  # effects that are tried on held-out data before the search ends
 HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
 HELD_OUT_LOSS = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well, by chance better
+HELD_OUT_RISE = 0.1  # of the held-out error that it may cost
 HELD_OUT_FALL = 0.03  # of the held-out error
+ROUGH_FALL = 0.10  # the same while something is still missing: small effects then fit what is not theirs
 # Rivals.
 OVERTAKING = 0.5  # log evidence by which a refitted alternative takes the place of the named effect
 EVIDENCE_TIE = 3.0
@@ -135,7 +137,7 @@ def name_effects(
             bare = fit
         step = _decided(problem, held, base, ranking, len({c.key for c in open_ones}), allowed)
         found = [step]
-        if step.refused is not None and len(base.candidates) + 2 <= MOST_EFFECTS:
+        if step.refused is not None and not base.candidates:
             found = _two_at_once(problem, held, candidates, step, allowed, progress) or found
         steps.extend(found)
         if progress:
@@ -264,8 +266,10 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
         rms_percent(held, held_out_fit(held, fit, white(ranking.noise))) for fit in (ranking.base.fit, chosen.fit)
     )
     # The refit may have stretched a tolerance to fit a wrong parameter; naming it then explains, but gains nothing.
-    helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - HELD_OUT_FALL) * fall_before
-    if not helps and not (_is_gain(chosen) and gain > -HELD_OUT_LOSS):
+    rough = len(ranking.noise.ar) < AR_ORDER
+    helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - (ROUGH_FALL if rough else HELD_OUT_FALL)) * fall_before
+    harmless = gain > -HELD_OUT_LOSS and fall_after < (1.0 + HELD_OUT_RISE) * fall_before
+    if not helps and not (_is_gain(chosen) and harmless and not rough):
         text = (
             f"stop: {chosen.id} does not help on held-out data "
             f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"

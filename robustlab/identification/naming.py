@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
 
-__all__ = ["Ranking", "Ranked", "first_noise", "rank", "whitening"]
+__all__ = ["BEYOND_NOISE", "Ranking", "Ranked", "first_noise", "noise_ratio", "rank", "whitening"]
 
 Array = NDArray[np.float64]
 
 WORKERS = 2
+# Where the errors are noise, the third order makes them white; where something is still missing, whose small and fast
+# part that would bring out, the first order.
 AR_ORDER = 3
+BEYOND_NOISE = 60.0  # times the sensors' noise; torque noise of a quiet machine stays below 25
 BOOTSTRAPS = 500
 SEED = 20261121
 # Successive halving: iterations of the base and of each round, and how many hypotheses enter the next. The base must be
@@ -104,6 +107,17 @@ def whitening(problem: Problem, fit: Fit, order: int = AR_ORDER) -> NoiseModel:
     return NoiseModel(std, ar)
 
 
+def noise_ratio(problem: Problem, fit: Fit) -> float:
+    """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    size = np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
+    single = np.max(
+        [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
+        axis=0,
+    )
+    return float(np.max(size / single))
+
+
 def _past(errors: Array, order: int) -> Array:
     """The ``order`` points before each point of a window, (n, order), latest first."""
     length = errors.shape[1]
@@ -171,7 +185,8 @@ def rank(
         second = list(pool.map(placed, gaining)) if some is not problem else gaining
         leader = min([base_fit, *(fit for _, fit in second)], key=lambda f: f.cost)
         base_fit = _from_leader(problem, base_fit, leader)
-        final_noise = whitening(problem, leader)
+        order = AR_ORDER if noise_ratio(problem, leader) < BEYOND_NOISE else 1
+        final_noise = whitening(problem, leader, order)
         # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
         reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
         wrong = [fitted[key] for key in fitted if key not in reached and fitted[key][0].effect.gain_like]

@@ -66,7 +66,7 @@ def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], mi
     if step in missing:
         return Judgement(requirement, None, False, missing[step])
     value = look_up(requirement.that, numbers, lists=requirement.contains is not None)
-    return Judgement(requirement, value, _holds(requirement, value))
+    return Judgement(requirement, value, bool(_holds(requirement, value)))
 
 
 def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
