@@ -159,9 +159,10 @@ def prepare(
     windows = Windows(np.array(usable, dtype=np.int64), length)
     std = start_std(smoothed, windows)
     for port in model.ports.values():
-        if port.kind == "current":  # not told by the sensors but by the voltage, which an effect may delay or change
+        own = port.velocity != 0.0
+        # A current that no sensor tells is told by the voltage, which an effect may delay or change.
+        if port.kind == "current" and not bare.C[:, own].any():
             amperes = smoothed.x @ port.velocity
-            own = port.velocity != 0.0
             std[:, own] = np.maximum(std[:, own], CURRENT_SHARE * float(np.sqrt(np.mean(amperes**2))))
     thin = max(1, length // POINTS_PER_WINDOW)
     return PreparedRecord(

@@ -19,8 +19,7 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def lines():
-    found = {name: run_case(task) for name, task in CASES.items()}
-    return found
+    return {name: run_case(task) for name, task in CASES.items()}
 
 
 def test_every_case_ran(lines):
