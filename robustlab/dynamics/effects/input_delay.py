@@ -25,7 +25,7 @@ class InputDelay(Effect):
     title = "Input delay"
     equation = "u'(t) = u(t - d)"
     site_kind = "input"
-    substeps = 2  # the mean over a whole sample would leave positions off by a tenth of what encoders resolve
+    substeps = 2  # the mean over a whole sample leaves positions off by what a fine encoder resolves
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("d", "s", "delay", Prior("log", 3.0 * scales.dt, 1.2)),)
