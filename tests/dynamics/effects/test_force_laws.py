@@ -423,7 +423,7 @@ def test_every_start_is_a_value_of_every_prior(name, seen):
     one = effect(name)
     names = [p.name for p in one.parameters(seen)]
     starts = one.starts(seen)
-    assert 1 <= len(starts) <= 3
+    assert 1 <= len(starts) <= 6
     for start in starts:
         assert one.checked(start) == start
         for p in one.parameters(seen):
