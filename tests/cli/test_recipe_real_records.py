@@ -108,6 +108,6 @@ def test_two_loggers_are_joined_in_a_recipe(tmp_path):
     (tmp_path / "b.csv").write_text("tb,v\n0.0,0\n0.2,1\n0.4,2\n0.6,3\n")
     (tmp_path / "two.toml").write_text(TWO_LOGGERS)
     result = run_recipe(load_recipe(tmp_path / "two.toml"), tmp_path / "out")
-    assert unmet(result) == []
+    assert unmet(result) == set()
     assert numbers(result, "both")["dt"] == pytest.approx(0.2)
     assert result.exit_code == 0
