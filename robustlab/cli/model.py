@@ -308,7 +308,11 @@ def _plant_lines(plant: Any) -> list[str]:
 
 def _range(block: Any) -> str:
     parameter = getattr(block, "parameter", None)
-    return f"{parameter.nominal:.6g} +- {parameter.radius:.6g} {parameter.unit}".rstrip() if parameter else ""
+    if parameter is None:
+        return ""
+    if parameter.below is not None:
+        return f"{parameter.nominal:.6g} +{parameter.radius:.6g} -{parameter.below:.6g} {parameter.unit}".rstrip()
+    return f"{parameter.nominal:.6g} +- {parameter.radius:.6g} {parameter.unit}".rstrip()
 
 
 def _signal_lines(model: StateSpaceModel | Any) -> list[str]:

@@ -11,6 +11,7 @@ from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
     from robustlab.provenance import Provenance
+    from robustlab.uncertainty.blocks import ParameterRange
     from robustlab.uncertainty.elementwise import EndpointResidual
     from robustlab.uncertainty.lft import UncertainModel
     from robustlab.worst_case_analysis import Responses
@@ -262,7 +263,9 @@ def _block_lines(model: UncertainModel) -> list[str]:
     for block in model.blocks[:SHOWN_BLOCKS]:
         parameter = getattr(block, "parameter", None)
         stands_for = (
-            f"{parameter.value(-1.0):.6g} .. {parameter.value(1.0):.6g} {parameter.unit}".rstrip() if parameter else "-"
+            f"{parameter.low:.6g} .. {parameter.high:.6g} {parameter.unit}{_around(parameter)}".rstrip()
+            if parameter
+            else "-"
         )
         rows.append((block.name, type(block).__name__, f"{block.rows} x {block.cols}", stands_for))
     if not rows:
@@ -270,6 +273,11 @@ def _block_lines(model: UncertainModel) -> list[str]:
     lines = table(rows, ("block", "kind", "size", "stands for")).splitlines()
     hidden = len(model.blocks) - len(rows)
     return [*lines, f"... and {hidden} more blocks"] if hidden else lines
+
+
+def _around(parameter: ParameterRange) -> str:
+    """The nominal value, where it is not the middle of the range."""
+    return "" if parameter.below is None else f" around {parameter.nominal:.6g}"
 
 
 def _summary(responses: Responses, vertices: int) -> str:

@@ -52,7 +52,7 @@ class Parameter:
     Examples
     --------
     >>> Parameter("Kf", 4.8e-5, "N m s", tolerance=0.35).range
-    ParameterRange(nominal=4.8e-05, radius=1.68e-05, unit='N m s')
+    ParameterRange(nominal=4.8e-05, radius=1.68e-05, unit='N m s', below=None)
     """
 
     name: str

@@ -18,12 +18,15 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["decode_controller", "decode_uncertain", "encode_controller", "encode_uncertain"]
 
-FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit")
+FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below")
 KIND_OF = {RealScalar: "real", ComplexScalar: "complex", FullBlock: "full"}
 
 
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
-    """Group ``M`` as a state-space model, group ``blocks`` with one entry per block in each dataset."""
+    """Group ``M`` as a state-space model, group ``blocks`` with one entry per block in each dataset.
+
+    The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric.
+    """
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:
         encode_point(tree, model.operating_point)
@@ -37,6 +40,9 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
         "radius": np.array([p.radius if p else np.nan for p in parameters], dtype=np.float64),
         "unit": np.array([p.unit if p else "" for p in parameters], dtype=np.str_),
     }
+    if any(p and p.below is not None for p in parameters):
+        widths = [np.nan if p is None or p.below is None else p.below for p in parameters]
+        columns["below"] = np.array(widths, dtype=np.float64)
     for name, values in columns.items():
         tree.group("blocks").put(name, values)
 
@@ -120,7 +126,8 @@ def _parameter(i: int, columns: dict[str, list[Any]], path: str, problems: Probl
             f"{path}: block {name!r}: nominal {nominal:g}, radius {radius:g}, expected both finite or both NaN"
         )
         return None
-    return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "")
+    below = columns["below"][i] if "below" in columns and not np.isnan(columns["below"][i]) else None
+    return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "", below)
 
 
 def encode_controller(tree: Tree, controller: Controller) -> None:

@@ -27,34 +27,113 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ParameterRange:
-    """What a normalised real delta means in the user's parameter: ``value = nominal + radius * delta``.
+    r"""What a normalised real delta in [-1, 1] means in the user's parameter; 0 is nominal, +1 and -1 are the ends.
+
+    .. math:: value = nominal + radius \, \delta \quad (\delta \ge 0), \qquad
+              value = nominal + below \, \delta \quad (\delta < 0)
 
     Attributes
     ----------
     nominal, radius
-        Centre and half width of the range, in ``unit``.
+        Nominal value and width of the range above it, in ``unit``.
     unit
         Physical unit of the parameter.
+    below
+        Width of the range beneath the nominal value; None where it is the same (a width given equal to ``radius``
+        becomes None).
+
+    Raises
+    ------
+    InputError
+        ``below`` is given, and it or ``radius`` is not a positive finite number.
+
+    Examples
+    --------
+    >>> lag = ParameterRange(1.0, 0.5, "s", below=0.25)
+    >>> lag.value(1.0), lag.value(-1.0), lag.delta(0.875)
+    (1.5, 0.75, -0.5)
     """
 
     nominal: float
     radius: float
     unit: str = ""
+    below: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.below is None:
+            return
+        for word, width in (("above (radius)", self.radius), ("below", self.below)):
+            if isinstance(width, bool) or not isinstance(width, (int, float, np.number)) or not 0 < width < np.inf:
+                raise InputError(
+                    "ParameterRange",
+                    f"width {width!r} {word} the nominal value" if word == "below" else f"width {width!r} {word}",
+                    "a positive finite number",
+                    "a range that ends at its nominal value needs another nominal value, inside of it",
+                )
+        if not 0 < self.below / self.radius < np.inf:
+            raise InputError("ParameterRange", f"widths {self.radius} above and {self.below} below", "a finite ratio")
+        if self.below == self.radius:
+            object.__setattr__(self, "below", None)
+
+    @classmethod
+    def between(cls, low: float, high: float, nominal: float | None = None, unit: str = "") -> ParameterRange:
+        """The range from ``low`` to ``high`` around ``nominal``, which is the middle where left out.
+
+        Raises
+        ------
+        InputError
+            Not ``low < nominal < high``, or numbers that are not finite.
+
+        Examples
+        --------
+        >>> ParameterRange.between(0.75, 1.5, 1.0)
+        ParameterRange(nominal=1.0, radius=0.5, unit='', below=0.25)
+        """
+        middle = 0.5 * (low + high) if nominal is None else nominal
+        if not (np.isfinite([low, middle, high]).all() and low < middle < high):
+            raise InputError("ParameterRange", f"{low} .. {high} around {middle}", "finite low < nominal < high")
+        if nominal is None:
+            return cls(middle, 0.5 * (high - low), unit)
+        return cls(middle, high - middle, unit, middle - low)
+
+    @property
+    def ratio(self) -> float:
+        """Width below divided by width above: what a negative delta is multiplied with to give the entry of Delta."""
+        return 1.0 if self.below is None else self.below / self.radius
+
+    @property
+    def low(self) -> float:
+        """The value at delta = -1."""
+        return self.value(-1.0)
+
+    @property
+    def high(self) -> float:
+        """The value at delta = +1."""
+        return self.value(1.0)
 
     def value(self, delta: float) -> float:
         """Parameter value that belongs to a normalised delta."""
-        return self.nominal + self.radius * delta
+        width = self.radius if self.below is None or delta >= 0 else self.below
+        return self.nominal + width * delta
 
     def delta(self, value: float) -> float:
         """Normalised delta that belongs to a parameter value."""
-        return (value - self.nominal) / self.radius
+        width = self.radius if self.below is None or value >= self.nominal else self.below
+        return (value - self.nominal) / width
+
+    def to_json(self) -> dict[str, object]:
+        """The attributes; ``below`` only where it differs from ``radius``."""
+        data: dict[str, object] = {"nominal": self.nominal, "radius": self.radius, "unit": self.unit}
+        return data if self.below is None else {**data, "below": self.below}
 
 
 @dataclass(frozen=True)
 class RealScalar:
     """``delta * I`` with one real delta, ``-1 <= delta <= 1``, repeated ``repeats`` times.
 
-    ``parameter`` says which physical range the normalised delta stands for.
+    ``parameter`` says which physical range the normalised delta stands for. Where that range is wider on one side, the
+    number that stands in Delta is ``delta`` for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``: it fills
+    [-ratio, 1], and every value of the parameter enters M by one and the same affine law.
     """
 
     name: str
@@ -73,6 +152,19 @@ class RealScalar:
     def cols(self) -> int:
         """Columns of the block (entries of z)."""
         return self.repeats
+
+    @property
+    def ratio(self) -> float:
+        """Width of the range below nominal divided by the width above; 1 for a symmetric range or without one."""
+        return 1.0 if self.parameter is None else self.parameter.ratio
+
+    def entry(self, delta: float) -> float:
+        """The number that stands in Delta for a normalised delta."""
+        return delta if delta >= 0 else self.ratio * delta
+
+    def delta(self, entry: float) -> float:
+        """The normalised delta that belongs to a number in Delta."""
+        return entry if entry >= 0 else entry / self.ratio
 
 
 @dataclass(frozen=True)
@@ -188,9 +280,10 @@ def block_slices(blocks: Sequence[Block]) -> list[tuple[slice, slice]]:
 
 
 def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> NDArray[Any]:
-    """The block-diagonal Delta, shape (q, p), from one value per block name; blocks left out are zero.
+    """The block-diagonal Delta, shape (q, p), from one normalised value per block name; blocks left out are zero.
 
-    Scalar blocks take a number, full blocks a matrix (rows, cols). The result is real where every value is real.
+    Scalar blocks take a number, full blocks a matrix (rows, cols). The result is real where every value is real. A
+    negative delta of a range that is not symmetric is multiplied with its ratio (see `RealScalar`).
 
     Raises
     ------
@@ -221,8 +314,10 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
         if value.size != 1:
             raise InputError(f"delta {block.name!r}", f"shape {value.shape}", "one number")
         number = complex(value.reshape(()))
-        if isinstance(block, RealScalar) and number.imag != 0:
-            raise InputError(f"delta {block.name!r}", f"{number}", "a real number")
+        if isinstance(block, RealScalar):
+            if number.imag != 0:
+                raise InputError(f"delta {block.name!r}", f"{number}", "a real number")
+            number = complex(block.entry(number.real))
         delta[rows, cols] = number * np.eye(block.repeats)
     return delta if np.imag(delta).any() else np.real(delta)
 
@@ -236,7 +331,7 @@ def delta_values(blocks: Sequence[Block], delta: ArrayLike) -> dict[str, Any]:
         if isinstance(block, FullBlock):
             values[block.name] = part.copy()
         elif isinstance(block, RealScalar):
-            values[block.name] = float(part[0, 0].real)
+            values[block.name] = block.delta(float(part[0, 0].real))
         else:
             values[block.name] = complex(part[0, 0])
     return values

@@ -233,5 +233,5 @@ class UncertainModel:
 def _block_json(block: Block) -> dict[str, object]:
     data: dict[str, object] = {"name": block.name, "kind": type(block).__name__, "rows": block.rows, "cols": block.cols}
     if isinstance(block, RealScalar) and block.parameter is not None:
-        data["parameter"] = vars(block.parameter).copy()
+        data["parameter"] = block.parameter.to_json()
     return data

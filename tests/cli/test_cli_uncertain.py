@@ -11,6 +11,8 @@ from robustlab.cli.console import main_guard
 from robustlab.cli.uncertain import app
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage import load, save
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
 
 RE35 = {"R": 2.07, "L": 0.62e-3, "Km": 0.052, "Kb": 0.052, "Kf": 4.8e-5, "J": 7.2e-6}
 
@@ -102,6 +104,17 @@ def test_show(motor, capsys):
     data = json.loads(call(capsys, "show", motor, "--json")[1])
     assert data["blocks"][0]["name"] == "Kf"
     assert data["blocks"][0]["parameter"]["radius"] == pytest.approx(0.35 * RE35["Kf"])
+
+
+def test_show_prints_the_true_ends_of_a_range_that_is_not_symmetric(tmp_path, capsys):
+    m = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[-1.0], [1.0]], [[-0.5, 1.0], [0.0, 0.0]])
+    path = str(tmp_path / "lag.h5")
+    save(path, UncertainModel(m, [RealScalar("tau", 1, ParameterRange(1.0, 0.5, "s", below=0.25))]))
+    code, text, _ = call(capsys, "show", path)
+    assert code == 0
+    assert "0.75 .. 1.5 s around 1" in text
+    data = json.loads(call(capsys, "show", path, "--json")[1])
+    assert data["blocks"][0]["parameter"] == {"nominal": 1.0, "radius": 0.5, "unit": "s", "below": 0.25}
 
 
 def test_show_of_another_kind(files, capsys):

@@ -73,6 +73,10 @@ def uncertain_models(draw):
             blocks.append(rl.ComplexScalar(name, rows))
         else:
             span = rl.ParameterRange(draw(NUMBERS), draw(NUMBERS), draw(TEXTS)) if kind == "range" else None
+            if span is not None and span.radius > 0 and draw(st.booleans()):
+                below = span.radius * draw(st.floats(1e-3, 1e3))
+                if 0 < below < np.inf:
+                    span = rl.ParameterRange(span.nominal, span.radius, span.unit, below)
             blocks.append(rl.RealScalar(name, rows, span))
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     m = draw(models(st.just(q + draw(SIZES)), st.just(p + draw(SIZES))))

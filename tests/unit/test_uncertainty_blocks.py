@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import (
     ComplexScalar,
     FullBlock,
@@ -14,8 +15,10 @@ from robustlab.uncertainty.blocks import (
     as_blocks,
     block_slices,
     delta_matrix,
+    delta_values,
     structure_size,
 )
+from robustlab.uncertainty.lft import UncertainModel
 
 
 def test_mussv_rows():
@@ -82,3 +85,42 @@ def test_values_that_do_not_fit(values, text):
 def test_parameter_range():
     span = ParameterRange(2.0, 0.5, "ohm")
     assert (span.value(-1.0), span.value(1.0), span.delta(2.25)) == (1.5, 2.5, 0.5)
+
+
+def test_a_range_wider_above_than_below():
+    span = ParameterRange(1.0, 0.5, "s", below=0.25)
+    assert (span.low, span.high, span.ratio) == (0.75, 1.5, 0.5)
+    assert [span.delta(v) for v in (0.75, 0.5, 1.0, 1.25, 2.0)] == [-1.0, -2.0, 0.0, 0.5, 2.0]
+    assert ParameterRange.between(0.75, 1.5, 1.0, "s") == span
+    assert ParameterRange.between(0.75, 1.25) == ParameterRange(1.0, 0.25)
+    assert ParameterRange(1.0, 0.5, below=0.5) == ParameterRange(1.0, 0.5)
+
+
+@pytest.mark.parametrize("delta", [-1.0, -2.5, -0.3, 0.0, 0.4, 1.0, 3.0])
+def test_delta_is_piecewise_and_the_member_has_the_parameter_value(delta):
+    """1 / (tau s + 1) written by hand: tau s x = -x + u with tau = 1 + 0.5 e, e the entry of Delta."""
+    span = ParameterRange(1.0, 0.5, "s", below=0.25)
+    m = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[-1.0], [1.0]], [[-0.5, 1.0], [0.0, 0.0]])
+    lag = UncertainModel(m, [RealScalar("tau", 1, span)])
+    tau = 1.0 + (0.5 if delta >= 0 else 0.25) * delta
+    if tau > 0:
+        np.testing.assert_allclose(lag.evaluate({"tau": delta}).A, [[-1.0 / tau]], rtol=1e-14)
+    assert lag.physical({"tau": delta})["tau"] == (pytest.approx(tau), "s")
+    block = RealScalar("tau", 2, span)
+    entries = delta_matrix([block], {"tau": delta})
+    np.testing.assert_allclose(entries, (delta if delta >= 0 else 0.5 * delta) * np.eye(2))
+    assert delta_values([block], entries)["tau"] == pytest.approx(delta, rel=1e-15)
+
+
+@pytest.mark.parametrize("widths", [(0.5, 0.0), (0.5, -0.1), (0.0, 0.5), (np.inf, 0.5), (0.5, np.nan), (0.5, True)])
+def test_widths_that_are_none(widths):
+    with pytest.raises(InputError, match="width"):
+        ParameterRange(1.0, widths[0], below=widths[1])
+
+
+@pytest.mark.parametrize(
+    "ends", [(1.0, 2.0, 1.0), (1.0, 2.0, 3.0), (2.0, 1.0, None), (np.nan, 1.0, 0.5), (0, np.inf, 1)]
+)
+def test_ends_that_are_none(ends):
+    with pytest.raises(InputError, match="low < nominal < high"):
+        ParameterRange.between(*ends)

@@ -221,7 +221,7 @@ def _range(block: Any) -> str:
     p = block.parameter
     if p is None:
         return f"{block.repeats} channels"
-    return f"{quantity(p.nominal - p.radius)} … {quantity(p.nominal + p.radius, p.unit)}"
+    return f"{quantity(p.low)} … {quantity(p.high, p.unit)}"
 
 
 def _worst(statuses: list[Status]) -> Status:
