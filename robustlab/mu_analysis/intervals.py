@@ -81,6 +81,13 @@ class AxisCover:
                 rest.append((piece.high, high))
         self.open = rest
 
+    def join(self, other: AxisCover) -> None:
+        """Take over what another cover of the same axis, for other blocks, has proved and left open."""
+        self.pieces.extend(other.pieces)
+        self.open.extend(other.open)
+        self.beta = max(self.beta, other.beta)
+        self.points += other.points
+
     def next_points(self, scale: float, count: int) -> Array:
         """A frequency inside each open interval, the widest (in decades) first, at most ``count``."""
         found = []

@@ -25,7 +25,7 @@ from robustlab.mu_analysis.lower import SINGULAR, block_gains, lower_bound, step
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
-__all__ = ["Destabilising", "perturbed_state_matrix", "smallest_destabilising"]
+__all__ = ["Destabilising", "first_crossing", "perturbed_state_matrix", "smallest_destabilising"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -65,7 +65,7 @@ def smallest_destabilising(
         if delta is not None:
             candidates.append(delta)
     candidates.extend(_migrate(model, blocks, candidates, rng, random_starts))
-    crossings = [c for c in (_first_crossing(model, blocks, d) for d in candidates) if c is not None]
+    crossings = [c for c in (first_crossing(model, blocks, d) for d in candidates) if c is not None]
     _, ill_posed = lower_bound(model.D.astype(complex), blocks, seed)
     if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= SINGULAR * 1e3:
         crossings.append(Destabilising(delta_norm(blocks, ill_posed), ill_posed, complex(np.inf)))
@@ -94,7 +94,7 @@ def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> complex:
     return complex(poles[poles.real.argmax()]) if len(poles) else complex(-np.inf)
 
 
-def _first_crossing(model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray) -> Destabilising | None:
+def first_crossing(model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray) -> Destabilising | None:
     """The smallest multiple of Delta found, up to a little more than itself, at which the model is not stable."""
     delta = project(blocks, delta)
     if not np.isfinite(delta).all() or not delta.any():

@@ -3,91 +3,84 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.intervals import AxisCover, cover_axis
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.axis_model import (
+    check_nominal,
+    continuous,
+    coupled_blocks,
+    frequencies,
+    model_frequency,
+    seed_frequencies,
+)
+from robustlab.mu_analysis.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
+from robustlab.mu_analysis.branch_and_bound import MarginProblem, Region, tighten
+from robustlab.mu_analysis.intervals import AxisCover, Piece, cover_axis
 from robustlab.mu_analysis.lower import lower_bound
-from robustlab.mu_analysis.pole_migration import Destabilising, smallest_destabilising
+from robustlab.mu_analysis.margin import Margin
+from robustlab.mu_analysis.pole_migration import (
+    Destabilising,
+    first_crossing,
+    smallest_destabilising,
+)
+from robustlab.mu_analysis.sensitivity import margin_shares
 from robustlab.mu_analysis.upper import upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, block_slices, delta_values
+from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["Margin", "robust_stability"]
+__all__ = ["robust_stability"]
 
 Array = NDArray[np.floating[Any]]
 
+# A first cover, this close to the D-G bound, tells whether branch and bound has to follow.
+COARSE = 4e-3
+# Sizes of an asymmetric set that are tried for the largest one that D, G prove.
+SIZES = 12
 
-@dataclass(frozen=True, eq=False)
-class Margin:
-    """Robust stability margin: the model is stable for all Delta of norm below ``lower``, and not for ``delta``.
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= margin <= upper``; ``lower`` holds over the whole frequency axis where the status is CERTIFIED
-        (else it is 0). Both are inf where nothing can destabilise.
-    frequency
-        Frequency in rad/s at which ``delta`` brings a pole to the stability boundary; None where no such Delta was
-        found.
-    delta
-        The critical Delta, one value per block name; empty where none was found.
-    physical
-        The critical values and units of the physical parameters.
-    pole
-        The pole of the model perturbed by ``delta`` that lies on or beyond the stability boundary.
-    status
-        CERTIFIED: ``lower`` proved on the whole axis. TIMEOUT: ``open`` intervals are left, ``mu_upper`` holds on the
-        grid only.
-    omega, mu_lower, mu_upper
-        Bounds of mu at the grid frequencies, for the figure; what lies between grid points is in ``intervals``.
-    intervals
-        ``(low, high, mu_upper)`` in rad/s: what is proved, together covering [0, inf] where the status is CERTIFIED.
-    open
-        Frequency intervals for which nothing is proved.
-    notes
-        Remarks for the reader of a report.
-    """
+@dataclass
+class _Found:
+    """What is known so far: level of the smallest destabilising Delta, level proved, and what proves it."""
 
-    lower: float
-    upper: float
-    frequency: float | None
-    delta: Mapping[str, Any]
-    status: Status
-    physical: Mapping[str, tuple[float, str]]
-    pole: complex | None
-    omega: Array
-    mu_lower: Array
-    mu_upper: Array
-    intervals: tuple[tuple[float, float, float], ...]
-    open: tuple[tuple[float, float], ...]
-    notes: tuple[str, ...]
+    model: StateSpaceModel
+    blocks: Sequence[Block]
+    worst: Destabilising | None
+    level: float
+    cover: AxisCover
+    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
-        """All attributes; arrays stay arrays."""
-        return {"type": "Margin", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+    @property
+    def attained(self) -> float:
+        """Level (inverse size) of the destabilising Delta; 0 where none was found."""
+        return 0.0 if self.worst is None else 1 / gauge(self.blocks, block_entries(self.blocks, self.worst.delta))
 
 
 def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
-    accuracy: float = 0.001,
+    accuracy: float = 3e-5,
     time_limit: float = 60.0,
     seed: int = 0,
+    tolerance: float = 0.01,
 ) -> Margin:
     r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
 
-    ``lower`` is proved: intervals on which constant D, G satisfy the D-G inequality cover [0, inf]. ``upper`` is
-    attained: the model perturbed by ``delta`` has a pole on the stability boundary. A discrete model is mapped by
-    ``s = (z - 1) / (z + 1)``, under which the unit circle becomes the axis and mu does not change.
+    ``lower`` is proved: intervals on which constant D, G satisfy the D-G inequality cover [0, inf]; where the D-G bound
+    itself is too far from ``upper``, the same is proved box by box of the real parameters (branch and bound).
+    ``upper`` is attained: the model perturbed by ``delta`` has a pole on the stability boundary. A discrete model is
+    mapped by ``s = (z - 1) / (z + 1)``, under which the unit circle becomes the axis and mu does not change.
+
+    A range that is wider on one side grows in proportion on both: at margin k a parameter lies in
+    ``[nominal - k below, nominal + k radius]``.
 
     The proof is carried out in floating-point arithmetic with a slack of 5e-6 in mu: the signs of the inequality are
     tested at and between all candidates that the Hamiltonian's eigenvalues give. It is not interval arithmetic.
@@ -97,13 +90,17 @@ def robust_stability(
     uncertain
         Uncertain model, continuous or discrete.
     omega
-        Frequencies in rad/s for ``mu_lower`` and ``mu_upper``; by default a grid around the model's dynamics.
+        Frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure; none where left out.
     accuracy
-        Relative distance to which ``lower`` approaches the best margin that D, G scalings can prove.
+        Relative distance to which ``lower`` approaches the best margin that D, G scalings can prove, where these come
+        within ``tolerance`` of ``upper``.
     time_limit
-        Time in s after which the cover of the axis is given up; the search for ``delta`` and the grid come on top.
+        Time in s after which the proof is given up, or branch and bound stops where it is; the search for ``delta`` and
+        the curves come on top.
     seed
         Seed of the search for the critical Delta.
+    tolerance
+        Relative gap between the bounds that branch and bound aims at; inf: no branch and bound.
 
     Raises
     ------
@@ -112,146 +109,159 @@ def robust_stability(
 
     References
     ----------
-    Doyle (1982); Sideris, "Elimination of frequency search from robustness tests" (1992); Ly, Safonov, Chiang (1998).
+    Doyle (1982); Sideris, "Elimination of frequency search from robustness tests" (1992); Ly, Safonov, Chiang (1998);
+    Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
     """
-    if not isinstance(uncertain, UncertainModel):
-        raise InputError("robust_stability", type(uncertain).__name__, "an UncertainModel")
-    started = time.monotonic()
-    _check_nominal(uncertain)
+    check_nominal(uncertain, "robust_stability")
+    if not 0 < accuracy < 1 or not tolerance > 0 or not time_limit >= 0:
+        found = f"accuracy {accuracy}, tolerance {tolerance}, time_limit {time_limit}"
+        raise InputError("robust_stability", found, "0 < accuracy < 1, tolerance > 0, time_limit >= 0")
+    grid = frequencies(omega, "robust_stability")
     blocks = uncertain.blocks
-    model = _continuous(uncertain.delta_channels)
-    grid = _grid(uncertain.M, omega)
     if not blocks:
         zero = np.zeros(len(grid))
-        return _margin(
-            uncertain,
-            None,
-            AxisCover(open=[]),
-            grid=grid,
-            mu_lower=zero,
-            mu_upper=zero.copy(),
-            notes=("no uncertainty: mu = 0",),
-        )
-    seeds = _seed_frequencies(model)
-    worst = smallest_destabilising(model, blocks, seeds, seed)
-    peak = 1 / worst.norm if worst else 0.0
-    first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
-    cover = _cover(model, blocks, peak, first=first, until=started + time_limit, accuracy=accuracy)
+        nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
+        return _margin(uncertain, nothing, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
+    until = time.monotonic() + time_limit
+    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed)
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([lower_bound(m, blocks, seed, restarts=4, steps=24)[0] for m in response])
     mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
-    return _margin(uncertain, worst, cover, grid=grid, mu_lower=mu_lower, mu_upper=mu_upper, notes=())
+    notes = () if len(grid) == 0 or (lowest(blocks) == -1).all() else (_SYMMETRIC_CURVES,)
+    return _margin(uncertain, found, grid, mu_lower, mu_upper, notes)
 
 
-def _check_nominal(uncertain: UncertainModel) -> None:
-    poles = uncertain.M.poles()
-    if not len(poles) or uncertain.M.is_stable():
-        return
-    worst = poles[np.abs(poles).argmax() if uncertain.M.is_discrete else poles.real.argmax()]
-    raise NoTrustworthyNumber(
-        "robust_stability",
-        f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)",
-        "a stable nominal model",
-        "close the loop first (UncertainModel.close), or drop an integrator that feeds nothing back",
-    )
+_SYMMETRIC_CURVES = (
+    "the curves over frequency are those of ranges as wide below as above; the margin itself takes ranges as they are"
+)
 
 
-def _continuous(model: StateSpaceModel) -> StateSpaceModel:
-    """The model balanced by powers of two; a discrete one mapped by ``s = (z - 1) / (z + 1)``."""
-    from scipy.linalg import matrix_balance
-
-    A, B, C, D = model.A, model.B, model.C, model.D
-    n = model.n_states
-    if not n:
-        return StateSpaceModel(A, B, C, D)
-    if model.is_discrete:
-        # z = (1 + s) / (1 - s): s x' = (A + I)^-1 (A - I) x + ...
-        plus = np.linalg.inv(A + np.eye(n))
-        A, B, C, D = plus @ (A - np.eye(n)), np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    return StateSpaceModel(A, B / scale[:, None], C * scale[None, :], D)
-
-
-def _grid(model: StateSpaceModel, omega: ArrayLike | None) -> Array:
-    if omega is None:
-        return default_grid(model, 40) if model.n_states else np.array([0.0])
-    grid = np.atleast_1d(np.asarray(omega, dtype=float))
-    if grid.ndim != 1 or not np.isfinite(grid).all() or (grid < 0).any():
-        raise InputError("robust_stability: omega", "negative or not finite frequencies", "frequencies in rad/s, >= 0")
-    return grid
-
-
-def _seed_frequencies(model: StateSpaceModel) -> Array:
-    """Frequencies where something may happen: the poles' own."""
-    poles = model.poles()
-    found = np.abs(np.concatenate([poles, poles.imag]))
-    found = found[found > 0]
-    if not len(found):
-        return found
-    # One of those closer together than 2 %.
-    marks = np.unique(np.round(np.log(found) / 0.02))
-    return np.exp(marks * 0.02)
+def _bounds(
+    model: StateSpaceModel, blocks: Sequence[Block], accuracy: float, tolerance: float, until: float, seed: int
+) -> _Found:
+    seeds = seed_frequencies(model)
+    worst = smallest_destabilising(model, blocks, seeds, seed)
+    symmetric = bool((lowest(blocks) == -1).all())
+    if not symmetric:
+        worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
+    found = _Found(model, blocks, worst, 0.0, AxisCover())
+    first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
+    cover = _cover_symmetric if symmetric else _cover_asymmetric
+    cover(found, first, until, max(accuracy, COARSE))
+    near = found.level <= found.attained * (1 + max(tolerance, 2 * COARSE))
+    if not found.cover.open and accuracy < COARSE and (near or (symmetric and not found.attained)):
+        again = replace(found)
+        middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]
+        cover(again, np.append(first, np.unique(middles)), until, accuracy)
+        found = again if again.level < found.level else found
+    some_real = any(isinstance(b, RealScalar) for b in blocks)
+    if some_real and 0 < found.attained * (1 + tolerance) < found.level:
+        _branch_and_bound(found, tolerance, until)
+    return found
 
 
-def _cover(
-    model: StateSpaceModel, blocks: Sequence[Block], peak: float, *, first: Array, until: float, accuracy: float
-) -> AxisCover:
+def _cover_symmetric(found: _Found, first: Array, until: float, accuracy: float) -> None:
     """Cover the axis for each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
-    parts = _parts(model, blocks)
-    covers = []
-    slices = block_slices(blocks)
-    for members in parts:
+    slices = block_slices(found.blocks)
+    whole = AxisCover(open=[])
+    for members in coupled_blocks(found.model, found.blocks):
         w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
         z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
-        part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[z[:, None], w])
-        covers.append(cover_axis(part, [blocks[i] for i in members], peak, first=first, until=until, accuracy=accuracy))
-    whole = AxisCover(open=[])
-    for cover in covers:
-        whole.pieces.extend(cover.pieces)
-        whole.open.extend(cover.open)
-        whole.beta = max(whole.beta, cover.beta)
-        whole.points += cover.points
-    return whole
+        m = found.model
+        part = StateSpaceModel(m.A, m.B[:, w], m.C[z], m.D[z[:, None], w])
+        some = [found.blocks[i] for i in members]
+        whole.join(cover_axis(part, some, found.attained, first=first, until=until, accuracy=accuracy))
+    found.cover, found.level = whole, float("inf") if whole.open else whole.beta
+    found.proof = tuple(whole.pieces)
 
 
-def _parts(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:
-    """Blocks that act on each other in a cycle, by the zero pattern of A, B, C, D; others have mu = 0."""
-    from scipy.sparse.csgraph import connected_components
+def _cover_asymmetric(found: _Found, first: Array, until: float, accuracy: float) -> None:
+    """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
+    size = 1 / found.attained / (1 + accuracy) if found.attained else 1e3
+    failed = 1 / found.attained if found.attained else np.inf
+    for _ in range(SIZES):
+        inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
+        if inside is None or not inside.is_stable():
+            failed, size = size, size / 2
+            continue
+        fine = accuracy / 2
+        cover = cover_axis(inside, found.blocks, 1 / (1 + fine), first=first, until=until, accuracy=fine)
+        if cover.open:
+            found.cover = cover if not found.proof else found.cover
+            break
+        if cover.beta > 1 + 1e-12:
+            failed, size = size, size / (cover.beta * (1 + fine))
+            continue
+        found.cover, found.level, found.proof = cover, 1 / size, tuple(cover.pieces)
+        if failed < size * (1 + 3 * accuracy) or not failed < np.inf:
+            break
+        size = float(np.sqrt(size * failed))
+    if not found.proof:
+        found.level = float("inf")
 
-    n = model.n_states
-    slices = block_slices(blocks)
-    pick_w = np.zeros((model.n_inputs, len(blocks)))
-    pick_z = np.zeros((len(blocks), model.n_outputs))
-    for i, (w, z) in enumerate(slices):
-        pick_w[w, i] = 1
-        pick_z[i, z] = 1
-    # Nodes: states, then blocks; an edge from j to i where j acts on i directly.
-    acts = (
-        np.block([[model.A != 0, (model.B != 0) @ pick_w], [pick_z @ (model.C != 0), pick_z @ (model.D != 0) @ pick_w]])
-        > 0
-    )
-    _, labels = connected_components(acts, directed=True, connection="strong")
-    groups = [np.flatnonzero(labels[n:] == label) for label in np.unique(labels[n:])]
-    return [g for g in groups if len(g) > 1 or acts[n + g[0], n + g[0]] or (labels[:n] == labels[n + g[0]]).any()]
+
+def _smallest_asymmetric(
+    model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising | None, seeds: Array, seed: int
+) -> Destabilising | None:
+    """A destabilising Delta of small size in proportion to each side of its range, sought from the set's own centre."""
+    best, size = worst, np.inf if worst is None else gauge(blocks, block_entries(blocks, worst.delta))
+    trial = size if np.isfinite(size) else 1e3
+    for _ in range(4):
+        box = root_box(blocks, trial)
+        inside = box_model(model, blocks, box)
+        middle = centre_matrix(blocks, box.centre).astype(complex)
+        if inside is None or not inside.is_stable():
+            found = first_crossing(model, blocks, middle)
+        else:
+            again = smallest_destabilising(inside, blocks, seeds, seed)
+            half = np.repeat(box.half, [b.rows for b in blocks])
+            found = again and first_crossing(model, blocks, middle + half[:, None] * again.delta)
+        if found is None:
+            break
+        new = gauge(blocks, block_entries(blocks, found.delta))
+        if not new < size * (1 - 1e-7):
+            break
+        best, size, trial = found, new, new
+    return best
+
+
+def _branch_and_bound(found: _Found, tolerance: float, until: float) -> None:
+    """Close the gap that D, G leave, by boxes of the real parameters."""
+    assert found.worst is not None
+    hot = abs(found.worst.pole.imag) if np.isfinite(found.worst.pole) else None
+    problem = MarginProblem(found.model, found.blocks, hot)
+    proof = tighten(problem, found.attained, found.level, tolerance, until)
+    if proof.values is not None:
+        delta = centre_matrix(found.blocks, proof.values).astype(complex)
+        crossing = first_crossing(found.model, found.blocks, delta)
+        better = found.worst if crossing is None else crossing
+        if gauge(found.blocks, block_entries(found.blocks, better.delta)) < 1 / found.attained:
+            found.worst = better
+    if proof.upper < found.level:
+        found.level, found.proof = proof.upper, tuple(proof.leaves)
+        found.cover.open.clear()
 
 
 def _margin(
-    uncertain: UncertainModel,
-    worst: Destabilising | None,
-    cover: AxisCover,
-    *,
-    grid: Array,
-    mu_lower: Array,
-    mu_upper: Array,
-    notes: tuple[str, ...],
+    uncertain: UncertainModel, found: _Found, grid: Array, mu_lower: Array, mu_upper: Array, notes: tuple[str, ...]
 ) -> Margin:
+    worst, cover = found.worst, found.cover
     delta = delta_values(uncertain.blocks, worst.delta) if worst else {}
-    upper = worst.norm if worst else float("inf")
-    lower = 0.0 if cover.open else (1 / cover.beta if cover.beta > 0 else float("inf"))
+    upper = 1 / found.attained if found.attained else float("inf")
+    lower = 0.0 if cover.open else 1 / found.level if found.level > 0 else float("inf")
+    # A Delta that attains its level to rounding may pass a proof that is as tight, by that much and no more.
+    if upper < lower * (1 - 1e-5):
+        text = f"a Delta of size {upper:.9g} destabilises inside the proved margin {lower:.9g}: digits were lost"
+        raise NoTrustworthyNumber("robust_stability", text)
+    lower = min(lower, upper)
     if cover.open:
         notes = (*notes, f"{len(cover.open)} frequency intervals not proved in time: mu_upper holds on the grid only")
+    elif found.proof and isinstance(found.proof[0], Region):
+        notes = (*notes, f"proved by branch and bound in {len(found.proof)} regions of parameters and frequency")
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
+    pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]
+    shares = margin_shares(found.model, uncertain.blocks, worst.delta, worst.pole) if worst else {}
     return Margin(
         lower=lower,
         upper=upper,
@@ -263,8 +273,10 @@ def _margin(
         omega=grid,
         mu_lower=mu_lower,
         mu_upper=mu_upper,
-        intervals=tuple((_real_axis(uncertain, p.low), _real_axis(uncertain, p.high), p.beta) for p in cover.pieces),
-        open=tuple((_real_axis(uncertain, low), _real_axis(uncertain, high)) for low, high in cover.open),
+        intervals=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b), beta) for a, b, beta in pieces),
+        open=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b)) for a, b in cover.open),
+        shares=shares,
+        proof=found.proof,
         notes=notes,
     )
 
@@ -278,9 +290,4 @@ def _pole(uncertain: UncertainModel, worst: Destabilising | None) -> complex | N
 def _frequency(uncertain: UncertainModel, worst: Destabilising | None) -> float | None:
     if worst is None:
         return None
-    return _real_axis(uncertain, abs(worst.pole.imag) if np.isfinite(worst.pole) else float("inf"))
-
-
-def _real_axis(uncertain: UncertainModel, omega: float) -> float:
-    """Frequency in rad/s of the model itself: ``w = 2 atan(omega) / dt`` where it was mapped."""
-    return float(2 * np.arctan(omega) / uncertain.dt) if uncertain.M.is_discrete else float(omega)
+    return model_frequency(uncertain, abs(worst.pole.imag) if np.isfinite(worst.pole) else float("inf"))
