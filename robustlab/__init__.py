@@ -21,7 +21,10 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.identification import compare as compare
     from robustlab.identification.discovery import discover as discover
     from robustlab.mu_analysis import mu as mu
+    from robustlab.mu_analysis import robust_performance as robust_performance
     from robustlab.mu_analysis import robust_stability as robust_stability
+    from robustlab.mu_analysis import skew_mu as skew_mu
+    from robustlab.mu_analysis import worst_case_gain as worst_case_gain
     from robustlab.norms import hinf_norm as hinf_norm
     from robustlab.record import Record as Record
     from robustlab.result import Status as Status
@@ -72,7 +75,10 @@ _PUBLIC = {
     "sample": "worst_case_analysis",
     "worst_case": "worst_case_analysis",
     "mu": "mu_analysis",
+    "skew_mu": "mu_analysis",
     "robust_stability": "mu_analysis",
+    "robust_performance": "mu_analysis",
+    "worst_case_gain": "mu_analysis",
     "hinf_norm": "norms",
     "controllability": "structural",
     "observability": "structural",

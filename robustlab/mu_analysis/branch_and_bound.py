@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.frequency import frequency_response
-from robustlab.mu_analysis.box import Box, box_matrices, box_model, centre_matrix, gauge, root_box
-from robustlab.mu_analysis.gain import gain_and_slope
+from robustlab.mu_analysis.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.gain import ascend_corners
 from robustlab.mu_analysis.intervals import AxisCover, extend
 from robustlab.mu_analysis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.scalings import hermitian
@@ -359,13 +359,8 @@ class GainProblem(_AxisProblem):
     def attack(self, region: Region) -> Improved | None:
         """From the centre to the corner that raises the gain at the frequency in question, as long as that helps."""
         M = frequency_response(self.model, np.array([region.hot if region.hot is not None else self.scale]))[0]
-        best, values = None, region.box.centre
-        for _ in range(4):
-            level, slope = gain_and_slope(M, self.blocks, values)
-            if best is None or level > best.level:
-                best = Improved(level, values)
-            corner = np.where(_real(self), region.box.centre + region.box.half * np.sign(slope), 0.0)
-            if np.array_equal(corner, values):
-                break
-            values = corner
-        return best
+        met = ascend_corners(M, self.blocks, region.box, region.box.centre)
+        best = max(met, key=lambda gain: gain.value, default=None)
+        if best is None:
+            return None
+        return Improved(best.value, np.append(block_entries(self.blocks[:-1], best.delta), 0.0))

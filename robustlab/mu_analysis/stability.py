@@ -257,7 +257,7 @@ def _margin(
     if cover.open:
         notes = (*notes, f"{len(cover.open)} frequency intervals not proved in time: mu_upper holds on the grid only")
     elif found.proof and isinstance(found.proof[0], Region):
-        notes = (*notes, f"proved by branch and bound in {len(found.proof)} regions of parameters and frequency")
+        notes = (*notes, f"proved by branch and bound; regions of parameters and frequency: {len(found.proof)}")
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
     pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]
