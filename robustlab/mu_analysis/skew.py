@@ -29,7 +29,7 @@ from robustlab.mu_analysis.lower import lower_bound
 from robustlab.mu_analysis.scalings import hermitian
 from robustlab.mu_analysis.upper import UpperBound, upper_bounds
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, block_slices, structure_size
 
 __all__ = ["skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
 
@@ -152,12 +152,13 @@ def skew_lower(
         return best
     slices = block_slices(blocks)
     moving = [i for i, (w, _) in enumerate(slices) if varying[w.start]]
-    if len(moving) == 1 and isinstance(blocks[moving[0]], FullBlock):
+    if len(moving) == 1 and _closes_a_gain(blocks[moving[0]]):
         return _largest_gain(M, blocks, moving[0], seed)
+    failed = np.inf
     for _ in range(rounds):
         value, delta = lower_bound(_scaled(M, varying, level), blocks, seed, restarts=8, steps=30)
         if delta is None:
-            level /= 4
+            failed, level = level, level / 4
             if level < 1e-9 * np.linalg.norm(M, 2):
                 break
             continue
@@ -171,10 +172,15 @@ def skew_lower(
             if reached <= best[0] * (1 + 1e-9):
                 break
             best = (reached, scaled)
-            level = max(reached, level)
+            level = np.sqrt(reached * failed) if np.isfinite(failed) else max(reached, level) * 1.0001
         else:
-            level *= value
+            failed = level
+            level = np.sqrt(best[0] * failed) if best[0] > 0 else level * value
     return best
+
+
+def _closes_a_gain(block: Block) -> bool:
+    return isinstance(block, FullBlock) or (isinstance(block, ComplexScalar) and block.repeats == 1)
 
 
 def _largest_gain(
