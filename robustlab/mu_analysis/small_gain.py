@@ -41,7 +41,7 @@ from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
-__all__ = ["SmallGain", "nearest_pole", "signed", "small_gain"]
+__all__ = ["SmallGain", "nearest_pole", "peak_response", "signed", "small_gain"]
 
 # Relative width of the norm's bracket.
 RTOL = 1e-9
@@ -58,8 +58,8 @@ class SmallGain:
     robustly_stable
         True where ``norm.upper < 1``, False where ``norm.lower >= 1``, None where the bracket holds 1.
     lower, upper
-        ``lower <= margin <= upper``: stable for every Delta of norm below ``lower = 1 / norm.upper``; ``upper =
-        1 / norm.lower`` is the norm of ``delta``. Both are inf where Delta has no effect.
+        ``lower <= margin <= upper``: stable for every Delta of norm below ``lower = 1 / norm.upper``; ``upper`` is the
+        norm of ``delta``. Both are inf where Delta has no effect.
     frequency
         Frequency of the peak in rad/s; ``inf`` where the direct term is largest. None without effect.
     delta
@@ -132,19 +132,31 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
         )
     if norm.lower == 0:
         return SmallGain(norm.upper < 1, _inverse(norm.upper), float("inf"), None, {}, None, norm, M, norm.status)
-    u, sigma, vh = np.linalg.svd(frequency_response(M, [norm.frequency])[0])
+    frequency, response = peak_response(M, norm)
+    u, sigma, vh = np.linalg.svd(response)
     # (I - M Delta) u1 = 0
     delta = np.outer(vh[0].conj(), u[:, 0].conj()) / sigma[0]
     name = blocks[0].name
     delta.setflags(write=False)
-    pole, found = None, singularity(frequency_response(M, [norm.frequency])[0], delta) <= SINGULAR
-    if np.isfinite(norm.frequency):
-        made = realise_delta(blocks, {name: delta}, norm.frequency, closed.dt)
-        pole, on_axis = nearest_pole(perturbed_model(closed, made), norm.frequency)
+    pole, found = None, singularity(response, delta) <= SINGULAR
+    if np.isfinite(frequency):
+        made = realise_delta(blocks, {name: delta}, frequency, closed.dt)
+        pole, on_axis = nearest_pole(perturbed_model(closed, made), frequency)
         found = found and on_axis
     status = norm.status if found else Status.INACCURATE
     stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
-    return SmallGain(stable, _inverse(norm.upper), 1 / norm.lower, norm.frequency, {name: delta}, pole, norm, M, status)
+    upper = 1 / float(sigma[0])
+    return SmallGain(stable, _inverse(norm.upper), upper, frequency, {name: delta}, pole, norm, M, status)
+
+
+def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np.complex128]]:
+    """Frequency of the peak, and M there; an end of the axis, where M is real, if the peak is as high there."""
+    end = np.pi / M.dt if M.is_discrete else np.inf
+    for omega in (0.0, end):
+        response = frequency_response(M, [omega])[0]
+        if np.linalg.norm(response, 2) >= norm.lower * (1 - RTOL):
+            return omega, response
+    return norm.frequency, frequency_response(M, [norm.frequency])[0]
 
 
 def nearest_pole(model: StateSpaceModel, omega: float) -> tuple[complex, bool]:

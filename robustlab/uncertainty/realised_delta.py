@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Where only real values exist (omega = 0, the end of the axis), imaginary parts up to this share are rounding.
-REAL = 1e-9
+REAL = 1e-7
 # A discrete frequency is an end of the axis where omega dt / 2 comes as close as this to 0 or pi / 2.
 END = 1e-9
 # A realised value may miss the wanted one by this share.
