@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.matrix_equations import RiccatiSolution, care
+from robustlab.matrix_equations import care
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
@@ -72,8 +72,13 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
     m, rate = _scaled(model)
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
-    control = _riccati(m, m.A, m.B, m.C.T @ m.C, r, m.C.T @ m.D)
-    filtering = _riccati(m, m.A.T, m.C.T, m.B @ m.B.T, s, m.B @ m.D.T)
+    try:
+        control = care(m.A, m.B, m.C.T @ m.C, r, m.C.T @ m.D)
+        filtering = care(m.A.T, m.C.T, m.B @ m.B.T, s, m.B @ m.D.T)
+    except NoTrustworthyNumber as error:
+        hidden = [mode.meaning for test in (controllability, observability) for mode in test(model).unstable_modes]
+        found = hidden[0] if hidden else error.found
+        raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
     f, h = control.gain, filtering.gain.T
     root_r, root_s = _inverse_root(r), _inverse_root(s)
     right = StateSpaceModel(
@@ -242,16 +247,6 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
 def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:
     root = np.sqrt(rate)
     return StateSpaceModel(model.A * rate, model.B * root, model.C * root, model.D)
-
-
-def _riccati(m: StateSpaceModel, a: Array, b: Array, q: Array, r: Array, s: Array) -> RiccatiSolution:
-    try:
-        return care(a, b, q, r, s)
-    except NoTrustworthyNumber as error:
-        hidden = [mode.meaning for test in (controllability(m), observability(m)) for mode in test.unstable_modes]
-        raise NoTrustworthyNumber(
-            "coprime factors", hidden[0] if hidden else error.found, "a stabilisable and detectable model"
-        ) from None
 
 
 def _inverse_root(matrix: Array) -> Array:

@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 
 # Relative width of the bracket of the gap.
 GAP_RTOL = 1e-8
+# A distance that cannot be told from zero.
+ROUNDING = 1e-13
 # Both directed gaps are equal where they are below 1; they are computed from different equations.
 AGREE = 1e-6
 # An eigenvalue whose real part is below this share of the largest has no sure side of the axis.
@@ -148,7 +150,7 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
     --------
     >>> one = StateSpaceModel([[0.001]], [[1.0]], [[1.0]], [[0.0]])
     >>> two = StateSpaceModel([[-0.001]], [[1.0]], [[1.0]], [[0.0]])
-    >>> round(nu_gap(one, two).value, 9)
+    >>> round(nu_gap(one, two).value, 6)
     0.002
     """
     mapped = _mapped(P1, P2, "nu_gap")
@@ -197,6 +199,8 @@ def gap(P1: Any, P2: Any) -> GapMetric:
         reason = f"the directed gaps {there[1]:.9g} and {back[1]:.9g} must be equal below 1"
     elif nu.lower > max(there[1], back[1]) + AGREE:
         reason = f"the nu-gap {nu.lower:.9g} exceeds {max(there[1], back[1]):.9g}: digits were lost"
+    elif high - low > AGREE:
+        reason = f"rounding leaves {high - low:.1e} between the bounds"
     elif not nu.status.trustworthy:
         reason = nu.reason
     status = Status.INACCURATE if reason else Status.CONVERGED
@@ -269,33 +273,40 @@ def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool
 
 def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     """Bracket of ``inf ||G1 - G2 Q||`` over stable Q."""
+    from scipy.optimize import brentq
+
     distance = _distance(one, two)
     norm: HinfNorm = hinf_norm(distance, rtol=GAP_RTOL)
-    low, high = min(norm.lower, 1.0), 1.0
-    rounding = 1e-13  # a distance that cannot be told from zero
-    first = min(norm.upper * (1 + GAP_RTOL) + rounding, 1.0)
-    gamma = first
-    while high - low > GAP_RTOL * high + rounding:
-        if _reached(one, two, distance, gamma):
-            high = gamma
-            if gamma == first:
-                break
-        else:
-            low = gamma
-        gamma = (low + high) / 2
-    return low, high
+    low = min(norm.lower, 1.0)
+    first = min(norm.upper * (1 + GAP_RTOL) + ROUNDING, 1.0)
+    if first == 1.0 or _hankel(one, two, distance, first) <= 1:
+        return low, first
+
+    def excess(gamma: float) -> float:
+        # Q = 0 reaches 1, where the spectral factor may not exist.
+        return float(np.clip(np.log(_hankel(one, two, distance, gamma)), -1.0, 1.0)) if gamma < 1.0 else -1.0
+
+    root = float(brentq(excess, first, 1.0, xtol=ROUNDING, rtol=GAP_RTOL))  # pyright: ignore[reportArgumentType]
+    # Each side of the root is asked by itself; rounding blurs it where the distance itself is next to nothing.
+    steps = (2 * GAP_RTOL, 1e-6, 1e-4, 1e-2, 1.0, 10.0, 100.0)
+    over = next((root * (1 + step) for step in steps if root * (1 + step) < 1 and excess(root * (1 + step)) <= 0), 1.0)
+    under = next((root * (1 - step) for step in steps[:4] if excess(max(root * (1 - step), first)) > 0), low)
+    return max(low, under), over
 
 
-def _reached(one: CoprimeFactors, two: CoprimeFactors, distance: StateSpaceModel, gamma: float) -> bool:
-    """Whether some stable Q gives ``||G1 - G2 Q|| <= gamma``: a Hankel norm of at most one."""
+def _hankel(one: CoprimeFactors, two: CoprimeFactors, distance: StateSpaceModel, gamma: float) -> float:
+    """Hankel norm of what Q cannot remove: some stable Q gives ``||G1 - G2 Q|| <= gamma`` iff it is at most 1.
+
+    Infinite where gamma is below the norm of the part that Q does not touch at all.
+    """
     s, g1, g2 = distance, one.right, two.right
     weight = gamma**2 * np.eye(s.n_inputs) - s.D.T @ s.D
     if np.linalg.eigvalsh(weight)[0] <= 0:
-        return False
+        return np.inf
     try:
         gain = care(s.A, s.B, s.C.T @ s.C, -weight, s.C.T @ s.D).gain
     except NoTrustworthyNumber:
-        return False
+        return np.inf
     # Phi^-1 = (A + B K, B W^-1, K, W^-1) for W^2 = weight, and G1 Phi^-1 shares its states.
     values, vectors = np.linalg.eigh(weight)
     root = vectors / np.sqrt(values) @ vectors.T
@@ -303,7 +314,7 @@ def _reached(one: CoprimeFactors, two: CoprimeFactors, distance: StateSpaceModel
     C = np.hstack([g1.C, np.zeros((g1.n_outputs, two.left.n_states))]) + g1.D @ gain
     D = g1.D @ root
     if not g2.n_states:
-        return True
+        return np.finfo(float).tiny
     from scipy.linalg import solve_sylvester
 
     # The antistable part of G2* (C (s - A)^-1 B + D), in the states of G2*.
@@ -313,5 +324,6 @@ def _reached(one: CoprimeFactors, two: CoprimeFactors, distance: StateSpaceModel
         reach = lyapunov(g2.A.T, into @ into.T)
         see = lyapunov(g2.A, g2.B @ g2.B.T)
     except NoTrustworthyNumber:
-        return False
-    return bool(np.linalg.eigvals(reach @ see).real.max() <= 1)
+        return np.inf
+    square = float(np.linalg.eigvals(reach @ see).real.max())
+    return float(np.sqrt(max(square, np.finfo(float).tiny)))

@@ -31,7 +31,7 @@ CASES = {
 
 
 @given(**CASES)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_they_are_metrics(seed, n, p, m, step):
     a, b, c = near(seed, n, p, m, step)
     for distance, slack in ((lambda x, y: nu_gap(x, y).value, 1e-8), (lambda x, y: gap(x, y).value, 1e-6)):

@@ -42,7 +42,7 @@ def test_integrators(k):
 def test_a_slow_pole_on_either_side_of_the_axis(a):
     result = nu_gap(first_order(1, a), first_order(1, -a))
     assert result.value == pytest.approx(2 * a / (1 + a**2), rel=1e-9)
-    assert result.frequency == 0.0
+    assert result.frequency <= 0.01 * a  # the curve is flat there
     assert result.status is rl.Status.CERTIFIED
 
 
@@ -54,6 +54,16 @@ def test_static_gains_are_the_sine_of_an_angle(k1, k2):
     assert gap(one, two).value == pytest.approx(expected, abs=1e-7)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_model_is_at_no_distance_from_itself(seed):
+    model = random_model(seed, 2, 1, seed)
+    for same in (model, tf([1], [1, 0, 0])):
+        result = gap(same, same)
+        assert result.value <= 2e-7
+        assert result.nu.value <= 1e-12
+        assert result.status is rl.Status.CONVERGED
+
+
 def test_opposite_signs_are_one_apart():
     result = nu_gap(first_order(1, -1), first_order(-1, -1))
     assert result.value == 1.0
@@ -61,14 +71,14 @@ def test_opposite_signs_are_one_apart():
 
 
 def test_the_winding_condition_decides_where_the_curves_are_close():
-    """-1/(s - 1) and a stable gain of nearly its size: pointwise close nowhere near 1, yet no controller for both."""
-    one, two = first_order(10, 1), first_order(-10, -1)
+    """A right-half-plane pole that nearly cancels: no frequency shows it, and no controller is good for both."""
+    one, two = first_order(1, -1), tf([1, -1.01], [1, 0, -1])
     result = nu_gap(one, two)
-    assert result.chordal < 0.3
+    assert result.chordal < 0.01
     assert result.winding != 0
     assert result.value == 1.0
     assert "winds" in result.reason
-    assert gap(one, two).value == pytest.approx(1.0, abs=1e-7)
+    assert gap(one, two).value > 1 - 1e-4
 
 
 # --- published -------------------------------------------------------------------------------------------------------
@@ -139,9 +149,9 @@ def test_the_directed_gap_against_synthesis(seed):
         np.block([[g1.C, -g2.C], [np.zeros((1, n1 + n2))]]),
         np.block([[g1.D, -g2.D], [np.eye(1), np.zeros((1, 1))]]),
     )
-    reached = rl.hinf(P, 1, 1)
+    reached = rl.hinf(P, 1, 1, gamma_rel=1.0)
     assert reached.gamma >= result.directed[0] * (1 - 1e-6)
-    assert reached.gamma == pytest.approx(result.directed[0], rel=2e-2)
+    assert reached.gamma == pytest.approx(result.directed[0], rel=1e-3)
 
 
 def test_the_gap_may_exceed_the_nu_gap():
