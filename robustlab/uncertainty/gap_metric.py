@@ -37,8 +37,11 @@ Array = NDArray[np.float64]
 
 # Relative width of the bracket of the gap.
 GAP_RTOL = 1e-8
-# A distance that cannot be told from zero.
+# A step of the bisection, and a distance, that cannot be told from zero.
 ROUNDING = 1e-13
+NOTHING = 1e-12
+# Below this distance rounding hides in the spectral factor, and Q = 1 is tried as well.
+CLOSE = 1e-6
 # Both directed gaps are equal where they are below 1; they are computed from different equations.
 AGREE = 1e-6
 # An eigenvalue whose real part is below this share of the largest has no sure side of the axis.
@@ -232,6 +235,8 @@ def _distance(one: CoprimeFactors, two: CoprimeFactors) -> StateSpaceModel:
 def _nu_gap(one: CoprimeFactors, two: CoprimeFactors, mapped: MappedModels) -> NuGap:
     norm = hinf_norm(_distance(one, two), rtol=1e-9)
     frequency = mapped.frequency(norm.frequency)
+    if norm.lower <= NOTHING:
+        return NuGap(0.0, NOTHING, frequency, norm.lower, 0, Status.CERTIFIED)
     chordal = min(norm.lower, 1.0)
     winding, sure = _winding(one, two)
     if winding is None:
@@ -271,6 +276,17 @@ def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool
 # --- the directed gap ------------------------------------------------------------------------------------------------
 
 
+def _difference(one: StateSpaceModel, two: StateSpaceModel) -> StateSpaceModel:
+    """``G1 - G2``."""
+    between = np.zeros((one.n_states, two.n_states))
+    return StateSpaceModel(
+        np.block([[one.A, between], [between.T, two.A]]),
+        np.vstack([one.B, two.B]),
+        np.hstack([one.C, -two.C]),
+        one.D - two.D,
+    )
+
+
 def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     """Bracket of ``inf ||G1 - G2 Q||`` over stable Q."""
     from scipy.optimize import brentq
@@ -278,6 +294,12 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     distance = _distance(one, two)
     norm: HinfNorm = hinf_norm(distance, rtol=GAP_RTOL)
     low = min(norm.lower, 1.0)
+    if low <= NOTHING:
+        low = 0.0
+    if low <= CLOSE:
+        difference = hinf_norm(_difference(one.right, two.right))
+        if difference.upper <= CLOSE:
+            return low, difference.upper
     first = min(norm.upper * (1 + GAP_RTOL) + ROUNDING, 1.0)
     if first == 1.0 or _hankel(one, two, distance, first) <= 1:
         return low, first
