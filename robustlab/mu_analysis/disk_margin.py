@@ -78,7 +78,7 @@ class DiskMargin:
         2``. Empty where a factor is infinite, or where only complex numbers at frequency zero are critical.
     pole
         The pole of the loop with these perturbations that lies next to the stability boundary at ``frequency``; None
-        where the loop is then ill-posed (``frequency`` inf), or where ``perturbation`` could not be made of real
+        where the loop is then ill-posed (``frequency`` inf, or no states), or where ``perturbation`` could not be made of real
         coefficients.
     status
         CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold.
@@ -339,7 +339,7 @@ def _result(
     low, high, phase = gain_and_phase(bounds[0], skew)
     factor = {name: _factor(d, skew) for name, d in delta.items()}
     perturbation, pole, notes = {}, None, []
-    if frequency is not None and np.isfinite(frequency):
+    if frequency is not None and np.isfinite(frequency) and uncertain.M.n_states:
         try:
             made = realise_delta(uncertain.blocks, delta, frequency, uncertain.dt)
         except InputError:  # complex values at an end of the axis

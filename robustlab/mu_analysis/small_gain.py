@@ -67,7 +67,7 @@ class SmallGain:
         of the block. Empty without effect.
     pole
         The pole of the loop with ``delta`` realised as a stable system that lies next to the stability boundary at that
-        frequency; None where ``frequency`` is inf (the loop is then ill-posed) or without effect.
+        frequency; None where the loop is then ill-posed (``frequency`` inf, or no states) or without effect.
     norm
         H-infinity norm of M, with its own evidence.
     M
@@ -139,7 +139,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     name = blocks[0].name
     delta.setflags(write=False)
     pole, found = None, singularity(response, delta) <= SINGULAR
-    if np.isfinite(frequency):
+    if np.isfinite(frequency) and M.n_states:
         made = realise_delta(blocks, {name: delta}, frequency, closed.dt)
         pole, on_axis = nearest_pole(perturbed_model(closed, made), frequency)
         found = found and on_axis

@@ -42,6 +42,8 @@ from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
 __all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
 
+# The margin of the scaled set changes less than the size of the disks does: it is asked for more closely.
+MARGIN_ACCURACY = 2e-4
 # Where the bounds no longer move, the search ends after this many margins.
 MAX_MARGINS = 25
 
@@ -186,7 +188,7 @@ class _Search:
         self.lower, self.upper = 0.0, self.nominal.upper
         self.member: DiskMargin | None = self.nominal
         self.delta: Mapping[str, Any] = {b.name: _zero(b) for b in self.blocks}
-        self.margins = 0
+        self.asked: list[tuple[float, float]] = []  # sizes of the disks, and the margins proved for them
 
     def left(self) -> float:
         """Time left in s, never nothing: the margin itself says when its time was up."""
@@ -201,33 +203,53 @@ class _Search:
         if alone.upper <= 1:
             self._take(alone, {name: alone.delta[name] for name in alone.delta})
         while self.upper > self.lower * (1 + accuracy) and time.monotonic() < self.until:
-            if self.margins >= MAX_MARGINS or not self._step(accuracy):
+            before = self.lower, self.upper
+            self._step(self._next(accuracy))
+            if len(self.asked) >= MAX_MARGINS or (before == (self.lower, self.upper) and self._closed_in(accuracy)):
                 return
 
-    def _step(self, accuracy: float) -> bool:
-        """One margin close below the upper bound, else in the middle; whether a bound moved."""
-        before = self.lower, self.upper
-        top = self.upper if np.isfinite(self.upper) else 1e3
-        for alpha in (top / (1 + accuracy / 2), np.sqrt(max(self.lower, top / 16) * top)):
-            margin = self._margin(alpha)
-            if margin.lower >= 1:
-                self.lower = max(self.lower, min(margin.lower * alpha, self.upper))
-            if margin.upper <= 1:
-                self._take(margin, {b.name: margin.delta[b.name] for b in self.blocks})
-            if (self.lower, self.upper) != before:
-                return True
-        return False
+    def _next(self, accuracy: float) -> float:
+        """Size of the disks to ask for next: a little below the one at which the proved margin would be 1."""
+        top = min(self.upper, 1e3)
+        failed = min((point for point in self.asked if point[1] < 1), default=None)
+        proved = max((point for point in self.asked if point[1] >= 1), default=None)
+        if failed is None:
+            return top / (1 + accuracy / 2)
+        if proved is None:
+            return 0.5 * failed[0] * failed[1]
+        # The margin falls with the size, nearly by a power law.
+        (low, high_margin), (high, low_margin) = proved, failed
+        slope = np.log(high_margin / low_margin) / np.log(high / low) if high > low * (1 + 1e-9) else 1.0
+        crossing = low * high_margin ** (1 / max(float(slope), 0.05))
+        return float(np.clip(crossing, low**0.9 * high**0.1, high / (1 + accuracy / 10)))
+
+    def _closed_in(self, accuracy: float) -> bool:
+        """Whether the sizes that were proved and those that were not already meet."""
+        failed = min((alpha for alpha, margin in self.asked if margin < 1), default=np.inf)
+        return bool(self.lower * (1 + accuracy / 4) >= failed)
+
+    def _step(self, alpha: float) -> None:
+        """One margin; where it is above 1 it moves the lower bound, where it is below 1 the upper one."""
+        margin = self._margin(alpha)
+        self.asked.append((alpha, margin.lower))
+        if margin.lower >= 1:
+            self.lower = max(self.lower, min(margin.lower * alpha, self.upper))
+        if margin.upper <= 1:
+            self._take(margin, {b.name: margin.delta[b.name] for b in self.blocks})
 
     def _margin(self, alpha: float) -> Margin:
         """Margin of the set with disks of size ``alpha``."""
-        self.margins += 1
         m, q = self.loop.M, self.loop.delta_shape[0]
         scale = np.ones(m.n_inputs)
         scale[q:] = alpha
         scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt)
         disks: list[Block] = [ComplexScalar(f"disk: {name}") for name in self.names]
         return robust_stability(
-            UncertainModel(scaled, [*self.blocks, *disks]), omega=[1.0], time_limit=self.left(), seed=self.seed
+            UncertainModel(scaled, [*self.blocks, *disks]),
+            omega=[1.0],
+            accuracy=MARGIN_ACCURACY,
+            time_limit=self.left(),
+            seed=self.seed,
         )
 
     def _take(self, margin: Margin, found: Mapping[str, Any]) -> None:
@@ -265,11 +287,11 @@ class _Search:
             status = Status.TIMEOUT
         else:
             status = Status.CERTIFIED if self.lower > 0 else Status.INCONCLUSIVE
-        low, high, phase = gain_and_phase(self.lower, self.skew)
+        low, high, phase = gain_and_phase(float(self.lower), self.skew)
         physical = self.uncertain.physical(self.delta)
         return WorstCaseDiskMargin(
-            self.lower,
-            self.upper,
+            float(self.lower),
+            float(self.upper),
             (low, high),
             phase,
             self.skew,
