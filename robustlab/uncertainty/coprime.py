@@ -1,0 +1,265 @@
+r"""Normalised coprime factors of a model, and the stability margin that belongs to them.
+
+.. math:: P = N M^{-1} = \tilde M^{-1} \tilde N, \qquad N^* N + M^* M = I, \qquad
+   \tilde N \tilde N^* + \tilde M \tilde M^* = I
+
+References
+----------
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and
+Feedback* (2001), chapters 2, 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.matrix_equations import care
+from robustlab.norms import bilinear_to_continuous, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.structural import controllability, observability
+
+__all__ = ["CoprimeFactors", "CoprimeMargin", "MappedModels", "continuous_models", "coprime_factors", "coprime_margin"]
+
+Array = NDArray[np.float64]
+
+# How far the factors may be from inner, evaluated at frequencies around the model's poles.
+INNER = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class CoprimeFactors:
+    """Normalised coprime factors of a continuous model with p outputs and m inputs.
+
+    Attributes
+    ----------
+    right
+        ``[N; M]`` (p + m outputs, m inputs), stable and inner.
+    left
+        ``[N~, M~]`` (p outputs, m + p inputs), stable and co-inner.
+    best_margin
+        The largest `coprime_margin` that any controller reaches, ``(1 + rho(X Z))^(-1/2)``.
+    """
+
+    right: StateSpaceModel
+    left: StateSpaceModel
+    best_margin: float
+
+
+def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
+    r"""Normalised coprime factors from two Riccati equations.
+
+    .. math:: A^T X + X A + C^T C - (X B + C^T D) R^{-1} (B^T X + D^T C) = 0, \qquad R = I + D^T D
+
+    and its dual for Z.
+
+    Parameters
+    ----------
+    model
+        Continuous model, stable or not, that is stabilisable and detectable.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        An unstable or marginal mode is hidden from the inputs or the outputs, or digits were lost.
+    """
+    m, rate = _scaled(model)
+    p, q = m.D.shape
+    r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
+    try:
+        control = care(m.A, m.B, m.C.T @ m.C, r, m.C.T @ m.D)
+        filtering = care(m.A.T, m.C.T, m.B @ m.B.T, s, m.B @ m.D.T)
+    except NoTrustworthyNumber as error:
+        hidden = [mode.meaning for test in (controllability, observability) for mode in test(model).unstable_modes]
+        found = hidden[0] if hidden else error.found
+        raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
+    f, h = control.gain, filtering.gain.T
+    root_r, root_s = _inverse_root(r), _inverse_root(s)
+    right = StateSpaceModel(
+        m.A + m.B @ f, m.B @ root_r, np.vstack([m.C + m.D @ f, f]), np.vstack([m.D @ root_r, root_r])
+    )
+    left = StateSpaceModel(
+        m.A + h @ m.C, np.hstack([m.B + h @ m.D, h]), root_s @ m.C, np.hstack([root_s @ m.D, root_s])
+    )
+    _check_inner(m, right, left)
+    product = np.linalg.eigvals(control.X @ filtering.X).real.max(initial=0.0)
+    return CoprimeFactors(_unscaled(right, rate), _unscaled(left, rate), float(1 / np.sqrt(1 + max(product, 0.0))))
+
+
+@dataclass(frozen=True)
+class CoprimeMargin:
+    """Stability margin b(P, C) of a loop.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= b <= upper``; both 0 where C does not stabilise P.
+    frequency
+        Where it is smallest, in rad/s; None where C does not stabilise P.
+    best
+        The largest margin that any controller reaches for this plant.
+    status
+        Status of the H-infinity norm that gave it.
+    reason
+        Why the margin is 0 or inaccurate; else empty.
+    """
+
+    lower: float
+    upper: float
+    frequency: float | None
+    best: float
+    status: Status
+    reason: str = ""
+
+    @property
+    def value(self) -> float:
+        """The proved margin, ``lower``."""
+        return self.lower
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return {"type": "CoprimeMargin", "value": self.value, **vars(self)}
+
+
+def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargin:
+    r"""Stability margin of the loop of P and C, with the meaning of a distance in the gap and nu-gap metric.
+
+    .. math:: b(P, C) = \left\| \begin{bmatrix} P \\ I \end{bmatrix} (I - s C P)^{-1}
+       \begin{bmatrix} -C & I \end{bmatrix} \right\|_\infty^{-1}
+
+    with s = ``sign``. C stabilises every plant whose nu-gap to P is less than b(P, C).
+
+    Parameters
+    ----------
+    P, C
+        Plant (p outputs, m inputs) and controller (m outputs, p inputs), ``u = sign C y``.
+    sign
+        -1 for negative feedback, 1 for positive feedback.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit, or an algebraic loop.
+
+    References
+    ----------
+    Glover, McFarlane (1989); Vinnicombe, *Uncertainty and Feedback* (2001), section 1.2.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> round(coprime_margin(lag, StateSpaceModel([], [], [], [[1.0]])).value, 5)
+    0.70711
+    """
+    plant, k = as_model(P, "coprime_margin: P"), as_model(C, "coprime_margin: C")
+    if k.D.shape != plant.D.T.shape:
+        raise InputError(
+            "coprime_margin", f"C is {k.n_outputs} x {k.n_inputs}", f"{plant.n_inputs} x {plant.n_outputs}"
+        )
+    if sign not in (-1, 1):
+        raise InputError("coprime_margin: sign", f"{sign!r}", "-1 (negative feedback) or 1 (positive feedback)")
+    loop = lower_lft(_four_block(plant), StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt))
+    norm = hinf_norm(loop, rtol=1e-9)
+    best = coprime_factors(continuous_models(plant).models[0]).best_margin
+    if not np.isfinite(norm.upper):
+        return CoprimeMargin(0.0, 0.0, None, best, norm.status, norm.reason)
+    return CoprimeMargin(1 / norm.upper, 1 / norm.lower, norm.frequency, best, norm.status, norm.reason)
+
+
+def _four_block(plant: StateSpaceModel) -> StateSpaceModel:
+    """From (w1, w2, u) to (y, v, y + w1) with ``v = u + w2``, ``y = P v``: closed by u = C (y + w1)."""
+    p, m = plant.D.shape
+    n = plant.n_states
+    v = np.hstack([np.zeros((m, p)), np.eye(m), np.eye(m)])
+    y = plant.D @ v
+    measured = y + np.hstack([np.eye(p), np.zeros((p, 2 * m))])
+    return StateSpaceModel(
+        plant.A, plant.B @ v, np.vstack([plant.C, np.zeros((m, n)), plant.C]), np.vstack([y, v, measured]), plant.dt
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MappedModels:
+    """Continuous models with the same values on the stability boundary, and the way back to its frequencies."""
+
+    models: tuple[StateSpaceModel, ...]
+    dt: float
+    mirrored: bool
+
+    def frequency(self, omega: float) -> float:
+        """Frequency of the models as given that belongs to ``omega`` of the mapped ones, in rad/s."""
+        if not self.dt:
+            return omega
+        bent = 2 / self.dt * float(np.arctan(omega * self.dt / 2)) if np.isfinite(omega) else np.pi / self.dt
+        return np.pi / self.dt - bent if self.mirrored else bent
+
+
+def continuous_models(*models: StateSpaceModel) -> MappedModels:
+    """Continuous models as they are, discrete ones through ``s = (2/dt) (z - 1)/(z + 1)``, all mapped alike.
+
+    Where one has a pole at z = -1, -z takes the place of z.
+
+    Raises
+    ------
+    InputError
+        Different sample times.
+    NoTrustworthyNumber
+        Poles at z = 1 and z = -1.
+    """
+    times = {m.dt for m in models if m.n_states or m.dt}
+    if len(times) > 1:
+        raise InputError("gap", f"sample times {sorted(times)} s (0: continuous)", "one common sample time")
+    dt = times.pop() if times else 0.0
+    if dt == 0:
+        return MappedModels(models, 0.0, False)
+    try:
+        straight = tuple(StateSpaceModel(m.A, m.B, m.C, m.D, dt) for m in models)
+        return MappedModels(tuple(bilinear_to_continuous(m) for m in straight), dt, False)
+    except NoTrustworthyNumber:
+        turned = tuple(StateSpaceModel(-m.A, -m.B, m.C, m.D, dt) for m in models)
+        return MappedModels(tuple(bilinear_to_continuous(m) for m in turned), dt, True)
+
+
+def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
+    """The same transfer function of ``s / rate`` with balanced states, and the rate in rad/s."""
+    from scipy.linalg import matrix_balance
+
+    if not model.n_states:
+        return model, 1.0
+    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
+        a, (scale, _) = matrix_balance(model.A, permute=False, separate=True)
+    b, c = model.B / scale[:, None], model.C * scale
+    size = np.abs(np.linalg.eigvals(a))
+    size = size[size > 1e-12 * max(float(size.max()), 1e-300)]
+    rate = float(2.0 ** np.round(np.log2(np.median(size)))) if len(size) else 1.0
+    in_size, out_size = float(np.linalg.norm(b)), float(np.linalg.norm(c))
+    level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
+    root = np.sqrt(rate)
+    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate
+
+
+def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:
+    root = np.sqrt(rate)
+    return StateSpaceModel(model.A * rate, model.B * root, model.C * root, model.D)
+
+
+def _inverse_root(matrix: Array) -> Array:
+    """``matrix^(-1/2)`` of a symmetric positive definite matrix."""
+    values, vectors = np.linalg.eigh(matrix)
+    return vectors / np.sqrt(values) @ vectors.T
+
+
+def _check_inner(m: StateSpaceModel, right: StateSpaceModel, left: StateSpaceModel) -> None:
+    speeds = np.abs(np.concatenate([m.poles(), right.poles(), left.poles()]))
+    omega = np.unique(np.concatenate([[0.0], speeds]))
+    g, h = frequency_response(right, omega), frequency_response(left, omega)
+    off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
+    off = max(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
+    if not off <= INNER:
+        raise NoTrustworthyNumber("coprime factors", f"they miss being normalised by {off:.1e}", f"at most {INNER:.0e}")

@@ -1,0 +1,332 @@
+r"""A complex Delta, found at one frequency, as stable systems that take this value there and are never larger.
+
+A complex number is met by an all-pass with real coefficients,
+
+.. math:: \delta(s) = \pm |\delta_0| \frac{a - s}{a + s}, \quad a > 0, \qquad \delta(j \omega_0) = \delta_0,
+
+and a complex matrix by its singular value decomposition. A unitary matrix is
+
+.. math:: U = O_1 \operatorname{diag}(e^{j \theta_1}, \dots, e^{j \theta_m}) \, O_2
+
+with real orthogonal :math:`O_1, O_2`, where :math:`O_1` diagonalises the real and the imaginary part of
+:math:`U U^T`: only phases have to be realised. The singular values are those of :math:`\Delta_0` at every frequency,
+hence so is the H-infinity norm, whatever the rank.
+
+References
+----------
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 9.1 (rank one, by all-pass factors of the entries).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.norms import bilinear_to_discrete
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, delta_matrix
+from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+
+__all__ = ["perturbed_model", "realise_delta"]
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Where only real values exist (omega = 0, the end of the axis), imaginary parts up to this share are rounding.
+REAL = 1e-7
+# A discrete frequency is an end of the axis where omega dt / 2 comes as close as this to 0 or pi / 2.
+END = 1e-9
+# A realised value may miss the wanted one by this share.
+MISSED = 1e-10
+# Phases closer to 0 than this are made of two factors: one would have its pole 1/NEAR away from omega.
+NEAR = 1e-2
+# Singular values below this share of the largest are not realised.
+NOTHING = 1e-14
+
+
+def realise_delta(
+    blocks: Sequence[Block], delta: Mapping[str, Any], omega: float, dt: float = 0.0
+) -> dict[str, float | StateSpaceModel]:
+    r"""A stable system for each block of a complex Delta, of the same H-infinity norm, equal to it at ``omega``.
+
+    Parameters
+    ----------
+    blocks
+        Blocks of Delta.
+    delta
+        One value per block name: a number, or a matrix (rows, cols) for a full block; what `robust_stability` returns.
+    omega
+        Frequency in rad/s; ``inf`` for a direct term in continuous time, ``pi / dt`` at most in discrete time.
+    dt
+        Sample time in s of the realised systems; 0 for continuous time.
+
+    Returns
+    -------
+    dict
+        For a real scalar its number; for a complex scalar, repeated or not, a single-input single-output model of at
+        most two states; for a full block a model with ``cols`` inputs and ``rows`` outputs. Blocks that ``delta``
+        leaves out are left out.
+
+    Raises
+    ------
+    InputError
+        A frequency outside the axis, values that do not fit the blocks, or a complex value at ``omega = 0`` (or at the
+        end of the axis), where systems with real coefficients are real.
+    NoTrustworthyNumber
+        A realisation misses its value.
+
+    Notes
+    -----
+    With a critical Delta of `robust_stability` the loop of these systems has a pole at :math:`j \omega_0`
+    (`perturbed_model`), so the loss of stability can be replayed in the time domain.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks import ComplexScalar
+    >>> made = realise_delta([ComplexScalar("d")], {"d": 0.5j}, omega=2.0)["d"]
+    >>> made.poles(), frequency_response(made, [2.0]).round(12)
+    (array([-2.+0.j]), array([[[0.+0.5j]]]))
+    """
+    where = "realise_delta"
+    if not np.isfinite(dt) or dt < 0:
+        raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
+    end = np.pi / dt if dt else np.inf
+    if not 0 <= omega <= end * (1 + 1e-12):
+        raise InputError(where, f"omega = {omega:g} rad/s", f"between 0 and {end:g} rad/s")
+    delta_matrix(blocks, delta)  # names, shapes and finite numbers
+    result: dict[str, float | StateSpaceModel] = {}
+    for block in blocks:
+        if block.name not in delta:
+            continue
+        value = np.asarray(delta[block.name], dtype=complex)
+        if isinstance(block, RealScalar):
+            result[block.name] = float(np.real(value).reshape(()))
+            continue
+        matrix = value.reshape((block.rows, block.cols) if isinstance(block, FullBlock) else (1, 1))
+        result[block.name] = _realised(matrix, float(omega), dt, f"{where}: block {block.name!r}")
+    return result
+
+
+def perturbed_model(uncertain: UncertainModel, delta: Mapping[str, Any]) -> StateSpaceModel:
+    """The member of the set for blocks that are numbers, real matrices or models, such as `realise_delta` gives.
+
+    Parameters
+    ----------
+    uncertain
+        The set.
+    delta
+        One value per block name: a number or a real matrix, or, for complex blocks, a model: of one input and one
+        output for a complex scalar (it is repeated as often as the block), of ``cols`` inputs and ``rows`` outputs for
+        a full block. Blocks left out are zero.
+
+    Returns
+    -------
+    StateSpaceModel
+        States: those of M, then those of the blocks, one copy per repetition.
+
+    Raises
+    ------
+    InputError
+        Models whose sizes or sample times do not fit, a model for a real scalar.
+    NoTrustworthyNumber
+        I - D11 D_Delta is singular: the perturbed model is not well posed.
+
+    Examples
+    --------
+    >>> M = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    >>> lag = UncertainModel(M, [FullBlock("d", 1, 1)])
+    >>> perturbed_model(lag, {"d": StateSpaceModel([[-3.0]], [[1.0]], [[1.0]], [[0.0]])}).n_states
+    2
+    """
+    blocks, M = uncertain.blocks, uncertain.M
+    systems = {name: value for name, value in delta.items() if not _is_constant(value)}
+    constant = delta_matrix(blocks, {name: value for name, value in delta.items() if name not in systems})
+    delta_matrix(blocks, dict.fromkeys(systems.keys() - {b.name for b in blocks}, 0.0))  # unknown names
+    if np.iscomplexobj(constant):
+        raise InputError("perturbed_model", "a complex value", "real values and models", "realise_delta makes models")
+    q, p = uncertain.delta_shape
+    made = _block_diagonal(blocks, systems, constant, M.dt)
+    loop = np.eye(p) - M.D[:p, :q] @ made.D
+    if p and q and np.linalg.cond(loop) > ILL_POSED:
+        raise NoTrustworthyNumber("perturbed_model", "I - D11 D_Delta is singular: the perturbed model is ill-posed")
+    # The Delta channels come last for lower_lft.
+    w, z = np.r_[q : M.n_inputs, 0:q], np.r_[p : M.n_outputs, 0:p]
+    turned = StateSpaceModel(
+        M.A,
+        M.B[:, w],
+        M.C[z],
+        M.D[z[:, None], w],
+        M.dt,
+        [M.inputs[i] for i in w],
+        [M.outputs[i] for i in z],
+        M.states,
+    )
+    return lower_lft(turned, made)
+
+
+def _is_constant(value: Any) -> bool:
+    return isinstance(value, (int, float, complex, np.generic, np.ndarray, list, tuple))
+
+
+def _block_diagonal(blocks: Sequence[Block], systems: Mapping[str, Any], constant: Array, dt: float) -> StateSpaceModel:
+    """Delta as one model with p inputs (z) and q outputs (w); ``constant`` (q, p) holds the constant blocks."""
+    from scipy.linalg import block_diag
+
+    q, p = constant.shape
+    A, B, C = np.zeros((0, 0)), np.zeros((0, p)), np.zeros((q, 0))
+    D = constant.copy()
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        if block.name not in systems:
+            continue
+        where = f"perturbed_model: block {block.name!r}"
+        if isinstance(block, RealScalar):
+            raise InputError(where, "a model", "a number: the block is a real scalar")
+        m = as_model(systems[block.name], where)
+        shape = (block.rows, block.cols) if isinstance(block, FullBlock) else (1, 1)
+        if m.D.shape != shape:
+            raise InputError(where, f"a model of {m.n_outputs} x {m.n_inputs}", f"{shape[0]} x {shape[1]}")
+        if m.dt != dt and m.n_states:
+            raise InputError(where, f"dt = {m.dt:g} s", f"{dt:g} s, as the uncertain model")
+        copies = 1 if isinstance(block, FullBlock) else block.repeats
+        a, b, c, d = (np.kron(np.eye(copies), part) for part in (m.A, m.B, m.C, m.D))
+        n, more = len(A), len(a)
+        A = np.asarray(block_diag(A, a)).reshape(n + more, n + more)
+        B = np.vstack([B, np.zeros((more, p))])
+        B[n:, z] = b
+        C = np.hstack([C, np.zeros((q, more))])
+        C[w, n:] = c
+        D[w, z] = d
+    return StateSpaceModel(A, B, C, D, dt, where="perturbed_model")
+
+
+# --- realisation -----------------------------------------------------------------------------------------------------
+
+
+def _realised(value: ComplexArray, omega: float, dt: float, where: str) -> StateSpaceModel:
+    """A stable model (rows, cols) of the norm of ``value`` that equals it at ``omega``, checked."""
+    turn = omega * dt / 2
+    # In discrete time a slow pole is stored as its distance to z = 1: too close to it there are no digits for a phase.
+    at_end = not END < turn < np.pi / 2 - END if dt else omega == 0 or not np.isfinite(omega)
+    size = float(np.abs(value).max(initial=0.0))
+    if at_end or not np.any(value.imag):
+        if np.abs(value.imag).max(initial=0.0) > REAL * size:
+            raise InputError(
+                where,
+                f"a complex value at omega = {omega:g} rad/s, where models with real coefficients are real",
+                "a real value",
+                "take a frequency close by",
+            )
+        return StateSpaceModel([], [], [], value.real, dt)
+    # In discrete time s = (2/dt) (z - 1)/(z + 1) bends the axis.
+    at = 2 / dt * float(np.tan(turn)) if dt else omega
+    if value.shape == (1, 1):
+        made = _scaled(_phases(np.array([np.angle(value[0, 0])]), at), np.abs(value), np.eye(1))
+    else:
+        made = _matrix(value, at)
+    made = bilinear_to_discrete(made, dt) if dt else made
+    missed = float(np.abs(frequency_response(made, [omega])[0] - value).max())
+    lost = 1e3 * np.finfo(float).eps / np.sin(omega * dt) if dt else 0.0
+    if missed > (MISSED + lost) * size or not made.is_stable():
+        raise NoTrustworthyNumber(where, f"the realisation misses its value by {missed / size:.1e} at {omega:g} rad/s")
+    return made
+
+
+def _matrix(value: ComplexArray, omega: float) -> StateSpaceModel:
+    """``U diag(sigma) V^H`` with both unitary factors in their real-orthogonal and phase parts."""
+    u, sigma, vh = np.linalg.svd(value, full_matrices=False)
+    rank = int((sigma > NOTHING * sigma[0]).sum())
+    left, theta, mid_left = _orthogonal_and_phases(u[:, :rank])
+    right, phi, mid_right = _orthogonal_and_phases(vh[:rank].T)
+    # U e^{-j t} and e^{j t} V^H give the same product: one phase of U becomes 0 and needs no state.
+    shift = float(theta[0])
+    outer, inner = _phases(theta - shift, omega), _phases(phi + shift, omega)
+    # value = left e^{j theta} (mid_left diag(sigma) mid_right^T) e^{j phi} right^T
+    middle = mid_left * sigma[:rank] @ mid_right.T
+    first = _scaled(inner, middle, right.T)
+    second = _scaled(outer, left, np.eye(len(theta)))
+    n1, n2 = first.n_states, second.n_states
+    return StateSpaceModel(
+        np.block([[first.A, np.zeros((n1, n2))], [second.B @ first.C, second.A]]),
+        np.vstack([first.B, second.B @ first.D]),
+        np.hstack([second.D @ first.C, second.C]),
+        second.D @ first.D,
+    )
+
+
+def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
+    r"""``columns = left diag(e^{j theta}) right`` for orthonormal columns (n, r): left (n, m), right (m, r).
+
+    Left has orthonormal real columns and right is real with orthonormal columns; ``m <= min(n, 2 r)``, because the real
+    and imaginary parts of the columns span no more.
+    """
+    basis, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
+    basis = basis[:, s > 1e-13]
+    small = basis.T @ columns
+    m = small.shape[0]
+    # Completed to a square unitary matrix.
+    rest = np.linalg.svd(small, full_matrices=True)[0][:, small.shape[1] :]
+    unitary = np.hstack([small, rest])
+    symmetric = unitary @ unitary.T
+    best: tuple[float, Array, Array, Array] | None = None
+    # Real and imaginary part commute; a generic combination of them has their common eigenvectors.
+    for mix in (0.0, 0.5772156649, -1.6180339887, 2.6651441426):
+        _, vectors = np.linalg.eigh(symmetric.real + mix * symmetric.imag)
+        theta = np.angle(np.einsum("ik,ij,jk->k", vectors, symmetric, vectors)) / 2
+        right = np.exp(-1j * theta)[:, None] * (vectors.T @ unitary)
+        error = float(np.abs(right.imag).max(initial=0.0))
+        if best is None or error < best[0]:
+            best = error, vectors, theta, right.real
+    assert best is not None
+    _, vectors, theta, right = best
+    return basis @ vectors, theta, right[:, : m - rest.shape[1]]
+
+
+def _phases(theta: Array, omega: float) -> list[list[tuple[float, float]]]:
+    """For each phase its all-pass factors ``sign (a - s)/(a + s)`` as (sign, a); ``a = 0`` stands for a constant."""
+    return [_factors(float(t), omega) for t in theta]
+
+
+def _factors(theta: float, omega: float) -> list[tuple[float, float]]:
+    theta = float(np.angle(np.exp(1j * theta)))
+    if abs(np.sin(theta)) <= 4 * np.finfo(float).eps:
+        return [(1.0 if np.cos(theta) > 0 else -1.0, 0.0)]
+    sign = 1.0 if abs(theta) <= np.pi / 2 else -1.0
+    small = theta if sign > 0 else theta - np.copysign(np.pi, theta)
+    if abs(small) < NEAR:
+        # +90 degrees and then back: both poles lie next to omega, not far from it.
+        return [(-sign, omega), (1.0, omega / np.tan(np.pi / 4 - small / 2))]
+    # (a - s)/(a + s) turns by -2 atan(omega / a): between 0 and -180 degrees.
+    if theta < 0:
+        return [(1.0, omega / np.tan(-theta / 2))]
+    return [(-1.0, omega * np.tan(theta / 2))]
+
+
+def _scaled(channels: list[list[tuple[float, float]]], left: Array, right: Array) -> StateSpaceModel:
+    """``left diag(all-pass channels) right``."""
+    models = [_channel(factors) for factors in channels]
+    from scipy.linalg import block_diag
+
+    A, B, C, D = (np.asarray(block_diag(*(m[k] for m in models))) for k in range(4))
+    n, m = sum(len(model[0]) for model in models), len(models)
+    A, B, C = A.reshape(n, n), B.reshape(n, m), C.reshape(m, n)
+    return StateSpaceModel(A, B @ right, left @ C, left @ D @ right)
+
+
+def _channel(factors: list[tuple[float, float]]) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D of a product of all-pass factors, each ``sign (-1 + 2 a / (s + a))``."""
+    A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
+    for sign, a in factors:
+        if a == 0:
+            C, D = sign * C, sign * D
+            continue
+        root = np.sqrt(2 * a)
+        A = np.block([[A, np.zeros((len(A), 1))], [root * C, np.array([[-a]])]])
+        B = np.vstack([B, root * D])
+        C = sign * np.hstack([-C, np.array([[root]])])
+        D = -sign * D
+    return A, B, C, D

@@ -1,0 +1,193 @@
+r"""Unstructured uncertainty: one full block between two weights, in six places of the loop.
+
+With :math:`E = W_1 \Delta W_2` and :math:`\bar\sigma(\Delta) \le 1` the members of the set are
+
+================================  ======================================  ============================================
+form                              member                                  M (Delta channels first; no weights)
+================================  ======================================  ============================================
+``additive``                      :math:`G + E`                           :math:`[0, I;\; I, G]`
+``input-multiplicative``          :math:`G (I + E)`                       :math:`[0, I;\; G, G]`
+``output-multiplicative``         :math:`(I + E) G`                       :math:`[0, G;\; I, G]`
+``inverse-additive``              :math:`(G^{-1} + E)^{-1}`               :math:`[-G, G;\; -G, G]`
+``inverse-input-multiplicative``  :math:`G (I + E)^{-1}`                  :math:`[-I, I;\; -G, G]`
+``inverse-output-multiplicative`` :math:`(I + E)^{-1} G`                  :math:`[-I, G;\; -I, G]`
+================================  ======================================  ============================================
+
+The inverse additive member is :math:`(I + G E)^{-1} G`, which asks for no inverse of G and holds for any shape.
+
+References
+----------
+Březina 2010, sections 4.2.1, 4.2.3. The thesis prints the M of the inverse input form beside the formula
+:math:`G_p^{-1} = G^{-1} (I + \Delta)`, which is the inverse output form; both are here, each with its own M.
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), table 9.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.statespace import Signal, StateSpaceModel, append, as_model
+from robustlab.uncertainty.blocks import FullBlock
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["FORMS", "Form", "unstructured"]
+
+Array = NDArray[np.float64]
+Form = Literal[
+    "additive",
+    "input-multiplicative",
+    "output-multiplicative",
+    "inverse-additive",
+    "inverse-input-multiplicative",
+    "inverse-output-multiplicative",
+]
+FORMS: tuple[Form, ...] = get_args(Form)
+
+
+def unstructured(
+    G: Any, W2: Any = 1.0, form: Form = "additive", *, W1: Any = None, name: str = "unmodelled"
+) -> UncertainModel:
+    r"""The set of all models next to G in one of six senses, with one full block.
+
+    Parameters
+    ----------
+    G
+        Nominal model (p outputs, m inputs), stable or not, continuous or discrete; need not be square.
+    W2
+        Weight at the right of Delta, whose inputs are those of E: m for the additive and the input forms, p for the
+        inverse additive and the output forms. A number or a model of one input and output weighs all channels alike, a
+        list of such is a diagonal weight, and a model of several is taken as it is. Stable; how large ``|E|`` may be at
+        each frequency.
+    form
+        See the table of this module.
+    W1
+        Weight at the left of Delta, whose outputs are those of E: p for the additive and the output forms, m for the
+        inverse additive and the input forms; 1 where left out.
+    name
+        Name of the block.
+
+    Returns
+    -------
+    UncertainModel
+        Its states are those of G, W1, W2, each once; its block has as many rows as W1 has inputs and as many columns as
+        W2 has outputs.
+
+    Raises
+    ------
+    InputError
+        An unstable weight, sizes or sample times that do not fit, an unknown form.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> member = unstructured(lag, 0.2, "input-multiplicative").evaluate({"unmodelled": 1.0})
+    >>> float(member.dc_gain()[0, 0])
+    1.2
+    """
+    g = as_model(G, "unstructured: G")
+    if form not in FORMS:
+        raise InputError(
+            "unstructured", f"form {form!r}", f"one of {', '.join(FORMS)}", did_you_mean(str(form), list(FORMS))
+        )
+    at_input = form in ("input-multiplicative", "inverse-input-multiplicative", "inverse-additive")
+    from_input = form in ("additive", "input-multiplicative", "inverse-input-multiplicative")
+    size_out, size_in = (g.n_inputs if at_input else g.n_outputs), (g.n_inputs if from_input else g.n_outputs)
+    left = _weight(1.0 if W1 is None else W1, size_out, "outputs", "unstructured: W1")
+    right = _weight(W2, size_in, "inputs", "unstructured: W2")
+    dt = _sample_time(g, left, right)
+    M = _interconnection(g, left, right, form, dt, name)
+    return UncertainModel(M, [FullBlock(name, left.n_inputs, right.n_outputs)], g.operating_point)
+
+
+def _weight(given: Any, size: int, side: Literal["inputs", "outputs"], where: str) -> StateSpaceModel:
+    """The weight as a stable model with ``size`` inputs (or outputs)."""
+    if isinstance(given, (list, tuple)):
+        parts = [_channel(part, f"{where}[{i}]") for i, part in enumerate(given)]
+        if len(parts) != size:
+            raise InputError(where, f"{len(parts)} channels", f"{size}, or one weight for all")
+        weight = _side_by_side(parts)
+    else:
+        weight = _channel(given, where)
+        if weight.n_inputs == weight.n_outputs == 1:
+            weight = _side_by_side([weight] * size)
+    has = weight.n_inputs if side == "inputs" else weight.n_outputs
+    if has != size:
+        raise InputError(where, f"a weight of {weight.n_outputs} x {weight.n_inputs}", f"{size} {side}")
+    if not weight.is_stable():
+        poles = weight.poles()
+        worst = poles[np.abs(poles).argmax() if weight.is_discrete else poles.real.argmax()]
+        raise InputError(where, f"unstable weight (pole {worst.real:.6g}{worst.imag:+.6g}j)", "a stable weight")
+    return weight
+
+
+def _channel(given: Any, where: str) -> StateSpaceModel:
+    if isinstance(given, (int, float, np.number)) or (isinstance(given, np.ndarray) and given.ndim == 2):
+        return StateSpaceModel([], [], [], np.atleast_2d(given), where=where)
+    return as_model(given, where)
+
+
+def _side_by_side(parts: Sequence[StateSpaceModel]) -> StateSpaceModel:
+    """Block-diagonal weight; names, which may be the same in each, are given anew."""
+    if any(part.n_inputs != 1 or part.n_outputs != 1 for part in parts):
+        raise InputError("unstructured", "a weight of several channels in a list", "one input and one output each")
+    return append(*(part.renamed([f"u{i}"], [f"y{i}"]) for i, part in enumerate(parts)))
+
+
+def _sample_time(*models: StateSpaceModel) -> float:
+    times = {m.dt for m in models if m.n_states or m.dt}
+    if len(times) > 1:
+        raise InputError("unstructured", f"sample times {sorted(times)} s (0: continuous)", "one for G and weights")
+    return times.pop() if times else 0.0
+
+
+def _interconnection(
+    g: StateSpaceModel, left: StateSpaceModel, right: StateSpaceModel, form: Form, dt: float, name: str
+) -> StateSpaceModel:
+    """M from (w, u) to (z, y): each signal is written as a matrix on (states of G, W1, W2; w; u)."""
+    sizes = [g.n_states, left.n_states, right.n_states, left.n_inputs, g.n_inputs]
+    ends = np.cumsum([0, *sizes])
+    unit = np.eye(ends[-1])
+    x_g, x_1, x_2, w, u = (unit[ends[k] : ends[k + 1]] for k in range(5))
+    sign = -1.0 if form.startswith("inverse") else 1.0
+    e = left.C @ x_1 + left.D @ w
+    at_input = form in ("input-multiplicative", "inverse-input-multiplicative", "inverse-additive")
+    v = u + sign * e if at_input else u
+    through = g.C @ x_g + g.D @ v
+    y = through if at_input else through + sign * e
+    # What Delta sees: the signal before E enters, or, for inverse forms, after.
+    seen = {
+        "additive": u,
+        "input-multiplicative": u,
+        "output-multiplicative": through,
+        "inverse-additive": y,
+        "inverse-input-multiplicative": v,
+        "inverse-output-multiplicative": y,
+    }[form]
+    z = right.C @ x_2 + right.D @ seen
+    rates = np.vstack([g.A @ x_g + g.B @ v, left.A @ x_1 + left.B @ w, right.A @ x_2 + right.B @ seen])
+    n = ends[3]
+    outputs = np.vstack([z, y])
+    return StateSpaceModel(
+        rates[:, :n],
+        rates[:, n:],
+        outputs[:, :n],
+        outputs[:, n:],
+        dt,
+        [*_channels(f"{name}.w", left.n_inputs, g.input_names), *g.inputs],
+        [*_channels(f"{name}.z", right.n_outputs, g.output_names), *g.outputs],
+        [*g.states, *(Signal(f"{name}.x{i + 1}") for i in range(n - g.n_states))],
+        where="unstructured",
+    )
+
+
+def _channels(prefix: str, count: int, taken: Sequence[str]) -> list[Signal]:
+    names = [f"{prefix}{i + 1}" for i in range(count)]
+    clash = sorted(set(names) & set(taken))
+    if clash:
+        raise InputError("unstructured", f"signal name {clash[0]!r} is used twice", "another name for the block")
+    return [Signal(text) for text in names]

@@ -1,0 +1,61 @@
+"""Gap and nu-gap are metrics, and they say how much of a stability margin is left."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.uncertainty.coprime import coprime_margin
+from robustlab.uncertainty.gap_metric import gap, nu_gap
+
+
+def near(seed: int, n: int, p: int, m: int, step: float) -> tuple[rl.StateSpaceModel, ...]:
+    """Three models around a common one, stable or not."""
+    rng = np.random.default_rng(seed)
+    matrices = [rng.standard_normal(shape) for shape in ((n, n), (n, m), (p, n), (p, m))]
+    return tuple(
+        rl.StateSpaceModel(*(matrix + step * rng.standard_normal(matrix.shape) for matrix in matrices))
+        for _ in range(3)
+    )
+
+
+CASES = {
+    "seed": st.integers(0, 10_000),
+    "n": st.integers(0, 3),
+    "p": st.integers(1, 2),
+    "m": st.integers(1, 2),
+    "step": st.sampled_from([0.0, 0.01, 0.1, 0.5]),
+}
+
+
+@given(**CASES)
+@settings(max_examples=15, deadline=None)
+def test_they_are_metrics(seed, n, p, m, step):
+    a, b, c = near(seed, n, p, m, step)
+    for distance, slack in ((lambda x, y: nu_gap(x, y).value, 1e-8), (lambda x, y: gap(x, y).value, 1e-6)):
+        ab, ba, bc, ac = distance(a, b), distance(b, a), distance(b, c), distance(a, c)
+        assert 0 <= ab <= 1
+        assert abs(ab - ba) <= slack
+        assert ac <= ab + bc + slack
+        if step == 0:
+            assert ab <= slack
+
+
+@given(**CASES, gain=st.floats(0.1, 3.0))
+@settings(max_examples=25, deadline=None)
+def test_the_margin_that_is_left(seed, n, p, m, step, gain):
+    """Vinnicombe: arcsin b(P2, C) >= arcsin b(P1, C) - arcsin delta_nu(P1, P2)."""
+    one, two, _ = near(seed, n, p, m, step)
+    # A controller that stabilises P1: state feedback on an observer, from two Riccati equations.
+    from robustlab.matrix_equations import care
+
+    f = care(one.A, one.B, gain * np.eye(n), np.eye(m)).gain
+    h = care(one.A.T, one.C.T, np.eye(n), gain * np.eye(p)).gain.T
+    K = rl.StateSpaceModel(one.A + one.B @ f + h @ one.C + h @ one.D @ f, -h, f, np.zeros((m, p)))
+    first = coprime_margin(one, K, sign=1)
+    assert 0 < first.value <= first.best * (1 + 1e-6)
+    second = coprime_margin(two, K, sign=1)
+    left = np.arcsin(first.value) - np.arcsin(nu_gap(one, two).value)
+    assert second.upper >= np.sin(left) - 1e-7

@@ -1,0 +1,216 @@
+"""Disk margins: published values, python-control's grid, perturbed loops with a pole on the axis, bad inputs."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.mu_analysis.disk_margin import disk_margin, gain_and_phase
+from robustlab.result import plain
+from robustlab.statespace import append, feedback, series
+
+EYE = rl.StateSpaceModel([], [], [], np.eye(2))
+
+
+def tf(numerator: list[float], denominator: list[float]) -> rl.StateSpaceModel:
+    import control
+
+    return rl.StateSpaceModel.from_control(control.tf(numerator, denominator))
+
+
+def satellite(c: float = 10.0) -> tuple[rl.StateSpaceModel, rl.StateSpaceModel]:
+    plant = rl.StateSpaceModel([[0, 10], [-10, 0]], np.eye(2), [[1, c], [-10, 1]], np.zeros((2, 2)))
+    return plant, rl.StateSpaceModel([], [], [], [[1, -2], [0, 1]])
+
+
+PAPER = [25], [1, 10, 10, 10]
+
+
+# --- published -------------------------------------------------------------------------------------------------------
+
+
+def test_the_example_of_the_paper():
+    """Seiler, Packard, Gahinet 2020, 25 / (s^3 + 10 s^2 + 10 s + 10): 0.46 at 1.94 rad/s, [0.63, 1.59], 25.8 deg."""
+    margin = disk_margin(tf(*PAPER)).simultaneous
+    assert margin.status is rl.Status.CERTIFIED
+    assert round(margin.value, 2) == 0.46
+    assert margin.gain_margin == pytest.approx((0.63, 1.59), abs=0.005)
+    assert np.degrees(margin.phase_margin) == pytest.approx(25.8, abs=0.05)
+    assert margin.frequency == pytest.approx(1.94, rel=0.02)
+
+
+def test_the_spinning_satellite_as_published_by_mathworks():
+    """Loop at a time 2, [0, inf], 90 deg; all outputs at once between 0.3754 and 0.3762, [0.6839 1.4621], 21.26 deg."""
+    margins = disk_margin(*satellite())
+    for margin in margins.channels.values():
+        assert margin.value == pytest.approx(2.0, rel=1e-7)
+        assert np.degrees(margin.phase_margin) == pytest.approx(90, abs=1e-5)
+        assert margin.gain_margin[0] < 1e-8
+        assert margin.gain_margin[1] > 1e6
+    together = margins.simultaneous
+    assert 0.3754 <= round(together.lower, 4) <= round(together.upper, 4) <= 0.3762
+    assert together.gain_margin[0] <= 0.6839
+    assert np.degrees(together.phase_margin) >= 21.2607
+    # And with another output matrix between 0.4890 and 0.4899.
+    other = disk_margin(*satellite(8.0)).simultaneous
+    assert 0.4890 <= round(other.lower, 4) <= round(other.upper, 4) <= 0.4899
+    assert other.status is rl.Status.CERTIFIED
+
+
+# --- closed forms and python-control ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("skew", [-2.0, -1.0, 0.0, 0.5, 1.0, 2.0])
+def test_gain_and_phase_lie_on_the_edge_of_the_disk(skew):
+    for alpha in (0.1, 0.7, 1.5):
+        low, high, phase = gain_and_phase(alpha, skew)
+        for f in (low, high, np.exp(1j * phase)):
+            if np.isfinite(f) and not (phase == np.pi and f == np.exp(1j * phase)):
+                delta = (f - 1) / ((1 - skew) / 2 + (1 + skew) / 2 * f)
+                assert abs(delta) == pytest.approx(alpha, rel=1e-9)
+    assert gain_and_phase(np.inf, skew) == (-np.inf, np.inf, np.pi)
+    assert gain_and_phase(0.0, skew) == (1.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("skew", [-1.0, 0.0, 1.0, 2.0])
+def test_one_loop_against_the_grid_of_python_control(skew):
+    import control
+
+    for numerator, denominator in (PAPER, ([3, 1], [1, 0.2, 4, 0.5]), ([10], [1, 3, 2, 0])):
+        L = tf(numerator, denominator)
+        omega = np.geomspace(1e-2, 1e2, 4001)
+        loop = feedback(L, rl.StateSpaceModel([], [], [], [[1.0]]))
+        if not loop.is_stable():
+            continue
+        dm, dgm, dpm = control.disk_margins(L.to_control(), omega, skew=skew)
+        ours = disk_margin(L, skew=skew).simultaneous
+        assert ours.upper <= float(dm) * (1 + 1e-9)
+        assert ours.lower == pytest.approx(float(dm), rel=2e-3)
+        assert np.degrees(ours.phase_margin) == pytest.approx(float(dpm), rel=5e-3)
+        assert 20 * np.log10(ours.gain_margin[1]) == pytest.approx(float(dgm), rel=5e-3) or skew > 0
+
+
+def test_several_loops_against_the_grid_of_python_control():
+    import control
+
+    plant, k = satellite()
+    dm, _, dpm = control.disk_margins(series(k, plant).to_control(), np.geomspace(1e-3, 1e2, 300))
+    ours = disk_margin(plant, k).simultaneous
+    # Its mu is an upper bound (so its margin may be a little low) and its grid ends at 1e-3 rad/s (a little high).
+    assert ours.lower == pytest.approx(float(dm), rel=1e-2)
+    assert np.degrees(ours.phase_margin) == pytest.approx(float(dpm), rel=1e-2)
+
+
+# --- the worst perturbation ------------------------------------------------------------------------------------------
+
+
+def stable_loop(seed: int, n_loops: int, dt: float) -> tuple[rl.StateSpaceModel, rl.StateSpaceModel]:
+    """A random plant and a static gain that does not destabilise it."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((4, 4))
+    A -= (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(4)
+    B, C = rng.standard_normal((4, n_loops)), rng.standard_normal((n_loops, 4))
+    if dt:
+        A, B = np.linalg.solve(np.eye(4) - 0.5 * dt * A, np.eye(4) + 0.5 * dt * A), dt * B
+    K = rng.standard_normal((n_loops, n_loops))
+    plant = rl.StateSpaceModel(A, B, C, np.zeros((n_loops, n_loops)), dt)
+    while not feedback(plant, rl.StateSpaceModel([], [], [], K)).is_stable():
+        K *= 0.7
+    return plant, rl.StateSpaceModel([], [], [], K)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.2])
+@pytest.mark.parametrize(("n_loops", "skew", "at"), [(1, 0.0, "output"), (1, 1.5, "input"), (1, -1.0, "output"),
+                                                     (2, 0.0, "output"), (2, 0.7, "input")])  # fmt: skip
+def test_the_worst_factors_put_a_pole_on_the_stability_boundary(dt, n_loops, skew, at):
+    """The loop is rebuilt from the plant, the controller and the models of f, with no LFT of ours."""
+    for seed in (1, 3):
+        plant, k = stable_loop(seed, n_loops, dt)
+        margin = disk_margin(plant, k, at=at, skew=skew).simultaneous
+        assert margin.status is rl.Status.CERTIFIED
+        assert margin.lower <= margin.upper <= margin.lower * 1.01
+        assert max(map(abs, margin.delta.values())) == pytest.approx(margin.upper, rel=1e-9)
+        for name, f in margin.factor.items():
+            if not np.isfinite(f):
+                assert margin.delta[name] * (1 + skew) == pytest.approx(2.0)
+                continue
+            delta = (f - 1) / ((1 - skew) / 2 + (1 + skew) / 2 * f)
+            assert delta == pytest.approx(margin.delta[name], rel=1e-9)
+        if not margin.perturbation:
+            assert margin.frequency in (0.0, np.inf) or margin.notes
+            continue
+        factors = append(*(m.renamed([f"i{j}"], [f"o{j}"]) for j, m in enumerate(margin.perturbation.values())))
+        assert factors.n_states <= 2 * n_loops
+        for j, f in enumerate(margin.factor.values()):
+            assert rl.frequency_response(factors, [margin.frequency])[0, j, j] == pytest.approx(f, rel=1e-8)
+        if (1 + skew) * margin.upper < 2:
+            assert factors.is_stable()
+        chain = series(plant, factors) if at == "output" else series(factors, plant)
+        loop = feedback(chain, k)
+        point = np.exp(1j * margin.frequency * dt) if dt else 1j * margin.frequency
+        assert np.abs(loop.poles() - point).min() <= 1e-6 * max(1.0, margin.frequency)
+        # Factors inside the disk of lower: stable.
+        rng = np.random.default_rng(seed)
+        for _ in range(20):
+            d = 0.999 * margin.lower * rng.choice([-1.0, 1.0], n_loops)
+            f = (1 + (1 - skew) / 2 * d) / (1 - (1 + skew) / 2 * d)
+            gains = rl.StateSpaceModel([], [], [], np.diag(f))
+            assert feedback(series(plant, gains) if at == "output" else series(gains, plant), k).is_stable()
+
+
+def test_input_and_output_at_once_is_the_smallest():
+    plant, k = stable_loop(3, 2, 0.0)
+    both = disk_margin(plant, k, at="both")
+    assert len(both.channels) == 4
+    assert (
+        both.simultaneous.upper
+        <= min(disk_margin(plant, k, at=p).simultaneous.upper for p in ("input", "output")) * 1.001
+    )
+    one_loop = disk_margin(*stable_loop(1, 1, 0.0), at="both")
+    assert one_loop.simultaneous.upper < one_loop.channels["u1"].lower
+
+
+def test_signs_and_names():
+    plant, k = stable_loop(3, 2, 0.0)
+    named = plant.renamed(["a", "b"], ["a", "c"])
+    minus = rl.StateSpaceModel([], [], [], -k.D)
+    same = disk_margin(named, minus, sign=1)
+    assert same.simultaneous.lower == pytest.approx(disk_margin(plant, k).simultaneous.lower, rel=1e-3)
+    assert list(same.channels) == ["a", "c"]
+    assert list(disk_margin(named, k, at="both").channels) == ["input a", "input b", "output a", "output c"]
+
+
+def test_a_static_loop_and_one_that_nothing_destabilises():
+    static = disk_margin(rl.StateSpaceModel([], [], [], [[1.0]])).simultaneous
+    assert static.value == np.inf  # S - T = 0
+    assert static.frequency is None
+    assert static.gain_margin == (-np.inf, np.inf)
+    some = disk_margin(rl.StateSpaceModel([], [], [], [[3.0]])).simultaneous
+    assert some.value == pytest.approx(4.0)
+    json.dumps(plain(some.to_json()))
+    json.dumps(plain(disk_margin(rl.StateSpaceModel([], [], [], [[3.0]])).to_json()))
+
+
+LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+UNSTABLE = rl.StateSpaceModel([[1.0]], [[1.0]], [[0.5]], [[0.0]])
+TALL = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0], [1.0]], np.zeros((2, 1)))
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "text"),
+    [
+        (lambda: disk_margin(UNSTABLE), rl.NoTrustworthyNumber, "unstable"),
+        (lambda: disk_margin(TALL), rl.InputError, "a square one, or a K"),
+        (lambda: disk_margin(LAG, EYE), rl.InputError, "1 x 1"),
+        (lambda: disk_margin(LAG, at="everywhere"), rl.InputError, "input, output or both"),
+        (lambda: disk_margin(LAG, skew=np.nan), rl.InputError, "skew"),
+        (lambda: disk_margin(LAG, sign=0), rl.InputError, "sign"),
+        (lambda: disk_margin(LAG, rl.StateSpaceModel([[0.1]], [[1]], [[1]], [[0]], 0.1)), rl.InputError, "sample time"),
+    ],
+)  # fmt: skip
+def test_bad_inputs_are_named(call, kind, text):
+    with pytest.raises(kind, match=text):
+        call()

@@ -1,0 +1,172 @@
+"""A complex Delta at one frequency as stable systems: value, norm, sizes, edges, and the pole it puts on the axis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.uncertainty.blocks import delta_values
+from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+
+SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (3, 3), (4, 2), (2, 5)]
+
+
+def matrix(kind: str, rows: int, cols: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    value = rng.standard_normal((rows, cols)) + 1j * rng.standard_normal((rows, cols))
+    if kind == "rank one":
+        return np.outer(value[:, 0], value[0])
+    if kind == "one phase":
+        return value.real * np.exp(0.3j)
+    if kind == "equal singular values":
+        return np.eye(rows, cols) * (1 + 1j)
+    return value
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", ["full", "rank one", "one phase", "equal singular values"])
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_value_and_singular_values(shape, kind, dt):
+    value = matrix(kind, *shape)
+    block = rl.FullBlock("d", *shape)
+    for omega in (0.05, 3.0, 30.0):
+        made = realise_delta([block], {"d": value}, omega, dt)["d"]
+        assert made.is_stable()
+        assert made.dt == dt
+        size = np.linalg.norm(value, 2)
+        assert np.abs(rl.frequency_response(made, [omega])[0] - value).max() <= 1e-11 * size
+        # The singular values are the same at every frequency, hence the norm is that of the value.
+        elsewhere = rl.frequency_response(made, [0.0, 0.4 * omega, 31.0])
+        wanted = np.linalg.svd(value, compute_uv=False)
+        assert np.abs(np.linalg.svd(elsewhere, compute_uv=False) - wanted).max() <= 1e-10 * size
+
+
+def test_the_norm_by_the_level_set_method():
+    value = matrix("full", 3, 2)
+    made = realise_delta([rl.FullBlock("d", 3, 2)], {"d": value}, 2.0)["d"]
+    assert rl.hinf_norm(made).upper <= np.linalg.norm(value, 2) * (1 + 2e-6)
+
+
+def test_rank_one_needs_three_states_whatever_its_size():
+    made = realise_delta([rl.FullBlock("d", 6, 7)], {"d": matrix("rank one", 6, 7)}, 2.0)["d"]
+    assert made.n_states <= 3
+
+
+@given(
+    phase=st.floats(-np.pi, np.pi),
+    size=st.floats(1e-6, 1e6),
+    omega=st.floats(1e-4, 1e4),
+)
+@settings(max_examples=60, deadline=None)
+def test_any_complex_number_at_any_frequency(phase, size, omega):
+    value = size * np.exp(1j * phase)
+    made = realise_delta([rl.ComplexScalar("d")], {"d": value}, omega)["d"]
+    assert abs(rl.frequency_response(made, [omega])[0, 0, 0] - value) <= 1e-12 * size
+    assert made.n_states <= 2
+    # Poles stay near omega, so that neither the eigenvalues nor a simulation of the loop suffer.
+    assert all(omega * 1e-3 <= -p.real <= omega * 1e3 for p in made.poles())
+    assert abs(np.abs(rl.frequency_response(made, [0.0, omega / 3, np.inf])) - size).max() <= 1e-12 * size
+
+
+def test_edges_of_the_axis_hold_real_values_only():
+    blocks = [rl.ComplexScalar("d")]
+    for omega, dt in ((0.0, 0.0), (np.inf, 0.0), (0.0, 0.1), (1e-13, 0.1), (np.pi / 0.1, 0.1)):
+        made = realise_delta(blocks, {"d": -0.4 + 1e-12j}, omega, dt)["d"]
+        assert made.n_states == 0
+        assert made.D[0, 0] == -0.4
+        with pytest.raises(rl.InputError, match="real coefficients are real"):
+            realise_delta(blocks, {"d": 0.4j}, omega, dt)
+
+
+@pytest.mark.parametrize(
+    ("delta", "omega", "dt", "text"),
+    [
+        ({"d": 0.4j}, -1.0, 0.0, "omega = -1"),
+        ({"d": 0.4j}, np.nan, 0.0, "omega = nan"),
+        ({"d": 0.4j}, 40.0, 0.1, "between 0 and 31.4"),
+        ({"d": 0.4j}, 1.0, -0.1, "dt is -0.1"),
+        ({"d": np.nan}, 1.0, 0.0, "NaN"),
+        ({"e": 0.4j}, 1.0, 0.0, "no such block"),
+        ({"r": 0.4j}, 1.0, 0.0, "a real number"),
+        ({"f": np.ones((2, 2))}, 1.0, 0.0, r"shape \(2, 2\)"),
+    ],
+)
+def test_bad_inputs_are_named(delta, omega, dt, text):
+    blocks = [rl.ComplexScalar("d"), rl.RealScalar("r"), rl.FullBlock("f", 1, 2)]
+    with pytest.raises(rl.InputError, match=text):
+        realise_delta(blocks, delta, omega, dt)
+
+
+def uncertain(dt: float, seed: int = 3) -> rl.UncertainModel:
+    rng = np.random.default_rng(seed)
+    n, q = 5, 6
+    A = rng.standard_normal((n, n))
+    A = A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
+    if dt:
+        A = np.linalg.solve(np.eye(n) - 0.2 * A, np.eye(n) + 0.2 * A)
+    B, C = rng.standard_normal((n, q + 1)), rng.standard_normal((q, n))
+    D = 0.1 * rng.standard_normal((q, q + 1))
+    model = rl.StateSpaceModel(A, B, C, D, dt)
+    return rl.UncertainModel(model, [rl.RealScalar("r"), rl.ComplexScalar("c", 2), rl.FullBlock("f", 3, 2)])
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.4])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("omega", [0.1, 1.0, 6.0])
+def test_a_singularising_delta_puts_a_pole_on_the_stability_boundary(dt, seed, omega):
+    model = uncertain(dt, seed)
+    bounds = rl.mu(rl.frequency_response(model.delta_channels, [omega])[0], model.blocks)
+    delta = delta_values(model.blocks, bounds.delta)
+    loop = perturbed_model(model, realise_delta(model.blocks, delta, omega, dt))
+    at = np.exp(1j * omega * dt) if dt else 1j * omega
+    assert np.abs(loop.poles() - at).min() <= 1e-6
+    # With less of it the loop of systems has, at that frequency, the response of the loop of numbers.
+    less = {name: 0.9 * value for name, value in delta.items()}
+    made = realise_delta(model.blocks, less, omega, dt)
+    assert made["r"] == less["r"]
+    direct = model.response([omega], less)
+    difference = rl.frequency_response(perturbed_model(model, made), [omega]) - direct
+    assert np.abs(difference).max() <= 1e-8 * np.abs(direct).max()
+
+
+def test_the_critical_delta_of_a_margin_is_replayed():
+    M = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0, 0], [1, 1]], [[1, 0.5], [1, 0]], np.zeros((2, 2)))
+    model = rl.UncertainModel(M, [rl.ComplexScalar("d")])
+    margin = rl.robust_stability(model)
+    loop = perturbed_model(model, realise_delta(model.blocks, margin.delta, margin.frequency))
+    assert np.abs(loop.poles() - 1j * margin.frequency).min() <= 1e-7
+    assert loop.spectral_abscissa() <= 1e-7
+
+
+def test_perturbed_model_agrees_with_evaluate_for_real_values():
+    model = uncertain(0.0)
+    values = {"r": 0.3, "f": np.arange(6.0).reshape(3, 2) / 10}
+    given = {"r": 0.3, "f": rl.StateSpaceModel([], [], [], np.arange(6.0).reshape(3, 2) / 10)}
+    for a, b in zip("ABCD", "ABCD", strict=True):
+        expected = getattr(model.evaluate(values), a)
+        assert getattr(perturbed_model(model, given), b) == pytest.approx(expected, abs=1e-12)
+        assert getattr(perturbed_model(model, values), b) == pytest.approx(expected, abs=1e-12)
+
+
+def test_perturbed_model_names_what_does_not_fit():
+    model = uncertain(0.0)
+    gain = rl.StateSpaceModel([], [], [], [[0.5]])
+    lag = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    for delta, text in (
+        ({"r": gain}, "the block is a real scalar"),
+        ({"f": gain}, "3 x 2"),
+        ({"c": lag}, "dt = 0.1"),
+        ({"x": gain}, "no such block"),
+        ({"c": 0.5j}, "realise_delta makes models"),
+    ):
+        with pytest.raises(rl.InputError, match=text):
+            perturbed_model(model, delta)
+
+
+def test_an_ill_posed_loop_is_no_model():
+    M = rl.StateSpaceModel([], [], [], [[1.0, 1.0], [1.0, 0.0]])
+    with pytest.raises(rl.NoTrustworthyNumber, match="ill-posed"):
+        perturbed_model(rl.UncertainModel(M, [rl.ComplexScalar("d")]), {"d": rl.StateSpaceModel([], [], [], [[1.0]])})

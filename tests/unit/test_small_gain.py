@@ -1,0 +1,124 @@
+"""Small-gain tests: the six M by their closed formulas, agreement with mu over the whole axis, the worst Delta."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.mu_analysis.small_gain import small_gain
+from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+from robustlab.uncertainty.unstructured import FORMS, unstructured
+
+LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.2]])
+
+
+def plant(p: int, m: int, dt: float = 0.0, seed: int = 0) -> rl.StateSpaceModel:
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((3, 3)) - 2.5 * np.eye(3)
+    if dt:
+        A = np.linalg.solve(np.eye(3) - 0.5 * dt * A, np.eye(3) + 0.5 * dt * A)
+    B = rng.standard_normal((3, m)) * (dt or 1.0)
+    return rl.StateSpaceModel(A, B, rng.standard_normal((p, 3)), np.zeros((p, m)), dt)
+
+
+def closed_form(form: str, G: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """What Delta sees up to sign, negative feedback, by textbook formulas."""
+    p, m = G.shape
+    So, Si = np.linalg.inv(np.eye(p) + G @ K), np.linalg.inv(np.eye(m) + K @ G)
+    return {
+        "additive": K @ So,
+        "input-multiplicative": K @ So @ G,
+        "output-multiplicative": G @ K @ So,
+        "inverse-additive": So @ G,
+        "inverse-input-multiplicative": Si,
+        "inverse-output-multiplicative": So,
+    }[form]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(("p", "m"), [(1, 1), (2, 3)])
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_m_norm_and_worst_delta(form, p, m, dt):
+    G, K = plant(p, m, dt), rl.StateSpaceModel([], [], [], 0.3 * np.random.default_rng(5).standard_normal((m, p)))
+    weight = rl.StateSpaceModel(LAG.A * 0 + 0.9, 0.1 * LAG.B, LAG.C, LAG.D, dt) if dt else LAG
+    uncertain = unstructured(G, weight, form, name="d")
+    test = small_gain(uncertain, K)
+    assert test.status is rl.Status.CERTIFIED
+    omega = np.geomspace(1e-2, 30, 40)
+    g, k, w = (rl.frequency_response(s, omega) for s in (G, K, weight))
+    expected = np.array([np.linalg.norm(w[i] * closed_form(form, g[i], k[i]), 2) for i in range(len(omega))])
+    sigma = np.linalg.svd(rl.frequency_response(test.M, omega), compute_uv=False)[:, 0]
+    assert sigma == pytest.approx(expected, rel=1e-9)
+    assert expected.max() <= test.norm.upper
+    # The worst Delta: of the norm of the margin, and on the stability boundary as a system; less of it is stable.
+    assert np.linalg.norm(test.delta["d"], 2) == pytest.approx(test.upper, rel=1e-12)
+    assert test.lower <= test.upper <= test.lower * (1 + 1e-8)
+    closed = uncertain.close(rl.StateSpaceModel([], [], [], -K.D))
+    if test.frequency < np.inf:
+        made = realise_delta(closed.blocks, test.delta, test.frequency, dt)
+        at = np.exp(1j * test.frequency * dt) if dt else 1j * test.frequency
+        assert abs(test.pole - at) <= 1e-6
+        assert rl.hinf_norm(made["d"]).upper <= test.upper * (1 + 2e-6)
+        less = realise_delta(closed.blocks, {"d": 0.99 * test.delta["d"]}, test.frequency, dt)
+        assert perturbed_model(closed, less).is_stable()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_agrees_with_robust_stability(form):
+    """One full block: mu is the largest singular value, so both must say the same."""
+    K = rl.StateSpaceModel([], [], [], 0.4 * np.random.default_rng(7).standard_normal((2, 2)))
+    uncertain = unstructured(plant(2, 2, seed=4), LAG, form)
+    test = small_gain(uncertain, K)
+    margin = rl.robust_stability(uncertain.close(rl.StateSpaceModel([], [], [], -K.D)), omega=[1.0], accuracy=1e-4)
+    assert margin.upper == pytest.approx(test.upper, rel=1e-6)
+    assert margin.lower <= test.upper * (1 + 1e-9)
+    assert margin.lower == pytest.approx(test.lower, rel=3e-4)
+
+
+def test_verdicts_on_both_sides_of_one():
+    K = rl.StateSpaceModel([], [], [], [[3.0]])
+    lag = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    # T = 3 / (s + 4): peak 3/4 at zero frequency.
+    for weight, stable in ((1.2, True), (1.4, False)):
+        test = small_gain(unstructured(lag, weight, "input-multiplicative"), K)
+        assert test.robustly_stable is stable
+        assert test.upper == pytest.approx(4 / 3 / weight)
+        assert test.frequency == 0.0
+    on_the_edge = small_gain(unstructured(lag, 4 / 3, "input-multiplicative"), K)
+    assert on_the_edge.lower <= 1 <= on_the_edge.upper * (1 + 1e-12)
+
+
+def test_positive_feedback_is_the_other_sign():
+    G, K = plant(2, 2), rl.StateSpaceModel([], [], [], [[0.3, 0.1], [0.0, 0.2]])
+    minus = rl.StateSpaceModel([], [], [], -K.D)
+    uncertain = unstructured(G, 1.0, "output-multiplicative")
+    assert small_gain(uncertain, minus, sign=1).upper == pytest.approx(small_gain(uncertain, K).upper, rel=1e-9)
+
+
+def test_a_peak_in_the_direct_term_is_an_ill_posed_loop():
+    lead = rl.StateSpaceModel([[-1.0]], [[1.0]], [[-1.0]], [[2.0]])  # (2 s + 1)/(s + 1)
+    test = small_gain(unstructured(rl.StateSpaceModel([], [], [], [[1.0]]), lead))
+    assert test.upper == np.inf
+    assert test.robustly_stable
+    closed = small_gain(
+        unstructured(rl.StateSpaceModel([], [], [], [[1.0]]), lead), rl.StateSpaceModel([], [], [], [[1.0]])
+    )
+    assert closed.frequency == np.inf
+    assert closed.pole is None
+    assert closed.upper == pytest.approx(1.0)
+
+
+def test_bad_inputs_are_named():
+    K = rl.StateSpaceModel([], [], [], [[1.0]])
+    unstable = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(rl.NoTrustworthyNumber, match="nominal closed loop unstable"):
+        small_gain(unstructured(unstable), rl.StateSpaceModel([], [], [], [[0.5]]))
+    with pytest.raises(rl.InputError, match="expected 1 x 1"):
+        small_gain(unstructured(LAG), rl.StateSpaceModel([], [], [], np.eye(2)))
+    with pytest.raises(rl.InputError, match="use robust_stability"):
+        small_gain(rl.UncertainModel(rl.StateSpaceModel([], [], [], np.eye(2)), [rl.RealScalar("a")]))
+    with pytest.raises(rl.InputError, match="sign"):
+        small_gain(unstructured(LAG), K, sign=2)
+    with pytest.raises(rl.InputError, match="UncertainModel"):
+        small_gain(LAG, K)
