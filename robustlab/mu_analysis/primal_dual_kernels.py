@@ -13,7 +13,10 @@ import numba as nb
 import numpy as np
 
 # Sums may be taken in any order; NaN and infinity keep their meaning, as the tests for them need it.
-OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+ENTRY = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+# The others are called from compiled code only: without entrances from Python they compile in half the time. For the
+# same reason sums of arrays are written as loops; numba compiles a kernel of its own for each array expression.
+INSIDE = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class Pattern(NamedTuple):
@@ -33,7 +36,54 @@ class Pattern(NamedTuple):
     trace: np.ndarray  # (size,) gradient of the trace of the compact D
 
 
-@nb.njit(**OPTIONS)
+class Point(NamedTuple):
+    """F, the compact D, and D_w at one x and t; P and T are the inverses of the first two."""
+
+    F: np.ndarray
+    S: np.ndarray
+    Dw: np.ndarray
+    P: np.ndarray
+    T: np.ndarray
+
+
+class System(NamedTuple):
+    """Newton system: factor H of the part of x, borders b and its solutions, and the 2 x 2 Schur complement."""
+
+    H: np.ndarray
+    scale: np.ndarray
+    b: np.ndarray
+    Hb: np.ndarray
+    Hc: np.ndarray
+    tt: float
+    tc: float
+    cc: float
+    centring: np.ndarray
+    centring_t: float
+
+
+class Second(NamedTuple):
+    """Products of two steps, which a Newton step leaves out and the corrector puts back."""
+
+    bend: np.ndarray  # dt dD_w, in F
+    twist: np.ndarray  # dF dZ
+    twist_d: np.ndarray  # T dS dY
+    push: np.ndarray  # dt <dZ, D_i>
+    push_t: float  # <dZ, dD_w>
+
+
+class Direction(NamedTuple):
+    """Change of all unknowns, and of F to first order."""
+
+    dx: np.ndarray
+    dt: float
+    dF: np.ndarray
+    dS: np.ndarray
+    dDw: np.ndarray
+    dZ: np.ndarray
+    dY: np.ndarray
+
+
+@nb.njit(**INSIDE)
 def product(A, B):
     """``A B``."""
     n, inner = A.shape
@@ -46,7 +96,7 @@ def product(A, B):
     return C
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def adjoint_product(A, B):
     """``A^* B``."""
     C = np.zeros((A.shape[1], B.shape[1]), dtype=np.complex128)
@@ -58,7 +108,56 @@ def adjoint_product(A, B):
     return C
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
+def along(X, a, Y):
+    """``X + a Y``."""
+    C = np.empty(X.shape, dtype=np.complex128)
+    for i in range(X.shape[0]):
+        for j in range(X.shape[1]):
+            C[i, j] = X[i, j] + a * Y[i, j]
+    return C
+
+
+@nb.njit(**INSIDE)
+def blank(n):
+    """A zero matrix."""
+    return np.zeros((n, n), dtype=np.complex128)
+
+
+@nb.njit(**INSIDE)
+def dot(x, y):
+    """Scalar product."""
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i] * y[i]
+    return total
+
+
+@nb.njit(**INSIDE)
+def assign(X, a, Y):
+    """``X = a Y`` in place."""
+    for i in range(X.shape[0]):
+        for j in range(X.shape[1]):
+            X[i, j] = a * Y[i, j]
+
+
+@nb.njit(**INSIDE)
+def shift(x, a, y):
+    """``x += a y`` in place."""
+    for i in range(len(x)):
+        x[i] += a * y[i]
+
+
+@nb.njit(**INSIDE)
+def step_to(x, a, y):
+    """``x + a y``."""
+    out = np.empty(len(x))
+    for i in range(len(x)):
+        out[i] = x[i] + a * y[i]
+    return out
+
+
+@nb.njit(**INSIDE)
 def symmetrise(X):
     """Replace X by its Hermitian part."""
     for i in range(len(X)):
@@ -70,7 +169,7 @@ def symmetrise(X):
     return X
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def inner(X, Y):
     """``tr(X Y)`` of Hermitian matrices."""
     total = 0.0
@@ -80,7 +179,7 @@ def inner(X, Y):
     return total
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def factor(X, blocks, L):
     """Cholesky factor of each diagonal block into L; its log-determinant, or NaN where X is not positive definite."""
     log = 0.0
@@ -101,7 +200,7 @@ def factor(X, blocks, L):
     return log
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def inverse(L, blocks):
     """``(L L^*)^-1`` for a block-diagonal Cholesky factor."""
     n = len(L)
@@ -128,10 +227,10 @@ def inverse(L, blocks):
     return P
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def block_product(A, B, blocks):
     """``A B`` of block-diagonal matrices."""
-    C = np.zeros_like(A)
+    C = blank(len(A))
     for b in range(len(blocks) - 1):
         for i in range(blocks[b], blocks[b + 1]):
             for k in range(blocks[b], blocks[b + 1]):
@@ -141,7 +240,7 @@ def block_product(A, B, blocks):
     return C
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def form(x, t, tall, pattern):
     """``U E(x) U^*``, the entries of D_w times t; ``tall`` is ``U^* = [I; M]``."""
     q = tall.shape[1]
@@ -155,10 +254,10 @@ def form(x, t, tall, pattern):
                 row, col = pattern.rows[e], pattern.cols[e]
                 for j in range(q):
                     B[row, j] += a * tall[col, j]
-    return symmetrise(B[:q] + adjoint_product(tall[q:], B[q:]))
+    return symmetrise(along(B[:q], 1.0, adjoint_product(tall[q:], B[q:])))
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def d_matrices(x, q, pattern):
     """The compact D, and D_w."""
     n = pattern.d_blocks[-1]
@@ -173,7 +272,7 @@ def d_matrices(x, q, pattern):
     return S, W
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def sandwich(X, tall):
     """``U^* X U``."""
     n, q = tall.shape
@@ -196,7 +295,7 @@ def sandwich(X, tall):
     return W
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def traces(W, t, pattern):
     """``tr(F_i X)`` of each parameter, from ``W = U^* X U``; the entries of D_w times t."""
     out = np.zeros(len(pattern.trace))
@@ -207,7 +306,7 @@ def traces(W, t, pattern):
     return out
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def w_traces(X, pattern):
     """``tr(D_i X)`` of each parameter for X of the order of D_w."""
     out = np.zeros(len(pattern.trace))
@@ -218,7 +317,7 @@ def w_traces(X, pattern):
     return out
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def d_traces(X, pattern):
     """``tr(D_i X)`` of each parameter for X of the order of the compact D."""
     out = np.zeros(len(pattern.trace))
@@ -228,14 +327,13 @@ def d_traces(X, pattern):
     return out
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def curvature(V, W, t, T, Y, pattern):
     """``Re tr(F_i P F_j Z) + Re tr(D_i S^-1 D_j Y)`` from ``V = U^* P U``, ``W = U^* Z U``, ``T = S^-1``; lower half."""
     n = len(pattern.trace)
-    c = pattern.coefficients.copy()
+    c = np.empty(len(pattern.coefficients), dtype=np.complex128)
     for e in range(len(c)):
-        if pattern.in_w[e] > 0:
-            c[e] *= t
+        c[e] = pattern.coefficients[e] * (t if pattern.in_w[e] > 0 else 1.0)
     H = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
@@ -254,7 +352,7 @@ def curvature(V, W, t, T, Y, pattern):
     return H
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def newton_factor(H):
     """Cholesky factor of H in diagonal scaling, in place, and the scaling; directions without curvature stay put."""
     n = len(H)
@@ -282,13 +380,13 @@ def newton_factor(H):
     return scale, True
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def newton_solve(H, scale, right):
     """Solution for one right-hand side."""
     n = len(H)
-    y = right * scale
+    y = np.empty(n)
     for i in range(n):
-        value = y[i]
+        value = right[i] * scale[i]
         for k in range(i):
             value -= H[i, k] * y[k]
         y[i] = value / H[i, i]
@@ -296,18 +394,20 @@ def newton_solve(H, scale, right):
         y[i] /= H[i, i]
         for k in range(i):
             y[k] -= H[i, k] * y[i]
-    return y * scale
+    for i in range(n):
+        y[i] *= scale[i]
+    return y
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
 def longest(X, dX, bend, blocks, S, dS, d_blocks, top, halvings):
     """Largest step up to ``top`` (by bisection) that keeps ``X + a dX + a^2 bend`` and ``S + a dS`` positive definite."""
-    L, K = np.zeros_like(X), np.zeros_like(S)
+    L, K = blank(len(X)), blank(len(S))
     low, high, a = 0.0, top, top
     for _ in range(3 * halvings):
-        inside = np.isfinite(factor(S + a * dS, d_blocks, K))
+        inside = np.isfinite(factor(along(S, a, dS), d_blocks, K))
         if inside:
-            inside = np.isfinite(factor(X + a * dX + a * a * bend, blocks, L))
+            inside = np.isfinite(factor(along(along(X, a, dX), a * a, bend), blocks, L))
         if inside:
             low = a
         else:
@@ -319,176 +419,195 @@ def longest(X, dX, bend, blocks, S, dS, d_blocks, top, halvings):
     return low
 
 
-@nb.njit(**OPTIONS)
-def centre(x, t, tall, pattern, dual, dual_d):
-    """Newton steps for the analytic centre at t; the dual pair Z, Y of the last one is feasible. Steps, or -1."""
+@nb.njit(**INSIDE)
+def evaluate(x, t, tall, pattern):
+    """F, compact D, D_w at x and t, the inverses of the first two, and the barrier (NaN where one is not positive)."""
     q = tall.shape[1]
+    S, Dw = d_matrices(x, q, pattern)
+    F = form(x, t, tall, pattern)
+    L, K = blank(q), blank(len(S))
     whole = np.array([0, q])
+    barrier = -factor(F, whole, L) - factor(S, pattern.d_blocks, K)
+    if np.isfinite(barrier):
+        return Point(F, S, Dw, inverse(L, whole), inverse(K, pattern.d_blocks)), barrier
+    return Point(F, S, Dw, L, K), barrier
+
+
+@nb.njit(**INSIDE)
+def descent(point, dF, dS, barrier, d_blocks):
+    """A step along dF, dS that lowers the barrier well: the longest, then shorter ones as long as they do better."""
+    F, S = point.F, point.S
+    L, K = blank(len(F)), blank(len(S))
+    whole = np.array([0, len(F)])
+    a = 0.9 * longest(F, dF, blank(len(F)), whole, S, dS, d_blocks, 4.0, 4)
+    best, best_a = barrier, 0.0
+    for _ in range(20):
+        trial = -factor(along(F, a, dF), whole, L) - factor(along(S, a, dS), d_blocks, K)
+        if trial < best:
+            best, best_a = trial, a
+        elif best_a > 0:
+            break
+        a *= 0.6
+    return best_a
+
+
+@nb.njit(**INSIDE)
+def centre(x, t, tall, pattern, Z, Y):
+    """Newton steps of x, in place, to the analytic centre at t; the Z, Y that come with it are feasible. Steps, or -1."""
+    q, blocks = tall.shape[1], pattern.d_blocks
     for count in range(30):
-        S, _ = d_matrices(x, q, pattern)
-        F = form(x, t, tall, pattern)
-        L, K = np.zeros_like(F), np.zeros_like(S)
-        value = -factor(F, whole, L) - factor(S, pattern.d_blocks, K)
-        if not np.isfinite(value):
+        point, barrier = evaluate(x, t, tall, pattern)
+        if not np.isfinite(barrier):
             return -1
-        P, T = inverse(L, whole), inverse(K, pattern.d_blocks)
+        P, T = point.P, point.T
         V = sandwich(P, tall)
         H = curvature(V, V, t, T, T, pattern)
         scale, good = newton_factor(H)
         if not good:
             return -1
-        down = traces(V, t, pattern) + d_traces(T, pattern)
+        down = traces(V, t, pattern)
+        shift(down, 1.0, d_traces(T, pattern))
         dx, keep = newton_solve(H, scale, down), newton_solve(H, scale, pattern.trace)
-        dx -= (pattern.trace @ dx) / (pattern.trace @ keep) * keep
+        shift(dx, -dot(pattern.trace, dx) / dot(pattern.trace, keep), keep)
         dF = form(dx, t, tall, pattern)
         dS, _ = d_matrices(dx, q, pattern)
-        if down @ dx < 0.8:
-            dual[:] = symmetrise(P - product(product(P, dF), P))
-            dual_d[:] = symmetrise(
-                T - block_product(block_product(T, dS, pattern.d_blocks), T, pattern.d_blocks)
-            )
+        if dot(down, dx) < 0.8:
+            whole = np.array([0, q])
+            # Z = P - P dF P is positive definite for a decrement below one, and on the tangent of all constraints.
+            pair = along(P, -1.0, product(product(P, dF), P))
+            pair_d = along(T, -1.0, block_product(block_product(T, dS, blocks), T, blocks))
+            size = inner(pair, point.Dw)
+            if not (size > 0 and np.isfinite(factor(pair, whole, blank(q)))):
+                return -1
+            assign(Z, 1 / size, symmetrise(pair))
+            assign(Y, 1 / size, symmetrise(pair_d))
             return count + 1
-        # The longest step, then shorter ones as long as they lead further down.
-        a = 0.9 * longest(F, dF, np.zeros_like(F), whole, S, dS, pattern.d_blocks, 4.0, 4)
-        best, best_a = value, 0.0
-        for _ in range(20):
-            trial = -factor(F + a * dF, whole, L) - factor(S + a * dS, pattern.d_blocks, K)
-            if trial < best:
-                best, best_a = trial, a
-            elif best_a > 0:
-                break
-            a *= 0.6
-        if best_a == 0:
+        a = descent(point, dF, dS, barrier, blocks)
+        if a == 0:
             return -1
-        x += best_a * dx
+        shift(x, a, dx)
     return -1
 
 
-@nb.njit(**OPTIONS)
-def allowance(x, t, tall, S, T, pattern):
-    """How much rounding can blur t, with D scaled to a unit diagonal (an estimate that picks the best iterate)."""
-    q = tall.shape[1]
-    n = len(tall)
+@nb.njit(**INSIDE)
+def allowance(x, tall, point, pattern):
+    """How far rounding can blur t, with D scaled to a unit diagonal (an estimate: it picks the best iterate)."""
+    n, q = tall.shape
     scale = np.ones(n)
     for i in range(len(x)):
         for e in range(pattern.first[i], pattern.first[i + 1]):
-            if pattern.rows[e] == pattern.cols[e] and pattern.owner[i] >= 0:
+            if pattern.rows[e] == pattern.cols[e]:
                 scale[pattern.rows[e]] = 1 / np.sqrt(x[i])
-    plant, supply = 0.0, 0.0
+    plant, supply, smallest = 0.0, 0.0, 0.0
     for i in range(n - q):
         for j in range(q):
-            plant += abs(tall[q + i, j]) ** 2 * (scale[j] / scale[q + i]) ** 2
+            plant += (abs(tall[q + i, j]) * scale[j] / scale[q + i]) ** 2
     for i in range(len(x)):
         if pattern.owner[i] < 0:
             for e in range(pattern.first[i], pattern.first[i + 1]):
-                supply += abs(x[i] * scale[pattern.rows[e]] * scale[pattern.cols[e]]) ** 2
-    smallest = 0.0
-    for i in range(len(S)):
-        smallest = max(smallest, S[i, i].real * T[i, i].real)
+                supply += (x[i] * scale[pattern.rows[e]] * scale[pattern.cols[e]]) ** 2
+    for i in range(len(point.S)):
+        smallest = max(smallest, point.S[i, i].real * point.T[i, i].real)
     return 1e-14 * q * smallest * (plant + np.sqrt(supply * plant))
 
 
-@nb.njit(**OPTIONS)
-def advance(x, t, tall, pattern, state, gap):
-    """One predictor-corrector step of x, Z and Y in place: success, change of t, primal and dual step length."""
-    F, S, Dw, P, T, Z, Y = state
-    q, blocks = tall.shape[1], pattern.d_blocks
-    whole = np.array([0, q])
-    V, W = sandwich(P, tall), sandwich(Z, tall)
-    H = curvature(V, W, t, T, Y, pattern)
+@nb.njit(**INSIDE)
+def newton_system(t, tall, pattern, point, Z, Y):
+    """The factorised system in dx, and what is left of it for dt and the multiplier of the fixed trace."""
+    V, W = sandwich(point.P, tall), sandwich(Z, tall)
+    H = curvature(V, W, t, point.T, Y, pattern)
     scale, good = newton_factor(H)
-    if not good:
-        return False, 0.0, 0.0, 0.0
-    X = symmetrise(product(product(P, Dw), Z))
-    b = traces(sandwich(X, tall), t, pattern) - w_traces(Z, pattern)
+    X = symmetrise(product(product(point.P, point.Dw), Z))
+    b = traces(sandwich(X, tall), t, pattern)
+    shift(b, -1.0, w_traces(Z, pattern))
     Hb, Hc = newton_solve(H, scale, b), newton_solve(H, scale, pattern.trace)
-    # Schur complement of the two remaining unknowns: dt, and the multiplier of the fixed trace.
-    tt = inner(X, Dw) - b @ Hb
-    tc, cc = -(b @ Hc), -(pattern.trace @ Hc)
-    determinant = tt * cc - tc * tc
-    if not determinant != 0:
-        return False, 0.0, 0.0, 0.0
-    centring = traces(V, t, pattern) + d_traces(T, pattern)
-    centring_t = inner(P, Dw)
-    zero, zero_d = np.zeros_like(F), np.zeros_like(S)
-    bend, twist, twist_d = zero, zero, zero_d
-    dx, dt, dS, dDw, dZ, dY, line = x, 0.0, zero_d, zero, zero, zero_d, zero
-    nu = 0.0
-    for attempt in range(2):
-        right, right_t = nu * centring, nu * centring_t - 1.0
-        if attempt == 1:
-            C = symmetrise(product(P, product(bend, Z) + twist))
-            right -= traces(sandwich(C, tall), t, pattern) + d_traces(twist_d, pattern)
-            right_t -= inner(C, Dw)
-            right += dt * w_traces(dZ, pattern)
-            right_t += inner(dZ, dDw)
-        y = newton_solve(H, scale, right)
-        r1, r2 = right_t - b @ y, -(pattern.trace @ y)
-        dt = (r1 * cc - tc * r2) / determinant
-        dx = y - Hb * dt - Hc * ((tt * r2 - tc * r1) / determinant)
-        dS, dDw = d_matrices(dx, q, pattern)
-        line = form(dx, t, tall, pattern) + dt * Dw
-        dF = line + bend
-        dZ = nu * P - Z - symmetrise(product(P, product(dF, Z) + twist))
-        dY = nu * T - Y - symmetrise(block_product(block_product(T, dS, blocks), Y, blocks)) - twist_d
-        if attempt == 0:
-            ap = longest(F, line, zero, whole, S, dS, blocks, 1.0, 4)
-            ad = longest(Z, dZ, zero, whole, Y, dY, blocks, 1.0, 4)
-            ahead = inner(F + ap * line, Z + ad * dZ) + inner(S + ap * dS, Y + ad * dY)
-            ratio = min(max(ahead / gap, 0.0), 1.0)
-            sigma = min(max(ratio**2, 1e-3 if min(ap, ad) > 0.9 else 0.05), 0.9)
-            nu = sigma * gap / (q + blocks[-1])
-            bend = dt * dDw
-            twist = product(dF, dZ)
-            twist_d = symmetrise(block_product(block_product(T, dS, blocks), dY, blocks))
-    bend = dt * dDw
-    ap = min(1.0, 0.96 * longest(F, line, bend, whole, S, dS, blocks, 1.05, 5))
-    ad = min(1.0, 0.96 * longest(Z, dZ, zero, whole, Y, dY, blocks, 1.05, 5))
-    x += ap * dx
-    Z += ad * dZ
-    Y += ad * dY
-    return True, ap * dt, ap, ad
+    centring = traces(V, t, pattern)
+    shift(centring, 1.0, d_traces(point.T, pattern))
+    tt, tc, cc = inner(X, point.Dw) - dot(b, Hb), -dot(b, Hc), -dot(pattern.trace, Hc)
+    good = good and tt * cc - tc * tc != 0
+    return System(H, scale, b, Hb, Hc, tt, tc, cc, centring, inner(point.P, point.Dw)), good
 
 
-@nb.njit(**OPTIONS)
+@nb.njit(**INSIDE)
+def direction(tall, t, pattern, system, point, Z, Y, nu, second):
+    """Newton direction to the point of the central path with ``F Z = nu I``; ``second`` holds terms of second order."""
+    q, blocks, P, T = tall.shape[1], pattern.d_blocks, point.P, point.T
+    C = symmetrise(product(P, along(product(second.bend, Z), 1.0, second.twist)))
+    right = step_to(second.push, nu, system.centring)
+    shift(right, -1.0, traces(sandwich(C, tall), t, pattern))
+    shift(right, -1.0, d_traces(second.twist_d, pattern))
+    right_t = nu * system.centring_t - 1.0 + second.push_t - inner(C, point.Dw)
+    y = newton_solve(system.H, system.scale, right)
+    r1, r2 = right_t - dot(system.b, y), -dot(pattern.trace, y)
+    determinant = system.tt * system.cc - system.tc * system.tc
+    dt = (r1 * system.cc - system.tc * r2) / determinant
+    dx = step_to(y, -dt, system.Hb)
+    shift(dx, -(system.tt * r2 - system.tc * r1) / determinant, system.Hc)
+    dS, dDw = d_matrices(dx, q, pattern)
+    dF = along(form(dx, t, tall, pattern), dt, point.Dw)
+    curved = along(product(along(dF, 1.0, second.bend), Z), 1.0, second.twist)
+    dZ = along(along(Z, 1.0, symmetrise(product(P, curved))), -nu, P)
+    dY = along(symmetrise(block_product(block_product(T, dS, blocks), Y, blocks)), 1.0, second.twist_d)
+    dY = along(along(dY, 1.0, Y), -nu, T)
+    return Direction(dx, dt, dF, dS, dDw, along(blank(q), -1.0, dZ), along(blank(len(dY)), -1.0, dY))
+
+
+@nb.njit(**INSIDE)
+def advance(x, t, tall, pattern, point, Z, Y, gap):
+    """One predictor-corrector step of x, Z and Y in place: change of t, and the shorter of both step lengths."""
+    blocks, F, S = pattern.d_blocks, point.F, point.S
+    q, zero, zero_d = len(F), blank(len(F)), blank(len(S))
+    whole = np.array([0, q])
+    system, good = newton_system(t, tall, pattern, point, Z, Y)
+    if not good:
+        return np.nan, 0.0
+    second = Second(zero, zero, zero_d, np.zeros(len(x)), 0.0)
+    d = direction(tall, t, pattern, system, point, Z, Y, 0.0, second)
+    ap = longest(F, d.dF, zero, whole, S, d.dS, blocks, 1.0, 4)
+    ad = longest(Z, d.dZ, zero, whole, Y, d.dY, blocks, 1.0, 4)
+    ahead = inner(along(F, ap, d.dF), along(Z, ad, d.dZ)) + inner(along(S, ap, d.dS), along(Y, ad, d.dY))
+    ratio = min(max(ahead / gap, 0.0), 1.0)
+    nu = min(max(ratio**2, 1e-3 if min(ap, ad) > 0.9 else 0.05), 0.9) * gap / (q + len(S))
+    twist_d = symmetrise(block_product(block_product(point.T, d.dS, blocks), d.dY, blocks))
+    push = step_to(np.zeros(len(x)), d.dt, w_traces(d.dZ, pattern))
+    second = Second(along(zero, d.dt, d.dDw), product(d.dF, d.dZ), twist_d, push, inner(d.dZ, d.dDw))
+    d = direction(tall, t, pattern, system, point, Z, Y, nu, second)
+    bend = along(zero, d.dt, d.dDw)
+    ap = min(1.0, 0.96 * longest(F, d.dF, bend, whole, S, d.dS, blocks, 1.05, 5))
+    ad = min(1.0, 0.96 * longest(Z, d.dZ, zero, whole, Y, d.dY, blocks, 1.05, 5))
+    shift(x, ap, d.dx)
+    assign(Z, 1.0, along(Z, ad, d.dZ))
+    assign(Y, 1.0, along(Y, ad, d.dY))
+    return ap * d.dt, min(ap, ad)
+
+
+@nb.njit(**ENTRY)
 def descend(x, t, tall, pattern, tol, goal, max_steps):
     """Follow the central path down from x, t; the best x, its t, and the number of Newton systems."""
-    q, nd = tall.shape[1], pattern.d_blocks[-1]
-    whole = np.array([0, q])
-    Z = np.zeros((q, q), dtype=np.complex128)
-    Y = np.zeros((nd, nd), dtype=np.complex128)
-    best_x, best_t = x.copy(), np.inf
+    Z, Y = blank(tall.shape[1]), blank(pattern.d_blocks[-1])
+    best_x, best_t = step_to(x, 0.0, x), np.inf
     steps, restarts, short = 0, 0, True
     while steps < max_steps:
         if short:
             restarts += 1
-            used = centre(x, t, tall, pattern, Z, Y)
-            if used < 0 or restarts > 4:
+            used = centre(x, t, tall, pattern, Z, Y) if restarts <= 4 else -1
+            if used < 0:
                 break
             steps += used
-            S, Dw = d_matrices(x, q, pattern)
-            size = inner(Z, Dw)
-            Z /= size
-            Y /= size
-        S, Dw = d_matrices(x, q, pattern)
-        F = form(x, t, tall, pattern)
-        L, K = np.zeros_like(F), np.zeros_like(S)
-        if not np.isfinite(factor(F, whole, L) + factor(S, pattern.d_blocks, K)):
+        point, barrier = evaluate(x, t, tall, pattern)
+        if not np.isfinite(barrier):
             break
-        P, T = inverse(L, whole), inverse(K, pattern.d_blocks)
-        level = t + allowance(x, t, tall, S, T, pattern)
-        if level < best_t:
-            best_t = level
-            best_x[:] = x
-        gap = inner(Z, F) + inner(Y, S)
-        if best_t <= max(goal, 0.0) or gap <= tol * abs(t) or t < -1.0:
+        reached = t + allowance(x, tall, point, pattern)
+        if reached < best_t:
+            best_t = reached
+            best_x = step_to(x, 0.0, x)
+        gap = inner(Z, point.F) + inner(Y, point.S)
+        if best_t <= max(goal, 0.0) or gap <= tol * abs(t) or t < -1.0 or (goal > 0 and t - 2 * gap > goal):
             break
-        ok, move, ap, ad = advance(x, t, tall, pattern, (F, S, Dw, P, T, Z, Y), gap)
-        steps += 1
-        if not ok:
+        move, length = advance(x, t, tall, pattern, point, Z, Y, gap)
+        if not np.isfinite(move):
             break
         t += move
-        short = min(ap, ad) < 0.05
-        if not short and t - 2 * gap > goal and goal > 0:
-            break
+        steps += 1
+        short = length < 0.05
     return best_x, best_t, steps
