@@ -67,45 +67,15 @@ def minimise(
 
 
 def _pattern(space: ScalingSpace) -> Pattern:
-    """The sparse linear maps x -> E(x) and x -> D(x) as the compiled code reads them."""
+    """The sparse linear map x -> E(x) as the compiled code reads it."""
     from robustlab.mu_analysis.primal_dual_kernels import Pattern
 
-    n = space.size
-    ends = np.append(space.first, len(space.rows))
-    owner, trace = np.full(n, -1), np.zeros(n)
-    d_rows: list[int] = []
-    d_cols: list[int] = []
-    d_coefficients: list[complex] = []
-    d_first, corners, i = [0], [0], 0
-    for b, (block, (w, _)) in enumerate(zip(space.blocks, space.slices, strict=True)):
-        full = isinstance(block, FullBlock)
-        size = 1 if full else block.rows
-        # The parameters of D are those with entries in D_w; those of G follow them.
-        while i < n and space.in_w[ends[i]] and w.start <= space.rows[ends[i]] < w.stop:
-            for e in range(ends[i], ends[i] + 1 if full else ends[i + 1]):
-                if space.in_w[e]:
-                    d_rows.append(int(space.rows[e]) - w.start + corners[-1])
-                    d_cols.append(int(space.cols[e]) - w.start + corners[-1])
-                    d_coefficients.append(space.coefficients[e])
-                    trace[i] += float(space.rows[e] == space.cols[e])
-            owner[i] = b
-            d_first.append(len(d_rows))
-            i += 1
-        while i < n and not space.in_w[ends[i]]:
-            d_first.append(len(d_rows))
-            i += 1
-        corners.append(corners[-1] + size)
-    whole = (d_rows, d_cols)
-    return Pattern(
-        space.rows,
-        space.cols,
-        space.coefficients,
-        space.in_w,
-        ends,
-        *(np.array(part, dtype=int) for part in whole),
-        np.array(d_coefficients, dtype=complex),
-        np.array(d_first, dtype=int),
-        np.array(corners, dtype=int),
-        owner,
-        trace,
-    )
+    in_w = space.in_w[space.first] > 0
+    owner = np.where(in_w, space.block_of, -1)
+    diagonal = (space.in_w > 0) & (space.rows == space.cols)
+    trace = np.add.reduceat(diagonal.astype(float), space.first)
+    # D_w of a full block is a multiple of the identity: diagonal blocks of order one.
+    sizes = [[1] * b.rows if isinstance(b, FullBlock) else [b.rows] for b in space.blocks]
+    corners = np.cumsum([0, *(size for part in sizes for size in part)])
+    first = np.append(space.first, len(space.rows))
+    return Pattern(space.rows, space.cols, space.coefficients, first, owner, trace, corners)

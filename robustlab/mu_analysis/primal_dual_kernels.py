@@ -20,28 +20,22 @@ INSIDE = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class Pattern(NamedTuple):
-    """The entries of the sparse E(x) of `ScalingSpace`, and those of the compact D (one number for a full block)."""
+    """The entries of the sparse E(x) of `ScalingSpace`."""
 
     rows: np.ndarray
     cols: np.ndarray
     coefficients: np.ndarray
-    in_w: np.ndarray  # 1.0 for the entries of D_w
     first: np.ndarray  # (size + 1,) where each parameter's entries begin
-    d_rows: np.ndarray
-    d_cols: np.ndarray
-    d_coefficients: np.ndarray
-    d_first: np.ndarray
-    d_blocks: np.ndarray  # (blocks + 1,) where each block of the compact D begins
-    owner: np.ndarray  # (size,) block that a parameter of D belongs to; -1 for those of G
-    trace: np.ndarray  # (size,) gradient of the trace of the compact D
+    owner: np.ndarray  # (size,) diagonal block of D_w that a parameter belongs to; -1 for those of G
+    trace: np.ndarray  # (size,) gradient of the trace of D_w
+    blocks: np.ndarray  # where each diagonal block of D_w begins, and its order last
 
 
 class Point(NamedTuple):
-    """F, the compact D, and D_w at one x and t; P and T are the inverses of the first two."""
+    """F and ``S = D_w`` at one x and t, and their inverses P and T."""
 
     F: np.ndarray
     S: np.ndarray
-    Dw: np.ndarray
     P: np.ndarray
     T: np.ndarray
 
@@ -78,7 +72,6 @@ class Direction(NamedTuple):
     dt: float
     dF: np.ndarray
     dS: np.ndarray
-    dDw: np.ndarray
     dZ: np.ndarray
     dY: np.ndarray
 
@@ -248,28 +241,26 @@ def form(x, t, tall, pattern):
     for i in range(len(x)):
         for e in range(pattern.first[i], pattern.first[i + 1]):
             a = pattern.coefficients[e] * x[i]
-            if pattern.in_w[e] > 0:
-                B[pattern.rows[e], pattern.cols[e]] += a * t
+            row, col = pattern.rows[e], pattern.cols[e]
+            if row < q and col < q:
+                B[row, col] += a * t
             else:
-                row, col = pattern.rows[e], pattern.cols[e]
                 for j in range(q):
                     B[row, j] += a * tall[col, j]
     return symmetrise(along(B[:q], 1.0, adjoint_product(tall[q:], B[q:])))
 
 
 @nb.njit(**INSIDE)
-def d_matrices(x, q, pattern):
-    """The compact D, and D_w."""
-    n = pattern.d_blocks[-1]
-    S = np.zeros((n, n), dtype=np.complex128)
-    W = np.zeros((q, q), dtype=np.complex128)
+def d_form(x, pattern):
+    """``D_w(x)``."""
+    q = pattern.blocks[-1]
+    W = blank(q)
     for i in range(len(x)):
-        for e in range(pattern.d_first[i], pattern.d_first[i + 1]):
-            S[pattern.d_rows[e], pattern.d_cols[e]] += pattern.d_coefficients[e] * x[i]
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            if pattern.in_w[e] > 0:
-                W[pattern.rows[e], pattern.cols[e]] += pattern.coefficients[e] * x[i]
-    return S, W
+        if pattern.owner[i] >= 0:
+            for e in range(pattern.first[i], pattern.first[i + 1]):
+                if pattern.rows[e] < q:
+                    W[pattern.rows[e], pattern.cols[e]] += pattern.coefficients[e] * x[i]
+    return W
 
 
 @nb.njit(**INSIDE)
@@ -298,56 +289,50 @@ def sandwich(X, tall):
 @nb.njit(**INSIDE)
 def traces(W, t, pattern):
     """``tr(F_i X)`` of each parameter, from ``W = U^* X U``; the entries of D_w times t."""
+    q = pattern.blocks[-1]
     out = np.zeros(len(pattern.trace))
     for i in range(len(out)):
         for e in range(pattern.first[i], pattern.first[i + 1]):
-            value = pattern.coefficients[e] * W[pattern.cols[e], pattern.rows[e]]
-            out[i] += value.real * (t if pattern.in_w[e] > 0 else 1.0)
-    return out
-
-
-@nb.njit(**INSIDE)
-def w_traces(X, pattern):
-    """``tr(D_i X)`` of each parameter for X of the order of D_w."""
-    out = np.zeros(len(pattern.trace))
-    for i in range(len(out)):
-        for e in range(pattern.first[i], pattern.first[i + 1]):
-            if pattern.in_w[e] > 0:
-                out[i] += (pattern.coefficients[e] * X[pattern.cols[e], pattern.rows[e]]).real
+            row, col = pattern.rows[e], pattern.cols[e]
+            out[i] += (pattern.coefficients[e] * W[col, row]).real * (t if row < q and col < q else 1.0)
     return out
 
 
 @nb.njit(**INSIDE)
 def d_traces(X, pattern):
-    """``tr(D_i X)`` of each parameter for X of the order of the compact D."""
+    """``tr(D_i X)`` of each parameter."""
+    q = pattern.blocks[-1]
     out = np.zeros(len(pattern.trace))
     for i in range(len(out)):
-        for e in range(pattern.d_first[i], pattern.d_first[i + 1]):
-            out[i] += (pattern.d_coefficients[e] * X[pattern.d_cols[e], pattern.d_rows[e]]).real
+        if pattern.owner[i] >= 0:
+            for e in range(pattern.first[i], pattern.first[i + 1]):
+                if pattern.rows[e] < q:
+                    out[i] += (pattern.coefficients[e] * X[pattern.cols[e], pattern.rows[e]]).real
     return out
 
 
 @nb.njit(**INSIDE)
 def curvature(V, W, t, T, Y, pattern):
-    """``Re tr(F_i P F_j Z) + Re tr(D_i S^-1 D_j Y)`` from ``V = U^* P U``, ``W = U^* Z U``, ``T = S^-1``; lower half."""
-    n = len(pattern.trace)
-    c = np.empty(len(pattern.coefficients), dtype=np.complex128)
+    """``Re tr(F_i P F_j Z) + Re tr(D_i T D_j Y)`` from ``V = U^* P U`` and ``W = U^* Z U``; lower half."""
+    n, q = len(pattern.trace), pattern.blocks[-1]
+    rows, cols, first, owner = pattern.rows, pattern.cols, pattern.first, pattern.owner
+    c = np.empty(len(rows), dtype=np.complex128)
     for e in range(len(c)):
-        c[e] = pattern.coefficients[e] * (t if pattern.in_w[e] > 0 else 1.0)
+        c[e] = pattern.coefficients[e] * (t if rows[e] < q and cols[e] < q else 1.0)
     H = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
             total = 0.0
-            for e in range(pattern.first[i], pattern.first[i + 1]):
-                row, col, a = pattern.rows[e], pattern.cols[e], c[e]
-                for f in range(pattern.first[j], pattern.first[j + 1]):
-                    total += (a * V[col, pattern.rows[f]] * (c[f] * W[pattern.cols[f], row])).real
-            if pattern.owner[i] >= 0 and pattern.owner[i] == pattern.owner[j]:
-                for e in range(pattern.d_first[i], pattern.d_first[i + 1]):
-                    row, col, a = pattern.d_rows[e], pattern.d_cols[e], pattern.d_coefficients[e]
-                    for f in range(pattern.d_first[j], pattern.d_first[j + 1]):
-                        other = pattern.d_coefficients[f] * Y[pattern.d_cols[f], row]
-                        total += (a * T[col, pattern.d_rows[f]] * other).real
+            for e in range(first[i], first[i + 1]):
+                row, col, a = rows[e], cols[e], c[e]
+                for f in range(first[j], first[j + 1]):
+                    total += (a * V[col, rows[f]] * (c[f] * W[cols[f], row])).real
+            if owner[i] >= 0 and owner[i] == owner[j]:
+                for e in range(first[i], first[i + 1]):
+                    for f in range(first[j], first[j + 1]):
+                        if rows[e] < q and rows[f] < q:
+                            a = pattern.coefficients[e] * T[cols[e], rows[f]]
+                            total += (a * pattern.coefficients[f] * Y[cols[f], rows[e]]).real
             H[i, j] = total
     return H
 
@@ -400,14 +385,14 @@ def newton_solve(H, scale, right):
 
 
 @nb.njit(**INSIDE)
-def longest(X, dX, bend, blocks, S, dS, d_blocks, top, halvings):
+def longest(X, dX, bend, S, dS, blocks, top, halvings):
     """Largest step up to ``top`` (by bisection) that keeps ``X + a dX + a^2 bend`` and ``S + a dS`` positive definite."""
-    L, K = blank(len(X)), blank(len(S))
+    L, whole = blank(len(X)), np.array([0, len(X)])
     low, high, a = 0.0, top, top
     for _ in range(3 * halvings):
-        inside = np.isfinite(factor(along(S, a, dS), d_blocks, K))
+        inside = np.isfinite(factor(along(S, a, dS), blocks, L))
         if inside:
-            inside = np.isfinite(factor(along(along(X, a, dX), a * a, bend), blocks, L))
+            inside = np.isfinite(factor(along(along(X, a, dX), a * a, bend), whole, L))
         if inside:
             low = a
         else:
@@ -421,28 +406,28 @@ def longest(X, dX, bend, blocks, S, dS, d_blocks, top, halvings):
 
 @nb.njit(**INSIDE)
 def evaluate(x, t, tall, pattern):
-    """F, compact D, D_w at x and t, the inverses of the first two, and the barrier (NaN where one is not positive)."""
+    """The point at x and t, and its barrier (NaN where F or D is not positive definite: no inverses then)."""
     q = tall.shape[1]
-    S, Dw = d_matrices(x, q, pattern)
+    S = d_form(x, pattern)
     F = form(x, t, tall, pattern)
-    L, K = blank(q), blank(len(S))
+    L, K = blank(q), blank(q)
     whole = np.array([0, q])
-    barrier = -factor(F, whole, L) - factor(S, pattern.d_blocks, K)
+    barrier = -factor(F, whole, L) - factor(S, pattern.blocks, K)
     if np.isfinite(barrier):
-        return Point(F, S, Dw, inverse(L, whole), inverse(K, pattern.d_blocks)), barrier
-    return Point(F, S, Dw, L, K), barrier
+        return Point(F, S, inverse(L, whole), inverse(K, pattern.blocks)), barrier
+    return Point(F, S, L, K), barrier
 
 
 @nb.njit(**INSIDE)
-def descent(point, dF, dS, barrier, d_blocks):
+def descent(point, dF, dS, barrier, blocks):
     """A step along dF, dS that lowers the barrier well: the longest, then shorter ones as long as they do better."""
     F, S = point.F, point.S
     L, K = blank(len(F)), blank(len(S))
     whole = np.array([0, len(F)])
-    a = 0.9 * longest(F, dF, blank(len(F)), whole, S, dS, d_blocks, 4.0, 4)
+    a = 0.9 * longest(F, dF, blank(len(F)), S, dS, blocks, 4.0, 4)
     best, best_a = barrier, 0.0
     for _ in range(20):
-        trial = -factor(along(F, a, dF), whole, L) - factor(along(S, a, dS), d_blocks, K)
+        trial = -factor(along(F, a, dF), whole, L) - factor(along(S, a, dS), blocks, K)
         if trial < best:
             best, best_a = trial, a
         elif best_a > 0:
@@ -454,7 +439,7 @@ def descent(point, dF, dS, barrier, d_blocks):
 @nb.njit(**INSIDE)
 def centre(x, t, tall, pattern, Z, Y):
     """Newton steps of x, in place, to the analytic centre at t; the Z, Y that come with it are feasible. Steps, or -1."""
-    q, blocks = tall.shape[1], pattern.d_blocks
+    q, blocks = tall.shape[1], pattern.blocks
     for count in range(30):
         point, barrier = evaluate(x, t, tall, pattern)
         if not np.isfinite(barrier):
@@ -470,13 +455,13 @@ def centre(x, t, tall, pattern, Z, Y):
         dx, keep = newton_solve(H, scale, down), newton_solve(H, scale, pattern.trace)
         shift(dx, -dot(pattern.trace, dx) / dot(pattern.trace, keep), keep)
         dF = form(dx, t, tall, pattern)
-        dS, _ = d_matrices(dx, q, pattern)
+        dS = d_form(dx, pattern)
         if dot(down, dx) < 0.8:
             whole = np.array([0, q])
             # Z = P - P dF P is positive definite for a decrement below one, and on the tangent of all constraints.
             pair = along(P, -1.0, product(product(P, dF), P))
             pair_d = along(T, -1.0, block_product(block_product(T, dS, blocks), T, blocks))
-            size = inner(pair, point.Dw)
+            size = inner(pair, point.S)
             if not (size > 0 and np.isfinite(factor(pair, whole, blank(q)))):
                 return -1
             assign(Z, 1 / size, symmetrise(pair))
@@ -517,64 +502,63 @@ def newton_system(t, tall, pattern, point, Z, Y):
     V, W = sandwich(point.P, tall), sandwich(Z, tall)
     H = curvature(V, W, t, point.T, Y, pattern)
     scale, good = newton_factor(H)
-    X = symmetrise(product(product(point.P, point.Dw), Z))
+    X = symmetrise(product(product(point.P, point.S), Z))
     b = traces(sandwich(X, tall), t, pattern)
-    shift(b, -1.0, w_traces(Z, pattern))
+    shift(b, -1.0, d_traces(Z, pattern))
     Hb, Hc = newton_solve(H, scale, b), newton_solve(H, scale, pattern.trace)
     centring = traces(V, t, pattern)
     shift(centring, 1.0, d_traces(point.T, pattern))
-    tt, tc, cc = inner(X, point.Dw) - dot(b, Hb), -dot(b, Hc), -dot(pattern.trace, Hc)
+    tt, tc, cc = inner(X, point.S) - dot(b, Hb), -dot(b, Hc), -dot(pattern.trace, Hc)
     good = good and tt * cc - tc * tc != 0
-    return System(H, scale, b, Hb, Hc, tt, tc, cc, centring, inner(point.P, point.Dw)), good
+    return System(H, scale, b, Hb, Hc, tt, tc, cc, centring, inner(point.P, point.S)), good
 
 
 @nb.njit(**INSIDE)
 def direction(tall, t, pattern, system, point, Z, Y, nu, second):
     """Newton direction to the point of the central path with ``F Z = nu I``; ``second`` holds terms of second order."""
-    q, blocks, P, T = tall.shape[1], pattern.d_blocks, point.P, point.T
+    q, blocks, P, T = tall.shape[1], pattern.blocks, point.P, point.T
     C = symmetrise(product(P, along(product(second.bend, Z), 1.0, second.twist)))
     right = step_to(second.push, nu, system.centring)
     shift(right, -1.0, traces(sandwich(C, tall), t, pattern))
     shift(right, -1.0, d_traces(second.twist_d, pattern))
-    right_t = nu * system.centring_t - 1.0 + second.push_t - inner(C, point.Dw)
+    right_t = nu * system.centring_t - 1.0 + second.push_t - inner(C, point.S)
     y = newton_solve(system.H, system.scale, right)
     r1, r2 = right_t - dot(system.b, y), -dot(pattern.trace, y)
     determinant = system.tt * system.cc - system.tc * system.tc
     dt = (r1 * system.cc - system.tc * r2) / determinant
     dx = step_to(y, -dt, system.Hb)
     shift(dx, -(system.tt * r2 - system.tc * r1) / determinant, system.Hc)
-    dS, dDw = d_matrices(dx, q, pattern)
-    dF = along(form(dx, t, tall, pattern), dt, point.Dw)
+    dS = d_form(dx, pattern)
+    dF = along(form(dx, t, tall, pattern), dt, point.S)
     curved = along(product(along(dF, 1.0, second.bend), Z), 1.0, second.twist)
     dZ = along(along(Z, 1.0, symmetrise(product(P, curved))), -nu, P)
     dY = along(symmetrise(block_product(block_product(T, dS, blocks), Y, blocks)), 1.0, second.twist_d)
     dY = along(along(dY, 1.0, Y), -nu, T)
-    return Direction(dx, dt, dF, dS, dDw, along(blank(q), -1.0, dZ), along(blank(len(dY)), -1.0, dY))
+    return Direction(dx, dt, dF, dS, along(blank(q), -1.0, dZ), along(blank(q), -1.0, dY))
 
 
 @nb.njit(**INSIDE)
 def advance(x, t, tall, pattern, point, Z, Y, gap):
     """One predictor-corrector step of x, Z and Y in place: change of t, and the shorter of both step lengths."""
-    blocks, F, S = pattern.d_blocks, point.F, point.S
-    q, zero, zero_d = len(F), blank(len(F)), blank(len(S))
-    whole = np.array([0, q])
+    blocks, F, S = pattern.blocks, point.F, point.S
+    q, zero = len(F), blank(len(F))
     system, good = newton_system(t, tall, pattern, point, Z, Y)
     if not good:
         return np.nan, 0.0
-    second = Second(zero, zero, zero_d, np.zeros(len(x)), 0.0)
+    second = Second(zero, zero, zero, np.zeros(len(x)), 0.0)
     d = direction(tall, t, pattern, system, point, Z, Y, 0.0, second)
-    ap = longest(F, d.dF, zero, whole, S, d.dS, blocks, 1.0, 4)
-    ad = longest(Z, d.dZ, zero, whole, Y, d.dY, blocks, 1.0, 4)
+    ap = longest(F, d.dF, zero, S, d.dS, blocks, 1.0, 4)
+    ad = longest(Z, d.dZ, zero, Y, d.dY, blocks, 1.0, 4)
     ahead = inner(along(F, ap, d.dF), along(Z, ad, d.dZ)) + inner(along(S, ap, d.dS), along(Y, ad, d.dY))
     ratio = min(max(ahead / gap, 0.0), 1.0)
-    nu = min(max(ratio**2, 1e-3 if min(ap, ad) > 0.9 else 0.05), 0.9) * gap / (q + len(S))
+    nu = min(max(ratio**2, 1e-3 if min(ap, ad) > 0.9 else 0.05), 0.9) * gap / (2 * q)
     twist_d = symmetrise(block_product(block_product(point.T, d.dS, blocks), d.dY, blocks))
-    push = step_to(np.zeros(len(x)), d.dt, w_traces(d.dZ, pattern))
-    second = Second(along(zero, d.dt, d.dDw), product(d.dF, d.dZ), twist_d, push, inner(d.dZ, d.dDw))
+    push = step_to(np.zeros(len(x)), d.dt, d_traces(d.dZ, pattern))
+    second = Second(along(zero, d.dt, d.dS), product(d.dF, d.dZ), twist_d, push, inner(d.dZ, d.dS))
     d = direction(tall, t, pattern, system, point, Z, Y, nu, second)
-    bend = along(zero, d.dt, d.dDw)
-    ap = min(1.0, 0.96 * longest(F, d.dF, bend, whole, S, d.dS, blocks, 1.05, 5))
-    ad = min(1.0, 0.96 * longest(Z, d.dZ, zero, whole, Y, d.dY, blocks, 1.05, 5))
+    bend = along(zero, d.dt, d.dS)
+    ap = min(1.0, 0.96 * longest(F, d.dF, bend, S, d.dS, blocks, 1.05, 5))
+    ad = min(1.0, 0.96 * longest(Z, d.dZ, zero, Y, d.dY, blocks, 1.05, 5))
     shift(x, ap, d.dx)
     assign(Z, 1.0, along(Z, ad, d.dZ))
     assign(Y, 1.0, along(Y, ad, d.dY))
@@ -584,7 +568,7 @@ def advance(x, t, tall, pattern, point, Z, Y, gap):
 @nb.njit(**ENTRY)
 def descend(x, t, tall, pattern, tol, goal, max_steps):
     """Follow the central path down from x, t; the best x, its t, and the number of Newton systems."""
-    Z, Y = blank(tall.shape[1]), blank(pattern.d_blocks[-1])
+    Z, Y = blank(tall.shape[1]), blank(tall.shape[1])
     best_x, best_t = step_to(x, 0.0, x), np.inf
     steps, restarts, short = 0, 0, True
     while steps < max_steps:

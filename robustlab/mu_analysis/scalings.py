@@ -43,6 +43,8 @@ class ScalingSpace:
         1 for the entries of D_w (they carry the factor beta^2), else 0.
     identity
         Parameters of D = I, G = 0, shape (size,).
+    block_of
+        Index of the block that a parameter belongs to, shape (size,).
     scales_with_m
         Whether a parameter belongs to G, which carries the unit of M, shape (size,).
     """
@@ -87,6 +89,9 @@ class ScalingSpace:
         self._owner = np.repeat(np.arange(self.size), lengths)[order]
         self._ordered = self.coefficients[order]
         self.identity = np.array(identity)
+        # The first entry of every parameter stands in the rows of w.
+        starts = np.array([w.start for w, _ in self.slices], dtype=int)
+        self.block_of = np.searchsorted(starts, self.rows[self.first], side="right") - 1
         self.scales_with_m = (self.cols[self.first] >= self.q) & (self.rows[self.first] < self.q)
 
     def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
