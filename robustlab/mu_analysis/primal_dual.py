@@ -40,9 +40,9 @@ START = 1.3  # t at which the path begins, for M of norm 1: D = I, G = 0 is feas
 
 
 def minimise(
-    M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 80
-) -> Array:
-    """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q).
+    M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 40
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q), and where that is all.
 
     Parameters
     ----------
@@ -52,18 +52,25 @@ def minimise(
         Stop where the estimated distance of t to its optimum falls below ``tol * t``.
     target
         Stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of reach.
+
+    Returns
+    -------
+    x, settled
+        ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid, another
+        method may find a better one.
     """
     from robustlab.mu_analysis.primal_dual_kernels import descend
 
     scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
     goal = np.full(len(M), -np.inf) if target is None else (np.minimum(target, 1e3 * scale) / scale) ** 2
-    tall = np.concatenate([np.broadcast_to(np.eye(space.q), (len(M), space.q, space.q)), M / scale[:, None, None]], 1)
+    eye = np.broadcast_to(np.eye(space.q, dtype=complex), (len(M), space.q, space.q))
+    tall = np.concatenate([eye, M / scale[:, None, None]], axis=1)
     pattern = _pattern(space)
-    x = np.empty((len(M), space.size))
+    x, settled = np.empty((len(M), space.size)), np.empty(len(M), dtype=bool)
     for k in range(len(M)):
-        x[k] = descend(space.identity.copy(), START, tall[k], pattern, tol, goal[k], max_steps)[0]
+        x[k], settled[k], _ = descend(space.identity.copy(), START, tall[k], pattern, tol, goal[k], max_steps)
     # Back from M / scale: G carries the unit of M.
-    return np.where(space.scales_with_m, x * scale[:, None], x)
+    return np.where(space.scales_with_m, x * scale[:, None], x), settled
 
 
 def _pattern(space: ScalingSpace) -> Pattern:

@@ -18,6 +18,9 @@ ENTRY = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"con
 # same reason sums of arrays are written as loops; numba compiles a kernel of its own for each array expression.
 INSIDE = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
+# Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
+SHORT_G = 1e-4
+
 
 class Pattern(NamedTuple):
     """The entries of the sparse E(x) of `ScalingSpace`."""
@@ -184,7 +187,7 @@ def factor(X, blocks, L):
                 for k in range(low, j):
                     value -= L[i, k] * np.conj(L[j, k])
                 if j < i:
-                    L[i, j] = value / L[j, j].real
+                    L[i, j] = value * (1 / L[j, j].real)
                 elif value.real > 1e-15 * X[i, i].real and value.real < np.inf:
                     L[i, i] = np.sqrt(value.real)
                     log += np.log(value.real)
@@ -208,7 +211,7 @@ def inverse(L, blocks):
                     R[i, j] -= a * R[k, j]
             R[i, i] = 1.0
             for j in range(low, i + 1):
-                R[i, j] /= L[i, i].real
+                R[i, j] *= 1 / L[i, i].real
         for k in range(low, high):
             for i in range(low, k + 1):
                 a = np.conj(R[k, i])
@@ -338,6 +341,23 @@ def curvature(V, W, t, T, Y, pattern):
 
 
 @nb.njit(**INSIDE)
+def g_part(x, pattern):
+    """x with the parameters of D set to zero."""
+    out = np.empty(len(x))
+    for i in range(len(x)):
+        out[i] = x[i] if pattern.owner[i] < 0 else 0.0
+    return out
+
+
+@nb.njit(**INSIDE)
+def shorten(H, weight, pattern):
+    """Add the curvature of ``weight |G|^2 / 2``."""
+    for i in range(len(H)):
+        if pattern.owner[i] < 0:
+            H[i, i] += weight
+
+
+@nb.njit(**INSIDE)
 def newton_factor(H):
     """Cholesky factor of H in diagonal scaling, in place, and the scaling; directions without curvature stay put."""
     n = len(H)
@@ -419,7 +439,7 @@ def evaluate(x, t, tall, pattern):
 
 
 @nb.njit(**INSIDE)
-def descent(point, dF, dS, barrier, blocks):
+def descent(point, dF, dS, barrier, blocks, linear, square):
     """A step along dF, dS that lowers the barrier well: the longest, then shorter ones as long as they do better."""
     F, S = point.F, point.S
     L, K = blank(len(F)), blank(len(S))
@@ -428,6 +448,7 @@ def descent(point, dF, dS, barrier, blocks):
     best, best_a = barrier, 0.0
     for _ in range(20):
         trial = -factor(along(F, a, dF), whole, L) - factor(along(S, a, dS), blocks, K)
+        trial += a * linear + a * a * square
         if trial < best:
             best, best_a = trial, a
         elif best_a > 0:
@@ -447,11 +468,14 @@ def centre(x, t, tall, pattern, Z, Y):
         P, T = point.P, point.T
         V = sandwich(P, tall)
         H = curvature(V, V, t, T, T, pattern)
+        shorten(H, SHORT_G, pattern)
         scale, good = newton_factor(H)
         if not good:
             return -1
         down = traces(V, t, pattern)
         shift(down, 1.0, d_traces(T, pattern))
+        G = g_part(x, pattern)
+        shift(down, -SHORT_G, G)
         dx, keep = newton_solve(H, scale, down), newton_solve(H, scale, pattern.trace)
         shift(dx, -dot(pattern.trace, dx) / dot(pattern.trace, keep), keep)
         dF = form(dx, t, tall, pattern)
@@ -467,7 +491,8 @@ def centre(x, t, tall, pattern, Z, Y):
             assign(Z, 1 / size, symmetrise(pair))
             assign(Y, 1 / size, symmetrise(pair_d))
             return count + 1
-        a = descent(point, dF, dS, barrier, blocks)
+        dG = g_part(dx, pattern)
+        a = descent(point, dF, dS, barrier, blocks, SHORT_G * dot(G, dG), 0.5 * SHORT_G * dot(dG, dG))
         if a == 0:
             return -1
         shift(x, a, dx)
@@ -497,10 +522,11 @@ def allowance(x, tall, point, pattern):
 
 
 @nb.njit(**INSIDE)
-def newton_system(t, tall, pattern, point, Z, Y):
+def newton_system(x, t, tall, pattern, point, Z, Y, nu):
     """The factorised system in dx, and what is left of it for dt and the multiplier of the fixed trace."""
     V, W = sandwich(point.P, tall), sandwich(Z, tall)
     H = curvature(V, W, t, point.T, Y, pattern)
+    shorten(H, nu * SHORT_G, pattern)
     scale, good = newton_factor(H)
     X = symmetrise(product(product(point.P, point.S), Z))
     b = traces(sandwich(X, tall), t, pattern)
@@ -508,6 +534,7 @@ def newton_system(t, tall, pattern, point, Z, Y):
     Hb, Hc = newton_solve(H, scale, b), newton_solve(H, scale, pattern.trace)
     centring = traces(V, t, pattern)
     shift(centring, 1.0, d_traces(point.T, pattern))
+    shift(centring, -SHORT_G, g_part(x, pattern))
     tt, tc, cc = inner(X, point.S) - dot(b, Hb), -dot(b, Hc), -dot(pattern.trace, Hc)
     good = good and tt * cc - tc * tc != 0
     return System(H, scale, b, Hb, Hc, tt, tc, cc, centring, inner(point.P, point.S)), good
@@ -542,7 +569,7 @@ def advance(x, t, tall, pattern, point, Z, Y, gap):
     """One predictor-corrector step of x, Z and Y in place: change of t, and the shorter of both step lengths."""
     blocks, F, S = pattern.blocks, point.F, point.S
     q, zero = len(F), blank(len(F))
-    system, good = newton_system(t, tall, pattern, point, Z, Y)
+    system, good = newton_system(x, t, tall, pattern, point, Z, Y, gap / (2 * q))
     if not good:
         return np.nan, 0.0
     second = Second(zero, zero, zero, np.zeros(len(x)), 0.0)
@@ -567,10 +594,14 @@ def advance(x, t, tall, pattern, point, Z, Y, gap):
 
 @nb.njit(**ENTRY)
 def descend(x, t, tall, pattern, tol, goal, max_steps):
-    """Follow the central path down from x, t; the best x, its t, and the number of Newton systems."""
+    """Follow the central path down from x, t.
+
+    Returns the best x, whether its t is the optimum within ``tol`` (or its goal was reached, or shown out of reach), and
+    the number of Newton systems.
+    """
     Z, Y = blank(tall.shape[1]), blank(tall.shape[1])
     best_x, best_t = step_to(x, 0.0, x), np.inf
-    steps, restarts, short = 0, 0, True
+    steps, restarts, short, settled = 0, 0, True, False
     while steps < max_steps:
         if short:
             restarts += 1
@@ -586,7 +617,8 @@ def descend(x, t, tall, pattern, tol, goal, max_steps):
             best_t = reached
             best_x = step_to(x, 0.0, x)
         gap = inner(Z, point.F) + inner(Y, point.S)
-        if best_t <= max(goal, 0.0) or gap <= tol * abs(t) or t < -1.0 or (goal > 0 and t - 2 * gap > goal):
+        settled = best_t <= max(goal, 0.0) or gap <= tol * t or (goal > 0 and t - 2 * gap > goal)
+        if settled:
             break
         move, length = advance(x, t, tall, pattern, point, Z, Y, gap)
         if not np.isfinite(move):
@@ -594,4 +626,4 @@ def descend(x, t, tall, pattern, tol, goal, max_steps):
         t += move
         steps += 1
         short = length < 0.05
-    return best_x, best_t, steps
+    return best_x, settled, steps

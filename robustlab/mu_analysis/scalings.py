@@ -10,6 +10,7 @@ so that gradients and Hessians of its barrier need products of single entries of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
-__all__ = ["ScalingSpace", "hermitian"]
+__all__ = ["ScalingSpace", "hermitian", "scaling_space"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -102,6 +103,12 @@ class ScalingSpace:
         e[:, self._places] = np.add.reduceat(values, self._begin, axis=1)
         e = e.reshape(len(x), n, n)
         return e[:, :q, :q], -e[:, q:, q:], 1j * e[:, :q, q:]
+
+
+@lru_cache(maxsize=256)
+def scaling_space(blocks: tuple[Block, ...]) -> ScalingSpace:
+    """The scaling space of these blocks; bounds of one structure are asked for again and again."""
+    return ScalingSpace(blocks)
 
 
 def _hermitian_basis(r: int) -> list[list[tuple[int, int, complex]]]:
