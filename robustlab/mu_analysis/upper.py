@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.mu_analysis.certificate import certified_level
+from robustlab.mu_analysis.certificate import certified_level, certified_levels
 from robustlab.mu_analysis.decomposition import Component, balancing_exponents, components, expand
 from robustlab.mu_analysis.scalings import scaling_space
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
@@ -49,10 +49,14 @@ def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) ->
         solved = _component_bounds(stack, [blocks[i] for i in members], tol)
         for (k, j), bound in zip(places, solved, strict=True):
             parts[k][j] = bound
-    return [
-        _assemble(m, blocks, found, [p for p in part if p is not None])
-        for m, found, part in zip(M, split, parts, strict=True)
-    ]
+    done = [[p for p in part if p is not None] for part in parts]
+    whole = [k for k, found in enumerate(split) if len(found) == 1]
+    placed = [_placed(blocks, split[k], done[k], 1.0) for k in whole]
+    bounds: dict[int, UpperBound] = {}
+    if whole:
+        Dw, Dz, G = (np.stack(parts) for parts in zip(*placed, strict=True))
+        bounds = dict(zip(whole, _certified(M[whole], Dw, Dz, G), strict=True))
+    return [bounds[k] if k in bounds else _assemble(M[k], blocks, split[k], done[k]) for k in range(len(M))]
 
 
 def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
@@ -88,7 +92,8 @@ def _minimise(
 
 
 def _certified(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> list[UpperBound]:
-    return [UpperBound(certified_level(*parts), *parts[1:]) for parts in zip(M, Dw, Dz, G, strict=True)]
+    levels = certified_levels(M, Dw, Dz, G)
+    return [UpperBound(float(beta), *parts) for beta, *parts in zip(levels, Dw, Dz, G, strict=True)]
 
 
 def _unscaled(m: ComplexArray, blocks: Sequence[Block]) -> UpperBound:
@@ -118,10 +123,7 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
     floor = max((b.beta for b in parts), default=0.0)
     best: UpperBound | None = None
     for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
-        Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
-        G = np.zeros((q, p), dtype=complex)
-        for component, bound in zip(found, parts, strict=True):
-            _place(blocks, component, bound, ratio**component.depth, (Dw, Dz, G))
+        Dw, Dz, G = _placed(blocks, found, parts, ratio)
         beta = certified_level(M, Dw, Dz, G)
         if best is None or beta < best.beta:
             best = UpperBound(beta, Dw, Dz, G)
@@ -134,23 +136,24 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
     return best
 
 
-def _place(
-    blocks: Sequence[Block],
-    component: Component,
-    bound: UpperBound,
-    weight: float,
-    into: tuple[ComplexArray, ComplexArray, ComplexArray],
-) -> None:
-    """Write a component's D and G, in the coordinates of M, into those of the whole."""
+def _placed(
+    blocks: Sequence[Block], found: list[Component], parts: list[UpperBound], ratio: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """D and G of all components, in the coordinates of M, as those of the whole."""
+    q, p = structure_size(blocks)
+    Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
+    G = np.zeros((q, p), dtype=complex)
     slices = block_slices(blocks)
-    part = [blocks[i] for i in component.members]
-    e_w, e_z = (np.exp2(e) for e in expand(part, component.exponents))
-    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
-    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
-    Dw, Dz, G = into
-    Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
-    Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
-    G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
+    for component, bound in zip(found, parts, strict=True):
+        part = [blocks[i] for i in component.members]
+        e_w, e_z = (np.exp2(e) for e in expand(part, component.exponents))
+        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
+        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
+        weight = ratio**component.depth
+        Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
+        Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
+        G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
+    return Dw, Dz, G
 
 
 def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:
