@@ -22,27 +22,17 @@ from numpy.typing import NDArray
 from robustlab.mu_analysis.scalings import hermitian
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices
 
-__all__ = ["EPS", "certified_level", "delta_norm", "level", "positive_definite", "project", "proves", "singularity"]
+__all__ = ["EPS", "certified_level", "certified_levels", "delta_norm", "level", "positive_definite", "project", "proves", "singularity"]
 
+Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 EPS = float(np.finfo(float).eps)
-
-# Relative steps by which a bound is raised until it proves itself.
-INFLATIONS = (1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
 
 
 def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
     """Smallest beta of D and G by floating point, no proof; 0 where N(0) > 0, inf where D is not positive definite."""
-    M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
-    try:
-        factor = np.linalg.cholesky(Dw)
-    except np.linalg.LinAlgError:
-        return float("inf")
-    half = np.linalg.solve(factor, _supply(M, Dz, G))
-    scaled = np.linalg.solve(factor, hermitian(half))
-    if not np.isfinite(scaled).all():
-        return float("inf")
-    return float(np.sqrt(max(np.linalg.eigvalsh((scaled + hermitian(scaled)) / 2)[-1], 0.0)))
+    square = _Inequality(*(part[None] for part in (M, Dw, Dz, G))).squares()[0]
+    return float(np.sqrt(max(square, 0.0)))
 
 
 def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:
@@ -51,47 +41,119 @@ def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray,
     The matrices are scaled by powers of two (exact); the rounding error of N is bounded entry by entry, and a Cholesky
     factorisation of N minus that bound has to succeed.
     """
-    M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
-    if not (np.isfinite(M).all() and np.isfinite(Dz).all() and np.isfinite(G).all() and np.isfinite(beta)):
-        return False
-    n = beta**2 * Dw - _supply(M, Dz, G)
-    size = np.abs(M)
-    cross = np.abs(G) @ size
-    bound = size.T @ np.abs(Dz) @ size + cross + cross.T + beta**2 * np.abs(Dw)
-    gamma = 4 * (sum(M.shape) + 4) * EPS  # complex products of two factors, summed over p and q terms
-    error = gamma * float(bound.sum(axis=1).max(initial=0.0))
-    return positive_definite(Dw, 0.0) and positive_definite((n + hermitian(n)) / 2, error)
+    return bool(_Inequality(*(part[None] for part in (M, Dw, Dz, G))).proves(np.array([beta]))[0])
 
 
 def positive_definite(X: ComplexArray, error: float) -> bool:
     """Whether every Hermitian matrix within ``error`` (2-norm) of X is positive definite, by Rump's criterion."""
-    n = len(X)
-    if n == 0:
-        return True
-    diagonal = np.diagonal(X).real
-    if not np.isfinite(X).all() or diagonal.min() <= 0:
-        return False
-    shift = error + 4 * (n + 2) * EPS * float(diagonal.sum())
-    try:
-        np.linalg.cholesky(X - shift * np.eye(n))
-    except np.linalg.LinAlgError:
-        return False
-    return True
+    return bool(_positive_definite(X[None], np.array([error]))[0])
 
 
 def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
     """The level of D and G, raised until `proves` says yes; inf where it never does."""
-    if not M.size or not np.any(M):
-        return 0.0
-    beta = level(M, Dw, Dz, G)
-    if not np.isfinite(beta):
-        return beta
-    if proves(M, Dw, Dz, G, beta):
-        return beta
-    # The size of M comes in where beta is next to nothing beside it.
-    size = float(np.abs(M).max())
-    steps = sorted(i * reference for i in INFLATIONS for reference in (beta, EPS * size, size))
-    return next((beta + s for s in steps if proves(M, Dw, Dz, G, beta + s)), float("inf"))
+    return float(certified_levels(*(part[None] for part in (M, Dw, Dz, G)))[0])
+
+
+def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> Array:
+    """`certified_level` of each matrix of a stack, shape (k,)."""
+    if not M.size:
+        return np.zeros(len(M))
+    inequality = _Inequality(M, Dw, Dz, G)
+    squares = inequality.squares()
+    zero = ~M.any(axis=(1, 2))
+    result = np.where(zero, 0.0, np.inf)
+    # beta^2 is raised by what the allowance for rounding errors asks for, then in steps of a factor of four.
+    raised = inequality.allowance(np.sqrt(np.maximum(squares, 0.0)))
+    todo = np.flatnonzero(~zero & np.isfinite(squares) & np.isfinite(raised))
+    for _ in range(40):
+        if not len(todo):
+            break
+        beta = np.sqrt(np.maximum(squares[todo] + raised[todo], 0.0))
+        proved = inequality.proves(beta, todo)
+        result[todo[proved]] = beta[proved]
+        todo = todo[~proved]
+        raised[todo] *= 4
+    return result
+
+
+class _Inequality:
+    """``N(beta) = beta^2 D_w - supply`` of a stack, with D of unit size, and the bounds of its rounding errors."""
+
+    def __init__(self, M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
+            product = G @ M
+            supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+            size = np.abs(M)
+            cross = np.abs(G) @ size
+            bound = np.swapaxes(size, 1, 2) @ np.abs(Dz) @ size + cross + np.swapaxes(cross, 1, 2)
+        self.supply = (supply + hermitian(supply)) / 2
+        self.Dw = Dw
+        # Complex products of two factors, summed over p and q terms.
+        self.gamma = 4 * (sum(M.shape[1:]) + 4) * EPS
+        self.bound, self.d_bound = bound.sum(axis=2), np.abs(Dw).sum(axis=2)
+        parts = (self.supply, self.bound, Dw, Dz)
+        self.finite = np.logical_and.reduce([np.isfinite(a).all(axis=tuple(range(1, a.ndim))) for a in parts])
+        for part in (self.supply, self.Dw):
+            part[~self.finite] = np.eye(part.shape[1])
+
+    def squares(self) -> Array:
+        """Smallest t of ``t D_w - supply >= 0``; inf where D is not positive definite."""
+        result = np.full(len(self.Dw), np.inf)
+        good = np.flatnonzero(self.finite & _positive_definite(self.Dw, np.zeros(len(self.Dw))))
+        if len(good):
+            factor = np.linalg.cholesky(self.Dw[good])
+            half = np.linalg.solve(factor, self.supply[good])
+            scaled = np.linalg.solve(factor, hermitian(half))
+            fine = np.isfinite(scaled).all(axis=(1, 2))
+            scaled[~fine] = 0
+            values = np.linalg.eigvalsh((scaled + hermitian(scaled)) / 2)[:, -1]
+            result[good] = np.where(fine, values, np.inf)
+        return result
+
+    def error(self, beta: Array, which: Any = slice(None)) -> Array:
+        """Bound of the rounding error of N(beta), in the 2-norm."""
+        rows = self.bound[which] + beta[:, None] ** 2 * self.d_bound[which]
+        return self.gamma * rows.max(axis=1, initial=0.0)
+
+    def allowance(self, beta: Array) -> Array:
+        """About how much larger than its level beta^2 has to be for a proof."""
+        traces = np.einsum("kii->k", beta[:, None, None] ** 2 * self.Dw - self.supply).real
+        needed = self.error(beta) + 4 * (self.Dw.shape[1] + 2) * EPS * np.maximum(traces, 0.0)
+        smallest = np.linalg.eigvalsh(self.Dw)[:, 0]
+        return 2 * needed / np.where(smallest > 0, smallest, np.nan) + 1e-300
+
+    def proves(self, beta: Array, which: Any = slice(None)) -> NDArray[np.bool_]:
+        """Whether D > 0 and N(beta) >= 0 hold in spite of all rounding errors, for each matrix."""
+        sure = self.finite[which] & np.isfinite(beta)
+        beta = np.where(sure, beta, 0.0)
+        n = beta[:, None, None] ** 2 * self.Dw[which] - self.supply[which]
+        error = self.error(beta, which)
+        return sure & _positive_definite(n, error) & _positive_definite(self.Dw[which], np.zeros(len(beta)))
+
+
+def _positive_definite(X: ComplexArray, error: Array) -> NDArray[np.bool_]:
+    n = X.shape[1]
+    if n == 0:
+        return np.ones(len(X), dtype=bool)
+    diagonal = np.einsum("kii->ki", X).real
+    finite = np.isfinite(X).all(axis=(1, 2)) & np.isfinite(error)
+    result = finite & (diagonal.min(axis=1) > 0)
+    shift = error + 4 * (n + 2) * EPS * diagonal.sum(axis=1)
+    shifted = X[result] - shift[result][:, None, None] * np.eye(n)
+    result[result] = _factorises(shifted)
+    return result
+
+
+def _factorises(X: ComplexArray) -> NDArray[np.bool_]:
+    """Whether the Cholesky factorisation runs through, for each matrix of the stack."""
+    try:
+        np.linalg.cholesky(X)
+    except np.linalg.LinAlgError:
+        if len(X) == 1:
+            return np.array([False])
+        return np.concatenate([_factorises(X[i : i + 1]) for i in range(len(X))])
+    return np.ones(len(X), dtype=bool)
 
 
 def singularity(M: ComplexArray, delta: ComplexArray) -> float:
@@ -129,21 +191,16 @@ def _with_slices(blocks: Sequence[Block]) -> list[tuple[Block, tuple[slice, slic
     return list(zip(blocks, block_slices(blocks), strict=True))
 
 
-def _supply(M: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> ComplexArray:
-    """``M^* D_z M + j (G M - M^* G^*)``."""
-    product = G @ M
-    value = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
-    return (value + hermitian(value)) / 2
-
-
 def _power_of_two_scaled(
     M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
     """The same inequality with diagonals of D between 1/2 and 2: congruence by powers of two, free of rounding."""
-    w, z = (np.exp2(np.round(-0.5 * np.log2(np.maximum(np.diagonal(d).real, 1e-300)))) for d in (Dw, Dz))
+    w, z = (
+        np.exp2(np.round(-0.5 * np.log2(np.maximum(np.einsum("kii->ki", d).real, 1e-300)))) for d in (Dw, Dz)
+    )
     return (
-        M * w[None, :] / z[:, None],
-        Dw * w[:, None] * w[None, :],
-        Dz * z[:, None] * z[None, :],
-        G * w[:, None] * z[None, :],
+        M * w[:, None, :] / z[:, :, None],
+        Dw * w[:, :, None] * w[:, None, :],
+        Dz * z[:, :, None] * z[:, None, :],
+        G * w[:, :, None] * z[:, None, :],
     )

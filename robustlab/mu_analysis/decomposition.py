@@ -45,14 +45,14 @@ class Component:
 
 def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
     """Frobenius norm of each block ``M_ij`` (outputs of block i, inputs of block j), shape (n_blocks, n_blocks)."""
-    slices = block_slices(blocks)
-    return np.array([[_norm(M[z, w]) for w, _ in slices] for _, z in slices])
-
-
-def _norm(part: ComplexArray) -> float:
-    """Frobenius norm, scaled by the largest entry: the squares of a small coupling must not vanish."""
-    largest = float(np.abs(part).max(initial=0.0))
-    return largest * float(np.linalg.norm(part / largest)) if largest else 0.0
+    if not M.size:
+        return np.zeros((len(blocks), len(blocks)))
+    w, z = (np.array([part[side].start for part in block_slices(blocks)]) for side in (0, 1))
+    size = np.abs(M)
+    largest = np.maximum.reduceat(np.maximum.reduceat(size, z, axis=0), w, axis=1)
+    # Scaled by the largest entry of the block: the squares of a small coupling must not vanish.
+    unit = np.repeat(np.repeat(np.where(largest > 0, largest, 1.0), [b.cols for b in blocks], 0), [b.rows for b in blocks], 1)
+    return largest * np.sqrt(np.add.reduceat(np.add.reduceat((size / unit) ** 2, z, axis=0), w, axis=1))
 
 
 def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:
@@ -67,6 +67,11 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     if not blocks:
         return []
     norms = block_norms(M, blocks)
+    if (norms > 0).all():
+        exponents = _osborne(norms)
+        w, z = expand(blocks, exponents)
+        matrix = M * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
+        return [Component(tuple(range(len(blocks))), 0, exponents, matrix)]
     count, labels = connected_components(norms > 0, directed=True, connection="strong")
     groups = [np.flatnonzero(labels == c) for c in range(count)]
     # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
@@ -98,28 +103,15 @@ def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
     return _osborne(np.maximum(norms, 1e-6 * max(float(norms.max(initial=0.0)), 1e-300)))
 
 
-def _osborne(norms: Array, sweeps: int = 100) -> Array:
+def _osborne(norms: Array) -> Array:
     """Whole exponents e such that row i and column i of ``norms_ij 2^(e_i - e_j)`` have about the same norm."""
+    from robustlab.mu_analysis.balancing_kernel import osborne
+
     n = len(norms)
+    if n < 2:
+        return np.zeros(n)
     with np.errstate(divide="ignore"):
         log = np.log2(norms)
     np.fill_diagonal(log, -np.inf)
-    e = np.zeros(n)
-    if n < 2:
-        return e
-    for _ in range(sweeps):
-        largest = 0.0
-        for i in range(n):
-            # Norms as logarithms: their squares span more decades than floating point does.
-            row, column = _log_norm(log[i] + e[i] - e), _log_norm(log[:, i] + e - e[i])
-            step = 0.5 * (column - row)
-            e[i] += step
-            largest = max(largest, abs(step))
-        if largest < 0.01:
-            break
+    e = osborne(log, 100, 0.01)
     return np.round(e - np.round(e.mean()))
-
-
-def _log_norm(log: Array) -> float:
-    top = log.max()
-    return float(top + 0.5 * np.log2(np.exp2(2 * (log - top)).sum()))

@@ -10,6 +10,7 @@ so that gradients and Hessians of its barrier need products of single entries of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
-__all__ = ["ScalingSpace", "hermitian"]
+__all__ = ["ScalingSpace", "hermitian", "scaling_space"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -43,6 +44,8 @@ class ScalingSpace:
         1 for the entries of D_w (they carry the factor beta^2), else 0.
     identity
         Parameters of D = I, G = 0, shape (size,).
+    block_of
+        Index of the block that a parameter belongs to, shape (size,).
     scales_with_m
         Whether a parameter belongs to G, which carries the unit of M, shape (size,).
     """
@@ -87,6 +90,9 @@ class ScalingSpace:
         self._owner = np.repeat(np.arange(self.size), lengths)[order]
         self._ordered = self.coefficients[order]
         self.identity = np.array(identity)
+        # The first entry of every parameter stands in the rows of w.
+        starts = np.array([w.start for w, _ in self.slices], dtype=int)
+        self.block_of = np.searchsorted(starts, self.rows[self.first], side="right") - 1
         self.scales_with_m = (self.cols[self.first] >= self.q) & (self.rows[self.first] < self.q)
 
     def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -97,6 +103,12 @@ class ScalingSpace:
         e[:, self._places] = np.add.reduceat(values, self._begin, axis=1)
         e = e.reshape(len(x), n, n)
         return e[:, :q, :q], -e[:, q:, q:], 1j * e[:, :q, q:]
+
+
+@lru_cache(maxsize=256)
+def scaling_space(blocks: tuple[Block, ...]) -> ScalingSpace:
+    """The scaling space of these blocks; bounds of one structure are asked for again and again."""
+    return ScalingSpace(blocks)
 
 
 def _hermitian_basis(r: int) -> list[list[tuple[int, int, complex]]]:

@@ -9,19 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import NoTrustworthyNumber
-from robustlab.mu_analysis.certificate import certified_level
+from robustlab.mu_analysis.certificate import certified_level, certified_levels
 from robustlab.mu_analysis.decomposition import Component, balancing_exponents, components, expand
-from robustlab.mu_analysis.path_following import minimise
-from robustlab.mu_analysis.scalings import ScalingSpace
+from robustlab.mu_analysis.scalings import scaling_space
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
 __all__ = ["UpperBound", "points_below", "upper_bounds"]
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
-# AB13MD needs O(n^6) operations, the batched path following O(n^4): they break even at about this order.
-AB13MD_ORDER = 12
 # Ratios of D between one component and the next; the smaller, the less their coupling costs.
 RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
 
@@ -53,23 +49,58 @@ def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) ->
         solved = _component_bounds(stack, [blocks[i] for i in members], tol)
         for (k, j), bound in zip(places, solved, strict=True):
             parts[k][j] = bound
-    return [
-        _assemble(m, blocks, found, [p for p in part if p is not None])
-        for m, found, part in zip(M, split, parts, strict=True)
-    ]
+    done = [[p for p in part if p is not None] for part in parts]
+    whole = [k for k, found in enumerate(split) if len(found) == 1]
+    placed = [_placed(blocks, split[k], done[k], 1.0) for k in whole]
+    bounds: dict[int, UpperBound] = {}
+    if whole:
+        Dw, Dz, G = (np.stack(parts) for parts in zip(*placed, strict=True))
+        bounds = dict(zip(whole, _certified(M[whole], Dw, Dz, G), strict=True))
+    return [bounds[k] if k in bounds else _assemble(M[k], blocks, split[k], done[k]) for k in range(len(M))]
 
 
 def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
     if len(blocks) == 1 and (isinstance(blocks[0], FullBlock) or structure_size(blocks) == (1, 1)):
         return [_single(m, blocks[0]) for m in M]
-    if _suits_ab13md(blocks):
-        bounds = [_by_ab13md(m, blocks) for m in M]
-        open_ = [i for i, b in enumerate(bounds) if b is None]
-        if open_:
-            for i, b in zip(open_, _by_path(M[open_], blocks, tol), strict=True):
-                bounds[i] = b
-        return [b for b in bounds if b is not None]
-    return _by_path(M, blocks, tol)
+    # The methods are sized for matrices of order one; powers of two scale exactly, and G like M.
+    size = np.exp2(np.rint(np.log2(np.maximum(np.abs(M).max(axis=(1, 2)), 1e-300))))
+    bounds = _minimise(M / size[:, None, None], blocks, tol)
+    result = []
+    for m, s, bound in zip(M, size, bounds, strict=True):
+        best = UpperBound(bound.beta * s, bound.Dw, bound.Dz, bound.G * s)
+        plain = _unscaled(m, blocks) if best.beta >= 0.99 * np.linalg.norm(m, 2) else best
+        result.append(plain if plain.beta < best.beta else best)
+    return result
+
+
+def _minimise(
+    M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None
+) -> list[UpperBound]:
+    """D and G by the primal-dual method; where that came to no end, the better ones of two methods."""
+    from robustlab.mu_analysis import path_following, primal_dual
+
+    space = scaling_space(tuple(blocks))
+    x, settled = primal_dual.minimise(M, space, tol, target)
+    bounds = _certified(M, *space.matrices(x))
+    rest = np.flatnonzero(~settled)
+    if len(rest):
+        others = _certified(M[rest], *space.matrices(path_following.minimise(M[rest], space, tol, target)))
+        for k, other in zip(rest, others, strict=True):
+            if other.beta < bounds[k].beta:
+                bounds[k] = other
+    return bounds
+
+
+def _certified(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> list[UpperBound]:
+    levels = certified_levels(M, Dw, Dz, G)
+    return [UpperBound(float(beta), *parts) for beta, *parts in zip(levels, Dw, Dz, G, strict=True)]
+
+
+def _unscaled(m: ComplexArray, blocks: Sequence[Block]) -> UpperBound:
+    """The largest singular value: D = I, G = 0."""
+    q, p = structure_size(blocks)
+    Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p, dtype=complex), np.zeros((q, p), dtype=complex)
+    return UpperBound(certified_level(m, Dw, Dz, G), Dw, Dz, G)
 
 
 def _single(m: ComplexArray, block: Block) -> UpperBound:
@@ -82,44 +113,6 @@ def _single(m: ComplexArray, block: Block) -> UpperBound:
     return UpperBound(certified_level(m, Dw, Dz, G), Dw, Dz, G)
 
 
-def _suits_ab13md(blocks: Sequence[Block]) -> bool:
-    return structure_size(blocks)[0] <= AB13MD_ORDER and all(
-        (b.rows == b.cols) if isinstance(b, FullBlock) else b.repeats == 1 for b in blocks
-    )
-
-
-def _by_ab13md(m: ComplexArray, blocks: list[Block]) -> UpperBound | None:
-    """AB13MD's bound, or None where what it says cannot be re-derived from its D and G."""
-    from robustlab.slicot import ab13md
-
-    scale = float(np.linalg.norm(m, 2)) or 1.0
-    try:
-        claim, d, g = ab13md(m / scale, [b.rows for b in blocks], [isinstance(b, RealScalar) for b in blocks])
-    except NoTrustworthyNumber:
-        return None
-    D, G = np.diag(d).astype(complex), np.diag(g * scale).astype(complex)
-    beta = certified_level(m, D, D, G)
-    # Near zero the claim is absolute, and only the own method tells "small" from "zero".
-    if claim < 1e-3 or not beta <= claim * scale * (1 + 1e-5):
-        return None
-    return UpperBound(beta, D, D, G)
-
-
-def _by_path(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
-    space = ScalingSpace(blocks)
-    # The path is sized for matrices of order one; powers of two scale exactly, and G like M.
-    size = np.exp2(np.rint(np.log2(np.maximum(np.abs(M).max(axis=(1, 2)), 1e-300))))[:, None, None]
-    Dw, Dz, G = space.matrices(minimise(M / size, space, tol))
-    G = G * size
-    eye, zero = space.matrices(space.identity[None])[:2], np.zeros_like(G[0])
-    result = []
-    for m, w, z, g in zip(M, Dw, Dz, G, strict=True):
-        plain = UpperBound(certified_level(m, eye[0][0], eye[1][0], zero), eye[0][0], eye[1][0], zero)
-        best = UpperBound(certified_level(m, w, z, g), w, z, g)
-        result.append(best if best.beta <= plain.beta else plain)
-    return result
-
-
 def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], parts: list[UpperBound]) -> UpperBound:
     """D and G of the whole matrix from those of its components, certified once more on M itself.
 
@@ -130,10 +123,7 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
     floor = max((b.beta for b in parts), default=0.0)
     best: UpperBound | None = None
     for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
-        Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
-        G = np.zeros((q, p), dtype=complex)
-        for component, bound in zip(found, parts, strict=True):
-            _place(blocks, component, bound, ratio**component.depth, (Dw, Dz, G))
+        Dw, Dz, G = _placed(blocks, found, parts, ratio)
         beta = certified_level(M, Dw, Dz, G)
         if best is None or beta < best.beta:
             best = UpperBound(beta, Dw, Dz, G)
@@ -146,23 +136,24 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
     return best
 
 
-def _place(
-    blocks: Sequence[Block],
-    component: Component,
-    bound: UpperBound,
-    weight: float,
-    into: tuple[ComplexArray, ComplexArray, ComplexArray],
-) -> None:
-    """Write a component's D and G, in the coordinates of M, into those of the whole."""
+def _placed(
+    blocks: Sequence[Block], found: list[Component], parts: list[UpperBound], ratio: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """D and G of all components, in the coordinates of M, as those of the whole."""
+    q, p = structure_size(blocks)
+    Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
+    G = np.zeros((q, p), dtype=complex)
     slices = block_slices(blocks)
-    part = [blocks[i] for i in component.members]
-    e_w, e_z = (np.exp2(e) for e in expand(part, component.exponents))
-    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
-    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
-    Dw, Dz, G = into
-    Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
-    Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
-    G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
+    for component, bound in zip(found, parts, strict=True):
+        part = [blocks[i] for i in component.members]
+        e_w, e_z = (np.exp2(e) for e in expand(part, component.exponents))
+        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
+        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
+        weight = ratio**component.depth
+        Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
+        Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
+        G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
+    return Dw, Dz, G
 
 
 def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:
@@ -170,12 +161,11 @@ def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> lis
 
     Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
     """
-    space = ScalingSpace(blocks)
     exponents = np.stack([balancing_exponents(m, blocks) for m in M])
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
     balanced = M * z[:, :, None] / w[:, None, :]
-    Dw, Dz, G = space.matrices(minimise(balanced, space, 1e-4, target if target > 0 else None))
-    Dw = Dw * w[:, :, None] * w[:, None, :]
-    Dz = Dz * z[:, :, None] * z[:, None, :]
-    G = G * w[:, :, None] * z[:, None, :]
-    return [UpperBound(certified_level(*parts), *parts[1:]) for parts in zip(M, Dw, Dz, G, strict=True)]
+    found = _minimise(balanced, blocks, 1e-4, target if target > 0 else None)
+    Dw = np.stack([b.Dw for b in found]) * w[:, :, None] * w[:, None, :]
+    Dz = np.stack([b.Dz for b in found]) * z[:, :, None] * z[:, None, :]
+    G = np.stack([b.G for b in found]) * w[:, :, None] * z[:, None, :]
+    return _certified(M, Dw, Dz, G)
