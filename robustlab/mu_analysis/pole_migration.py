@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.certificate import delta_norm, project, singularity
-from robustlab.mu_analysis.lower import SINGULAR, block_gains, lower_bound, step_delta
+from robustlab.mu_analysis.delta_layout import delta_layout
+from robustlab.mu_analysis.lower import SINGULAR, lower_bound
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
@@ -193,13 +194,13 @@ def _starts(
     deltas, poles = [np.zeros((q, p), dtype=complex) for _ in upper], list(upper)
     zero = np.zeros((len(upper), q, p), dtype=complex)
     pole, row, x = _eigenstructure(model, zero, np.array(upper))
-    gains = np.abs(block_gains(blocks, row, x)).sum(axis=1)
+    gains = np.abs(delta_layout(blocks).gains(row, x)).sum(axis=1)
     distance = float(np.median(np.minimum(-pole.real / np.maximum(gains, 1e-300), 1e6)))
     for k in range(random_starts):
         values = rng.uniform(-1, 1, (1, len(blocks))) if k % 2 else rng.choice([-1.0, 1.0], (1, len(blocks)))
         values = values * distance * 10 ** rng.uniform(-1, 0.3)
-        delta = step_delta(
-            blocks, values.astype(complex), *(rng.standard_normal((1, n)).astype(complex) for n in (q, p))
+        delta = delta_layout(blocks).deltas(
+            values.astype(complex), *(rng.standard_normal((1, n)).astype(complex) for n in (q, p))
         )[0]
         deltas.append(delta)
         poles.append(_rightmost(model, delta))
@@ -240,7 +241,7 @@ def _least_move(
     goal: Array,
 ) -> ComplexArray:
     """The Delta of least norm that, to first order, puts the real part of the pole at ``goal``."""
-    gains = block_gains(blocks, row, x)
+    gains = delta_layout(blocks).gains(row, x)
     real = np.array([isinstance(b, RealScalar) for b in blocks])
     now = np.einsum("km,kmp,kp->k", row, deltas, x)
     strength = np.where(real, np.abs(gains.real), np.abs(gains)).sum(axis=1)
@@ -249,7 +250,7 @@ def _least_move(
     for i, block in enumerate(blocks):
         if isinstance(block, FullBlock):
             unit[:, i] = 1.0
-    return step_delta(blocks, tau[:, None] * unit, row, x)
+    return delta_layout(blocks).deltas(tau[:, None] * unit, row, x)
 
 
 def _scaled_to_axis(deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
