@@ -28,7 +28,7 @@ from robustlab.mu_analysis.certificate import EPS, delta_norm, project, singular
 from robustlab.mu_analysis.decomposition import Component, components, expand
 from robustlab.mu_analysis.delta_layout import DeltaLayout, delta_layout
 from robustlab.mu_analysis.gain_based_lower import gain_ascent, vertex_rays, vertex_search
-from robustlab.mu_analysis.minimum_norm import minimum_norm_paths, sharpened, smallest_step
+from robustlab.mu_analysis.minimum_norm import descended, first_steps, minimum_norm_paths, sharpened, smallest_step
 from robustlab.mu_analysis.power_iteration import power_directions
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
@@ -44,6 +44,11 @@ SINGULAR = 1e-11
 NEARBY = 1e-8
 # Candidates per matrix that are taken to rounding and verified.
 CHOSEN = 6
+WIDER = 3
+ROUNDS = 12
+DESCENDING = 2
+FEW = 5
+SCATTERED = 48
 # Numbers that one stack of paths may hold.
 STACK = 4_000_000
 
@@ -144,15 +149,24 @@ def _candidates(
     M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
 ) -> list[list[ComplexArray]]:
     """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
-    x, y = _starts(M, layout, seed, restarts, steps)
+    x, y = _starts(M, layout, seed, WIDER*restarts if layout.real.any() else restarts, steps)
+    if layout.real.any():
+        x, y = _promising(M, layout, x, y, restarts)
     delta, norm = _follow(M, layout, x, y, steps=12 + steps // 3)
     if layout.real.any():
         x, y = _ascended(M, layout, norm.min(axis=1), seed, max(restarts // 3, 1))
         more, more_norm = _follow(M, layout, x, y, steps=12 + steps // 5)
         delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
-    chosen = [_smallest(norm[k]) for k in range(len(M))]
-    of = np.repeat(np.arange(len(M)), [len(c) for c in chosen])
-    sharp = sharpened(M[of], layout, np.concatenate([delta[k, c] for k, c in enumerate(chosen)]))
+    if layout.real.all() and layout.n <= FEW:
+        more, more_norm = _scattered(M, layout, norm.min(axis=1), seed)
+        delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
+    of, chosen = _chosen(norm, CHOSEN)
+    sharp = sharpened(M[of], layout, delta[of, chosen])
+    if layout.real.any():
+        # The best two of each matrix go down to the minimum of their valley.
+        sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
+        best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, DESCENDING)], dtype=int)
+        sharp[best] = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
     found = [list(sharp[of == k]) for k in range(len(M))]
     if layout.real.all():
         for k in range(len(M)):
@@ -161,16 +175,45 @@ def _candidates(
     return found
 
 
-def _smallest(norm: Array) -> list[int]:
-    """Indices of the smallest norms that differ from each other, two of them that do not."""
-    chosen: list[int] = []
-    for j in np.argsort(norm):
-        twins = sum(abs(norm[j] - norm[i]) <= 1e-6 * norm[i] for i in chosen)
-        if np.isfinite(norm[j]) and twins < 2:
-            chosen.append(int(j))
-        if len(chosen) == CHOSEN:
-            break
-    return chosen
+def _chosen(norm: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row and column of the ``count`` smallest norms (k, r) of each row, one of those that agree to 1e-6 left out."""
+    of, chosen = [], []
+    for k, row in enumerate(norm):
+        order = np.argsort(row)
+        order = order[np.isfinite(row[order])]
+        twin = np.zeros(len(order), dtype=bool)
+        # The second of three that agree stays: one of two may fail to become exact.
+        twin[2:] = row[order[2:]] <= row[order[:-2]] * (1 + 1e-6)
+        order = order[~twin][:count]
+        of.extend([k] * len(order))
+        chosen.extend(order)
+    return np.array(of, dtype=np.intp), np.array(chosen, dtype=np.intp)
+
+
+def _first(indices: NDArray[np.intp], sizes: Array, count: int) -> NDArray[np.intp]:
+    order = indices[np.argsort(sizes[indices])]
+    return order[np.isfinite(sizes[order])][:count]
+
+
+def _residuals(M: ComplexArray, delta: ComplexArray) -> Array:
+    return np.linalg.svd(np.eye(M.shape[1]) - M @ delta, compute_uv=False)[:, -1]
+
+
+def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int) -> tuple[ComplexArray, Array]:
+    """Deltas (k, r, q, p), singular, next to random points of the box of the best norm (k,) so far, and their norms.
+
+    With few real parameters valleys are narrow, and steps to the corners jump over them.
+    """
+    rng = np.random.default_rng([seed, 3])
+    k = len(M)
+    radius = np.where(np.isfinite(norm), norm, 3.0)
+    values = rng.uniform(-1, 1, (1, SCATTERED, layout.n)) * radius[:, None, None]
+    ones = np.ones((k * SCATTERED, layout.q), dtype=complex)
+    start = layout.deltas(values.reshape(-1, layout.n).astype(complex), ones, ones)
+    repeated = _repeated(M, SCATTERED)
+    found = sharpened(repeated, layout, start, steps=8)
+    sizes = np.where(_residuals(repeated, found) <= 1e-8, layout.sizes(found).max(axis=1), np.inf)
+    return found.reshape(k, SCATTERED, layout.q, layout.p), sizes.reshape(k, SCATTERED)
 
 
 def _starts(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int) -> tuple[ComplexArray, ...]:
@@ -188,6 +231,16 @@ def _starts(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, step
     if restarts > 1 and layout.p == layout.q:
         x[:, 1], y[:, 1] = np.conj(vh[:, 0]), u[:, :, 0]
     return x, y
+
+
+def _promising(
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, count: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """Of the directions (k, r, p) those ``count`` whose steps are the smallest after the first few."""
+    k, r = x.shape[:2]
+    x, y, norm = first_steps(_repeated(M, r), layout, _flat(x), _flat(y))
+    keep = np.argsort(norm.reshape(k, r), axis=1)[:, :count, None]
+    return np.take_along_axis(x.reshape(k, r, -1), keep, 1), np.take_along_axis(y.reshape(k, r, -1), keep, 1)
 
 
 def _follow(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robustlab.mu_analysis.delta_layout import DeltaLayout
 
-__all__ = ["minimum_norm_paths", "null_directions", "restored", "rows", "sharpened", "smallest_step", "unit_rows"]
+__all__ = ["descended", "first_steps", "minimum_norm_paths", "null_directions", "restored", "rows", "sharpened", "smallest_step", "unit_rows"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -26,6 +26,11 @@ FREE = 6
 RESTORING = 5
 # Residual below which a Delta of a path is kept; `sharpened` takes it to rounding.
 CLOSE = 1e-7
+# Share of the norm by which every real block may move where singularity is restored.
+LEAST_ROOM = 0.02
+# Shares of the way to the smallest step that descent tries, and the least relative fall of the norm it goes on for.
+FRACTIONS = 0.5 ** np.arange(7)
+LEAST_DESCENT = 1e-4
 # Entries of Delta beyond this size lead nowhere; M is of order one.
 HUGE = 1e9
 
@@ -49,6 +54,7 @@ def minimum_norm_paths(
     delta: ComplexArray | None = None
     # Damping differs from path to path and from step to step, without chance: undamped steps can cycle.
     phase = np.arange(k) * 0.754877666 % 1.0
+    averaging = np.arange(k) % 2 == 1
     for step in range(steps):
         row = rows(M, x, y)
         if step >= steps - RESTORING and delta is not None:
@@ -59,6 +65,7 @@ def minimum_norm_paths(
                 delta = new
             else:
                 gain = 0.5 + 0.5 * ((phase + step * 0.569840291) % 1.0)
+                gain = np.where(averaging, 2.0 / (step - FREE + 3.0), gain)
                 delta = delta + gain[:, None, None] * (new - delta)
         delta = _limited(delta)
         x, y, residual = null_directions(M, delta, x, y)
@@ -69,16 +76,67 @@ def minimum_norm_paths(
     return best, best_norm
 
 
+def first_steps(
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int = 5
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Directions x, y (k, p) after a few undamped steps, and the norm (k,) of the smallest of the last two."""
+    norms = []
+    for _ in range(steps):
+        row = rows(M, x, y)
+        values = smallest_step(layout.gains(row, x), layout.real)
+        norms.append(np.abs(values).max(axis=1))
+        x, y, _ = null_directions(M, _limited(layout.deltas(values, row, x)), x, y)
+    return x, y, np.minimum(norms[-1], norms[-2])
+
+
 def sharpened(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, steps: int = 4) -> ComplexArray:
     """Deltas (k, q, p) close to singular ones, moved to them up to rounding; M is (k, p, q)."""
     if not len(delta):
         return delta
-    u, _, vh = np.linalg.svd(np.eye(M.shape[1]) - M @ delta)
-    x, y = np.conj(vh[:, -1]), u[:, :, -1]
+    x, y = _singular_directions(M, delta)
     for _ in range(steps):
         delta = _limited(restored(layout, delta, rows(M, x, y), x))
         x, y, _ = null_directions(M, delta, x, y)
     return delta
+
+
+def descended(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, rounds: int) -> ComplexArray:
+    """Deltas (k, q, p), singular to rounding, moved to smaller ones along the singular set; M is (k, p, q).
+
+    The step of smallest norm is a direction of descent: part of the way towards it, then back to singularity, as far as
+    the norm falls. Where several real blocks end inside their range whole steps only jump around the minimum.
+    """
+    delta = delta.copy()
+    norm = layout.sizes(delta).max(axis=1)
+    going = np.arange(len(delta))
+    for _ in range(rounds):
+        if not len(going):
+            break
+        m, now, trials = M[going], delta[going], len(FRACTIONS)
+        x, y = _singular_directions(m, now)
+        row = rows(m, x, y)
+        values = smallest_step(layout.gains(row, x), layout.real)
+        aim = _limited(layout.deltas(values, row, x))
+        tried = now[:, None] + FRACTIONS[None, :, None, None] * (aim - now)[:, None]
+        tried = tried.reshape(-1, layout.q, layout.p)
+        m, x, y = (np.repeat(v, trials, axis=0) for v in (m, x, y))
+        for _ in range(3):
+            x, y, _ = null_directions(m, tried, x, y)
+            tried = _limited(restored(layout, tried, rows(m, x, y), x))
+        x, y, residual = null_directions(m, tried, x, y)
+        reached = np.where(residual <= CLOSE, layout.sizes(tried).max(axis=1), np.inf).reshape(-1, trials)
+        best = reached.argmin(axis=1)
+        reached = reached[np.arange(len(going)), best]
+        better = reached < norm[going] * (1 - LEAST_DESCENT)
+        chosen = tried.reshape(-1, trials, layout.q, layout.p)[np.arange(len(going)), best]
+        delta[going[better]], norm[going[better]] = chosen[better], reached[better]
+        going = going[better]
+    return delta
+
+
+def _singular_directions(M: ComplexArray, delta: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    u, _, vh = np.linalg.svd(np.eye(M.shape[1]) - M @ delta)
+    return np.conj(vh[:, -1]), u[:, :, -1]
 
 
 def rows(M: ComplexArray, x: ComplexArray, y: ComplexArray) -> ComplexArray:
@@ -113,7 +171,7 @@ def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Com
     parts = layout.contributions(delta, row, x)
     sizes = layout.sizes(delta)
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
-    room = np.where(layout.real, norm - sizes, 0.0)
+    room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
     gains = layout.gains(row, x)
     total = parts.sum(axis=1)
     columns = np.concatenate([total[:, None], np.where(layout.real, gains * room, 1j * parts)], axis=1)
