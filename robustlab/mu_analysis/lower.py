@@ -149,14 +149,13 @@ def _candidates(
     M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
 ) -> list[list[ComplexArray]]:
     """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
-    x, y = _starts(M, layout, seed, WIDER*restarts if layout.real.any() else restarts, steps)
     if layout.real.any():
-        x, y = _promising(M, layout, x, y, restarts)
-    delta, norm = _follow(M, layout, x, y, steps=12 + steps // 3)
-    if layout.real.any():
-        x, y = _ascended(M, layout, norm.min(axis=1), seed, max(restarts // 3, 1))
-        more, more_norm = _follow(M, layout, x, y, steps=12 + steps // 5)
-        delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
+        x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
+        x_more, y_more = _ascended(M, layout, near, seed, max(restarts // 3, 1))
+        x, y = np.concatenate([x, x_more], axis=1), np.concatenate([y, y_more], axis=1)
+    else:
+        x, y = _starts(M, layout, seed, restarts, steps)
+    delta, norm = _follow(M, layout, x, y, steps=10 + steps // 3)
     if layout.real.all() and layout.n <= FEW:
         more, more_norm = _scattered(M, layout, norm.min(axis=1), seed)
         delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
@@ -235,12 +234,14 @@ def _starts(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, step
 
 def _promising(
     M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, count: int
-) -> tuple[ComplexArray, ComplexArray]:
-    """Of the directions (k, r, p) those ``count`` whose steps are the smallest after the first few."""
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Of the directions (k, r, p) those ``count`` whose steps are the smallest after the first few, and that norm."""
     k, r = x.shape[:2]
     x, y, norm = first_steps(_repeated(M, r), layout, _flat(x), _flat(y))
-    keep = np.argsort(norm.reshape(k, r), axis=1)[:, :count, None]
-    return np.take_along_axis(x.reshape(k, r, -1), keep, 1), np.take_along_axis(y.reshape(k, r, -1), keep, 1)
+    norm = norm.reshape(k, r)
+    keep = np.argsort(norm, axis=1)[:, :count, None]
+    x, y = np.take_along_axis(x.reshape(k, r, -1), keep, 1), np.take_along_axis(y.reshape(k, r, -1), keep, 1)
+    return x, y, norm.min(axis=1)
 
 
 def _follow(
@@ -253,11 +254,11 @@ def _follow(
 
 
 def _ascended(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, ...]:
-    """Directions (k, count, p) at box points that gain ascent reaches a little inside the best norm (k,) so far."""
+    """Directions (k, count, p) at points that gain ascent reaches in a box of about the size (k,) that is expected."""
     rng = np.random.default_rng([seed, 1])
     k = len(M)
     known = np.where(np.isfinite(norm), norm, 1.0)
-    radius = known[:, None] * np.linspace(0.97, 0.8, count)
+    radius = known[:, None] * np.linspace(1.0, 0.8, count)
     values = np.where(layout.real, rng.choice([-1.0, 1.0], (count, layout.n)), 0.0).astype(complex)
     values = (values * radius[..., None]).reshape(k * count, layout.n)
     ones = np.ones((k * count, max(layout.q, layout.p)), dtype=complex)
