@@ -156,15 +156,17 @@ def _candidates(
     else:
         x, y = _starts(M, layout, seed, restarts, steps)
     delta, norm = _follow(M, layout, x, y, steps=10 + steps // 3)
-    if layout.real.all() and layout.n <= FEW:
+    few = layout.real.all() and layout.n <= FEW
+    if few:
         more, more_norm = _scattered(M, layout, norm.min(axis=1), seed)
         delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
     of, chosen = _chosen(norm, CHOSEN)
     sharp = sharpened(M[of], layout, delta[of, chosen])
     if layout.real.any():
-        # The best two of each matrix go down to the minimum of their valley.
+        # The best of each matrix go down to the minimum of their valley.
         sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
-        best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, DESCENDING)], dtype=int)
+        count = 2 * DESCENDING if few else DESCENDING
+        best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
         sharp[best] = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
     found = [list(sharp[of == k]) for k in range(len(M))]
     if layout.real.all():
