@@ -304,9 +304,11 @@ def _migrate(
     speed = np.maximum(np.abs(poles), 1e-9 * np.abs(model.A).max())
     phase = np.arange(len(deltas)) * 0.754877666 % 1.0
     u = v = np.zeros((len(deltas), model.n_states), dtype=complex)
+    first = np.zeros(len(deltas))
     for step in range(LEADING + FOLLOWING):
         try:
-            if step == 0:
+            # On their way poles meet, and leave the real axis in pairs: only all eigenvalues tell which is next.
+            if step <= LEADING:
                 pole, u, v, row, x = _by_eigenvalues(model, deltas, poles)
             else:
                 pole, u, v, row, x = _by_inverse_iteration(model, deltas, poles, u, v)
@@ -322,7 +324,10 @@ def _migrate(
             new = deltas + gain[:, None, None] * (new - deltas)
         elif step >= LEADING + FOLLOWING - SCALING:
             new = _scaled_to_axis(deltas, pole, row, x)
-        new = np.where((np.abs(new).max(axis=(1, 2)) < 1e8)[:, None, None], new, deltas)
+        size = layout.sizes(new).max(axis=1)
+        first = size if step == 0 else first
+        # The linearisation does not hold far away: where a loop becomes ill-posed, a whole step leads to nowhere.
+        new = new * np.minimum(1.0, (first + 1.5 * norms) / np.maximum(size, 1e-300))[:, None, None]
         moved = np.einsum("km,kmp,kp->k", row, new - deltas, x)
         reach = 0.5 * np.abs(pole) + 1e-3 * speed
         poles = pole + moved * np.minimum(1.0, reach / np.maximum(np.abs(moved), 1e-100 * speed + 1e-200))
