@@ -23,7 +23,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.delta_layout import DeltaLayout, delta_layout
-from robustlab.mu_analysis.lower import SINGULAR, lower_bound, lower_bounds
+from robustlab.mu_analysis.lower import SINGULAR, lower_bounds
 from robustlab.mu_analysis.minimum_norm import FRACTIONS, unit_rows
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, RealScalar
@@ -64,10 +64,10 @@ def smallest_destabilising(
     seed
         Seed of the random starts.
     random_starts
-        Random starts beside those from the nominal poles, half of them near the best size found from there.
+        Random starts near the best size found from the nominal poles, and half as many beside those.
     """
     crossings: list[Destabilising] = []
-    candidates = _matrix_candidates(model, blocks, omega, seed)
+    candidates, ill_posed = _matrix_candidates(model, blocks, omega, seed)
     if model.n_states:
         candidates = _migrated(model, blocks, candidates, seed, random_starts)
     for delta in candidates:
@@ -75,38 +75,45 @@ def smallest_destabilising(
         crossing = _first_crossing(model, blocks, delta, best)
         if crossing is not None:
             crossings.append(crossing)
-    D = model.D.astype(complex)
-    _, ill_posed = lower_bound(D, blocks, seed) if D.any() else (0.0, None)
-    if ill_posed is not None and singularity(D, ill_posed) <= SINGULAR * 1e3:
+    if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= SINGULAR * 1e3:
         crossings.append(Destabilising(delta_norm(blocks, ill_posed), ill_posed, complex(np.inf)))
     return min(crossings, key=lambda c: c.norm, default=None)
 
 
 def _matrix_candidates(
     model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int
-) -> list[ComplexArray]:
-    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks."""
+) -> tuple[list[ComplexArray], ComplexArray | None]:
+    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks; and D's.
+
+    Nothing else makes the loop ill-posed than a Delta that solves it for D.
+    """
     # At zero frequency M is real: its real Delta moves a real pole into the origin.
-    static = frequency_response(model, np.array([0.0]))
-    found = lower_bounds(static, blocks, seed)
+    ends = np.concatenate([frequency_response(model, np.array([0.0])), model.D.astype(complex)[None]])
+    static, (_, ill_posed) = lower_bounds(ends, blocks, seed)
+    found = [static]
     # A purely real Delta reaches isolated frequencies only: trying others would find nothing.
     if len(omega) and not all(isinstance(b, RealScalar) for b in blocks):
         others = lower_bounds(frequency_response(model, np.asarray(omega, dtype=float)), blocks, seed, 4, 24)
         found += sorted(others, key=lambda pair: -pair[0])[:PEAKS]
-    return [delta for _, delta in found if delta is not None]
+    return [delta for _, delta in found if delta is not None], ill_posed
 
 
 def perturbed_state_matrix(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
     """``A + B Delta (I - D Delta)^-1 C`` for Delta (q, p), or a stack of them; Inf where the loop is ill-posed."""
+    return _closed(model, delta)[0]
+
+
+def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
+    """``A + B Delta (I - D Delta)^-1 C``, and ``(I - D Delta)^-1`` (None: the unit matrix)."""
+    if not delta.imag.any():
+        delta = delta.real
     if not model.D.any():
-        return model.A + model.B @ delta @ model.C
-    loop = np.eye(model.n_outputs) - model.D @ delta
+        return model.A + model.B @ delta @ model.C, None
     try:
-        return model.A + model.B @ delta @ np.linalg.solve(
-            loop, np.broadcast_to(model.C, (*delta.shape[:-2], *model.C.shape))
-        )
+        inverse = np.linalg.inv(np.eye(model.n_outputs) - model.D @ delta)
     except np.linalg.LinAlgError:
-        return np.full((*delta.shape[:-2], *model.A.shape), np.inf, dtype=complex)
+        return np.full((*delta.shape[:-2], *model.A.shape), np.inf), None
+    return model.A + model.B @ delta @ (inverse @ model.C), inverse
 
 
 # --- what counts -----------------------------------------------------------------------------------------------------
@@ -245,7 +252,7 @@ def _migrated(
     found, norm = _migrate(model, layout, start, aims)
     if np.isfinite(norm).any():
         size = float(norm.min())
-    again = _scattered(model, layout, rng, size, random_starts // 2)
+    again = _scattered(model, layout, rng, size, random_starts)
     more, more_norm = _migrate(model, layout, again, _rightmost(model, again))
     pool = np.concatenate([found, more, again, *(g[None] for g in given)])
     norm = np.concatenate([norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]])
@@ -378,7 +385,7 @@ Directions = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, Compl
 
 def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
     """The pole next to each aim, its left and right eigenvectors, and row, x with ``d pole = row dDelta x``."""
-    a = perturbed_state_matrix(model, deltas)
+    a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
     values, right = np.linalg.eig(a)
@@ -387,14 +394,14 @@ def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexA
     # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.
     u = np.linalg.inv(right + 1e-13 * np.eye(right.shape[-1]))[index, k]
     v = right[index, :, k]
-    return (values[index, k], u, v, *_gradient(model, deltas, u, v))
+    return (values[index, k], u, v, *_gradient(model, deltas, loop_inverse, u, v))
 
 
 def _by_inverse_iteration(
     model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray, u: ComplexArray, v: ComplexArray
 ) -> Directions:
     """As `_by_eigenvalues`, by two steps from the former eigenvectors u, v: a tenth of the work."""
-    a = perturbed_state_matrix(model, deltas)
+    a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
     eye = np.eye(model.n_states)
@@ -408,20 +415,18 @@ def _by_inverse_iteration(
     u = u / np.where(np.abs(inner) < 1e-10, 1e-10, inner)[:, None]
     pole = ((u[:, None, :] @ a)[:, 0] * v).sum(axis=1)
     pole = np.where(np.abs(inner) < 1e-10, aims, pole)
-    return (pole, u, v, *_gradient(model, deltas, u, v))
+    return (pole, u, v, *_gradient(model, deltas, loop_inverse, u, v))
 
 
 def _gradient(
-    model: StateSpaceModel, deltas: ComplexArray, u: ComplexArray, v: ComplexArray
+    model: StateSpaceModel, deltas: ComplexArray, inverse: ComplexArray | None, u: ComplexArray, v: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
     x, row = v @ model.C.T, u @ model.B
-    if not model.D.any():
+    if inverse is None:
         return row, x
-    loop = np.eye(model.n_outputs) - model.D @ deltas
-    back = np.eye(model.n_inputs) - deltas @ model.D
-    x = np.linalg.solve(loop, x[..., None])[..., 0]
-    return np.linalg.solve(np.swapaxes(back, 1, 2), row[..., None])[..., 0], x
+    # (I - Delta D)^-1 = I + Delta (I - D Delta)^-1 D
+    return row + ((row[:, None, :] @ deltas) @ inverse)[:, 0] @ model.D, (inverse @ x[..., None])[..., 0]
 
 
 def _least_move(
