@@ -87,7 +87,9 @@ def lower_bounds(
         for first in range(0, len(group), chunk):
             some = group[first : first + chunk]
             matrices = np.stack([component.matrix / size for _, component, size in some])
-            candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
+            # A path that leads nowhere may overflow; its end does not verify.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
             for (k, component, size), found in zip(some, candidates, strict=True):
                 best[k] = _verified(stack[k], blocks, component, [c / size for c in found], best[k])
     return best

@@ -69,7 +69,9 @@ def smallest_destabilising(
     crossings: list[Destabilising] = []
     candidates, ill_posed = _matrix_candidates(model, blocks, omega, seed)
     if model.n_states:
-        candidates = _migrated(model, blocks, candidates, seed, random_starts)
+        # A path that leads nowhere may overflow; its end is no crossing.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            candidates = _migrated(model, blocks, candidates, seed, random_starts)
     for delta in candidates:
         best = min((c.norm for c in crossings), default=np.inf)
         crossing = _first_crossing(model, blocks, delta, best)
@@ -145,50 +147,65 @@ def _first_crossing(
     if not np.isfinite(delta).all() or not delta.any():
         return None
     factors = np.concatenate([np.linspace(0.1, 1.0, 10), 1 + 10.0 ** np.arange(-12, -3)])
-    unstable_at = np.flatnonzero(_rightmost(model, factors[:, None, None] * delta).real >= 0)
-    if not len(unstable_at):
-        return None
-    first = int(unstable_at[0])
-    stable, unstable = (float(factors[first - 1]) if first else 0.0), float(factors[first])
-    if stable * delta_norm(blocks, delta) >= best:
-        return None
-    # Each round cuts the bracket into sixteen parts.
+    right = _rightmost(model, factors[:, None, None] * delta)
+    # Where rounding of eigenvalues hides the crossing, the frequency response still shows it.
+    exact = _on_the_axis(model, blocks, delta, complex(right[9]))
+    unstable_at = np.flatnonzero(right.real >= 0)
+    first = int(unstable_at[0]) if len(unstable_at) else 0
+    stable = float(factors[first - 1]) if first else 0.0
+    if not len(unstable_at) or stable * delta_norm(blocks, delta) >= best:
+        return min(exact, key=lambda c: c.norm, default=None)
+    unstable = _bisected(model, delta, stable, float(factors[first]))
+    pole, error = _pole_and_error(model, unstable * delta)
+    at_crossing = Destabilising(unstable * delta_norm(blocks, delta), unstable * delta, pole)
+    if not np.isfinite(pole):
+        return at_crossing
+    exact += _on_the_axis(model, blocks, unstable * delta, pole)
+    if not exact and pole.real > error:
+        return at_crossing
+    return min(exact, key=lambda c: c.norm, default=None)
+
+
+def _bisected(model: StateSpaceModel, delta: ComplexArray, stable: float, unstable: float) -> float:
+    """The first multiple of Delta between two that has a pole right of the axis; a round cuts into sixteen parts."""
     for _ in range(12):
         inner = np.linspace(stable, unstable, 17)
-        right = _rightmost(model, inner[1:-1, None, None] * delta).real >= 0
-        step = int(np.argmax(right)) + 1 if right.any() else 16
+        beyond = _rightmost(model, inner[1:-1, None, None] * delta).real >= 0
+        step = int(np.argmax(beyond)) + 1 if beyond.any() else 16
         stable, unstable = float(inner[step - 1]), float(inner[step])
         if unstable - stable <= 1e-13 * unstable:
             break
-    return _on_the_axis(model, blocks, unstable * delta)
+    return unstable
 
 
-def _on_the_axis(model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray) -> Destabilising | None:
-    r"""The crossing at a multiple of Delta, by ``det(I - M(j omega) Delta) = 0``.
+def _on_the_axis(
+    model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
+) -> list[Destabilising]:
+    r"""Crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole.
 
     Eigenvalues are accurate to rounding of the largest one only: beside fast poles a slow one seems to cross long
     before it does. At a crossing, ``M(j omega) Delta`` has an eigenvalue that is real; dividing by it ends there. Newton
-    steps in omega make it so. Where they fail, a pole counts only if it lies right of the axis by more than its error.
+    steps in omega make it so.
     """
-    pole, error = _pole_and_error(model, delta)
     if not np.isfinite(pole):
-        return Destabilising(delta_norm(blocks, delta), delta, pole)
-    omega = abs(pole.imag) if not np.any(delta.imag) else pole.imag
-    omega = 0.0 if abs(omega) <= error else omega
-    for _ in range(12):
-        found = _loop_eigenvalue(model, delta, omega)
-        if found is None:
-            break
-        value, slope = found
-        if abs(value - 1) > 0.1:
-            break
-        if abs(value.imag) <= 1e-12 * abs(value):
-            exact = delta / value.real
-            return Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega))
-        if slope.imag == 0:
-            break
-        omega -= value.imag / slope.imag
-    return Destabilising(delta_norm(blocks, delta), delta, pole) if pole.real > error else None
+        return []
+    # A pole of a real model that is small beside the others may be real, whatever its eigenvalue says.
+    slow = abs(pole) <= 1e-6 * np.abs(model.A).max()
+    found = []
+    for omega in dict.fromkeys([pole.imag, 0.0] if slow else [pole.imag]):
+        for _ in range(12):
+            now = _loop_eigenvalue(model, delta, omega)
+            if now is None or now[0].real <= 0:
+                break
+            value, slope = now
+            if abs(value.imag) <= 1e-12 * abs(value):
+                exact = delta / value.real
+                found.append(Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega)))
+                break
+            if slope.imag == 0:
+                break
+            omega -= value.imag / slope.imag
+    return found
 
 
 def _pole_and_error(model: StateSpaceModel, delta: ComplexArray) -> tuple[complex, float]:
@@ -258,7 +275,7 @@ def _migrated(
     norm = np.concatenate([norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]])
     chosen = pool[_distinct(pool, norm, CHOSEN + len(given))]
     lower = _descended(model, layout, chosen)
-    return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2]]
+    return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
 
 
 def _distinct(pool: ComplexArray, norm: Array, count: int) -> list[int]:
