@@ -1,14 +1,19 @@
 r"""Lower bounds of mu: the smallest Delta found that makes ``I - M Delta`` singular.
 
-Complex structures: power iteration (Packard, Fan, Doyle). Any structure: sequential minimum-norm steps. With x, y the
-right and left null directions of ``I - M Delta``, singularity is linear to first order, ``y^* M Delta x = y^* x``;
-the Delta of smallest norm that fulfils it is known in closed form. Every Delta is projected to the structure and
-checked by its singular values.
+Several methods give Deltas; each is projected to the structure and verified by singular values, and the smallest that
+passes is the bound:
+
+* complex structures: power iteration, its end points sharpened by minimum-norm steps;
+* any structure: minimum-norm steps from many directions, and from the box points that gain ascent reaches inside the
+  best ball found so far;
+* real M with real blocks: a search over vertices (all of them where they are few).
+
+All starts of all matrices of a stack go through the same stacked linear algebra.
 
 References
 ----------
 Packard, Fan, Doyle, "A power method for the structured singular value" (1988). Young, Doyle, "Computation of mu with
-real and complex uncertainties" (1990).
+real and complex uncertainties" (1990). Seiler, Packard, Balas, Automatica 46 (2010).
 """
 
 from __future__ import annotations
@@ -21,22 +26,34 @@ from numpy.typing import NDArray
 
 from robustlab.mu_analysis.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.decomposition import Component, components, expand
-from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
+from robustlab.mu_analysis.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.gain_based_lower import gain_ascent, vertex_rays, vertex_search
+from robustlab.mu_analysis.minimum_norm import descended, first_steps, minimum_norm_paths, sharpened, smallest_step
+from robustlab.mu_analysis.power_iteration import power_directions
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["SINGULAR", "block_gains", "lower_bound", "smallest_step", "step_delta"]
+__all__ = ["SINGULAR", "lower_bound", "lower_bounds"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
+Found = tuple[float, ComplexArray | None]
 
 # Relative smallest singular value below which I - M Delta counts as singular.
 SINGULAR = 1e-11
 # A Delta counts as attaining its bound where an exactly singular one lies within this share of its norm.
 NEARBY = 1e-8
+# Candidates per matrix that are taken to rounding and verified.
+CHOSEN = 6
+WIDER = 3
+ROUNDS = 12
+DESCENDING = 2
+FEW = 5
+SCATTERED = 48
+# Numbers that one stack of paths may hold.
+STACK = 4_000_000
 
 
-def lower_bound(
-    M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40
-) -> tuple[float, ComplexArray | None]:
+def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
     """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``.
 
     Parameters
@@ -45,25 +62,54 @@ def lower_bound(
         Complex matrix (p, q).
     seed
         Seed of the starting directions; the same seed gives the same Delta.
+    restarts, steps
+        How many paths are followed, and the effort along each.
     """
-    best: tuple[float, ComplexArray | None] = (0.0, None)
-    for component in components(M, blocks):
-        if not component.matrix.any():
+    return lower_bounds(np.asarray(M)[None], blocks, seed, restarts, steps)[0]
+
+
+def lower_bounds(
+    stack: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40
+) -> list[Found]:
+    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
+    best: list[Found] = [(0.0, None)] * len(stack)
+    jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
+    for k, m in enumerate(stack):
+        for component in components(m, blocks):
+            if component.matrix.any():
+                # The steps are sized for a matrix of order one.
+                size = float(np.exp2(np.rint(np.log2(np.abs(component.matrix).max()))))
+                jobs.setdefault(component.members, []).append((k, component, size))
+    for members, group in jobs.items():
+        part = [blocks[i] for i in members]
+        layout = delta_layout(part)
+        chunk = max(1, STACK // (max(restarts, 1) * layout.p * max(layout.q, layout.p)))
+        for first in range(0, len(group), chunk):
+            some = group[first : first + chunk]
+            matrices = np.stack([component.matrix / size for _, component, size in some])
+            # A path that leads nowhere may overflow; its end does not verify.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
+            for (k, component, size), found in zip(some, candidates, strict=True):
+                best[k] = _verified(stack[k], blocks, component, [c / size for c in found], best[k])
+    return best
+
+
+def _verified(
+    M: ComplexArray, blocks: Sequence[Block], component: Component, candidates: list[ComplexArray], best: Found
+) -> Found:
+    """The smallest candidate that is better than ``best`` and singular to rounding, on the whole of M."""
+    part = [blocks[i] for i in component.members]
+    exact = [project(part, c) for c in candidates]
+    for norm, candidate in sorted(((delta_norm(part, c), c) for c in exact), key=lambda pair: pair[0]):
+        if not 0 < norm < np.inf:
             continue
-        part = [blocks[i] for i in component.members]
-        # The steps below are sized for a matrix of order one.
-        size = float(np.exp2(np.rint(np.log2(np.abs(component.matrix).max()))))
-        found = [c / size for c in _candidates(component.matrix / size, part, seed, restarts, steps)]
-        candidates = [(delta_norm(part, c), c) for c in found]
-        for norm, candidate in sorted(candidates, key=lambda pair: pair[0]):
-            if not 0 < norm < np.inf:
-                continue
-            if 1 / norm <= best[0]:
-                break
-            delta = _embed(candidate, blocks, component)
-            close = singularity(component.matrix, candidate) <= SINGULAR and singularity(M, delta) <= 1e3 * SINGULAR
-            if close and _singular_nearby(component.matrix, part, candidate):
-                best = (1 / delta_norm(blocks, delta), delta)
+        if 1 / norm <= best[0]:
+            break
+        delta = _embed(candidate, blocks, component)
+        close = singularity(component.matrix, candidate) <= SINGULAR and singularity(M, delta) <= 1e3 * SINGULAR
+        if close and _singular_nearby(component.matrix, part, candidate):
+            return 1 / delta_norm(blocks, delta), delta
     return best
 
 
@@ -75,18 +121,19 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     """
     loop = np.eye(len(M)) - M @ delta
     # Rows and columns may carry any scaling; with the largest entries at one, singular values keep their digits.
-    rows, cols = np.ones(len(loop)), np.ones(len(loop))
+    scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
     for _ in range(3):
-        rows /= _power_of_two(np.abs(loop * rows[:, None] * cols).max(axis=1))
-        cols /= _power_of_two(np.abs(loop * rows[:, None] * cols).max(axis=0))
-    u, sigma, vh = np.linalg.svd(loop * rows[:, None] * cols)
-    y, x, smallest = rows * u[:, -1], cols * np.conj(vh[-1]), sigma[-1]
+        scale_rows /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=1))
+        scale_cols /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=0))
+    u, sigma, vh = np.linalg.svd(loop * scale_rows[:, None] * scale_cols)
+    y, x, smallest = scale_rows * u[:, -1], scale_cols * np.conj(vh[-1]), sigma[-1]
     rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
     if smallest <= rounding:
         return True
     row = (np.conj(y) @ M)[None] / smallest
-    gains = block_gains(blocks, row, x[None])
-    real = np.array([isinstance(b, RealScalar) for b in blocks])
+    layout = delta_layout(blocks)
+    gains = layout.gains(row, x[None])
+    real = layout.real
     with np.errstate(over="ignore", invalid="ignore"):
         step = smallest_step(gains, real)
         reached = (np.where(real, gains * step, np.abs(gains * step))).sum()
@@ -97,233 +144,153 @@ def _power_of_two(size: Array) -> Array:
     return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))
 
 
-def _candidates(M: ComplexArray, blocks: list[Block], seed: int, restarts: int, steps: int) -> list[ComplexArray]:
-    """Delta of exactly the structure, most of them close to singular; M is balanced."""
-    q, p = structure_size(blocks)
-    rng = np.random.default_rng(seed)
-    x, y = rng.standard_normal((2, restarts, p, 2)) @ np.array([1, 1j])
-    u, _, vh = np.linalg.svd(M)
-    x[0], y[0] = u[:, 0], u[:, 0]
-    if restarts > 1 and p == q:
-        x[1], y[1] = np.conj(vh[0]), u[:, 0]
-    found = _minimum_norm_steps(M, blocks, x, y, steps=steps, rng=rng)
-    if not any(isinstance(b, RealScalar) for b in blocks):
-        found.extend(_power_iteration(M, blocks, rng, restarts, 2 * steps))
-    if all(isinstance(b, RealScalar) for b in blocks):
-        found.extend(_vertex_rays(M, blocks, rng, 2 * restarts))
+# --- candidates ------------------------------------------------------------------------------------------------------
+
+
+def _candidates(
+    M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
+) -> list[list[ComplexArray]]:
+    """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
+    if layout.real.any():
+        x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
+        x_more, y_more = _ascended(M, layout, near, seed, max(restarts // 3, 1))
+        x, y = np.concatenate([x, x_more], axis=1), np.concatenate([y, y_more], axis=1)
+    else:
+        x, y = _starts(M, layout, seed, restarts, steps)
+    delta, norm = _follow(M, layout, x, y, steps=10 + steps // 3)
+    few = layout.real.all() and layout.n <= FEW
+    if few:
+        more, more_norm = _scattered(M, layout, norm.min(axis=1), seed)
+        delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
+    of, chosen = _chosen(norm, CHOSEN)
+    sharp = sharpened(M[of], layout, delta[of, chosen])
+    if layout.real.any():
+        # The best of each matrix go down to the minimum of their valley.
+        sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
+        count = 2 * DESCENDING if few else DESCENDING
+        best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
+        sharp[best] = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
+    found = [list(sharp[of == k]) for k in range(len(M))]
+    if layout.real.all():
+        for k in range(len(M)):
+            if not M[k].imag.any():
+                found[k].extend(_vertices(M[k].real, layout, found[k], seed, restarts))
     return found
 
 
-# --- sequential minimum-norm steps -----------------------------------------------------------------------------------
+def _chosen(norm: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row and column of the ``count`` smallest norms (k, r) of each row, one of those that agree to 1e-6 left out."""
+    of, chosen = [], []
+    for k, row in enumerate(norm):
+        order = np.argsort(row)
+        order = order[np.isfinite(row[order])]
+        twin = np.zeros(len(order), dtype=bool)
+        # The second of three that agree stays: one of two may fail to become exact.
+        twin[2:] = row[order[2:]] <= row[order[:-2]] * (1 + 1e-6)
+        order = order[~twin][:count]
+        of.extend([k] * len(order))
+        chosen.extend(order)
+    return np.array(of, dtype=np.intp), np.array(chosen, dtype=np.intp)
 
 
-def _minimum_norm_steps(
-    M: ComplexArray, blocks: list[Block], x: ComplexArray, y: ComplexArray, *, steps: int, rng: np.random.Generator
-) -> list[ComplexArray]:
-    """Iterate from each pair of directions x, y (k, p) at once."""
-    k, p = x.shape
-    real = np.array([isinstance(b, RealScalar) for b in blocks])
-    eye = np.eye(p)
-    delta: ComplexArray | None = None
-    found: list[ComplexArray] = []
-    for step in range(steps):
-        inner = (np.conj(y) * x).sum(axis=1)
-        inner = np.where(np.abs(inner) < 1e-8, 1e-8, inner)
-        row = (np.conj(y) @ M) / inner[:, None]
-        new = step_delta(blocks, smallest_step(block_gains(blocks, row, x), real), row, x)
-        # The first steps may be damped at random: undamped ones can cycle. The last ones converge like Newton's.
-        damped = 8 < step < steps - 12
-        gain = 0.6 + 0.4 * rng.random((k, 1, 1)) if damped else 1.0
-        delta = new if delta is None else delta + gain * (new - delta)
-        delta = np.clip(delta.real, -1e9, 1e9) + 1j * np.clip(delta.imag, -1e9, 1e9)
-        loop = eye - M @ delta
-        # Inverse iteration for the null directions; the shift keeps an exactly singular loop solvable.
-        shift = 1e-13 * (1 + np.abs(loop).max(axis=(1, 2)))
-        try:
-            inverse = np.linalg.inv(loop + shift[:, None, None] * eye)
-        except np.linalg.LinAlgError:
-            break
-        x = _unit(np.einsum("kij,kj->ki", inverse, x), x)
-        y = _unit(np.einsum("kji,kj->ki", np.conj(inverse), y), y)
-        if step >= steps - 2:
-            found.extend(_completed(M, blocks, d) for d in delta)
-    return found
+def _first(indices: NDArray[np.intp], sizes: Array, count: int) -> NDArray[np.intp]:
+    order = indices[np.argsort(sizes[indices])]
+    return order[np.isfinite(sizes[order])][:count]
 
 
-def _vertex_rays(M: ComplexArray, blocks: list[Block], rng: np.random.Generator, count: int) -> list[ComplexArray]:
-    """Along the ray through a vertex V of the box, ``I - t M V`` is singular where 1 / t is an eigenvalue of M V."""
-    found = []
-    for k in range(count):
-        signs = np.ones(len(blocks)) if k == 0 else rng.choice([-1.0, 1.0], len(blocks))
-        vertex = np.diag(np.repeat(signs, [b.rows for b in blocks])).astype(complex)
-        eigenvalues = np.linalg.eigvals(M @ vertex)
-        real = eigenvalues.real[np.abs(eigenvalues.imag) <= 1e-9 * np.abs(eigenvalues)]
-        if len(real) and np.abs(real).max() > 0:
-            found.append(vertex / real[np.abs(real).argmax()])
-    return found
+def _residuals(M: ComplexArray, delta: ComplexArray) -> Array:
+    return np.linalg.svd(np.eye(M.shape[1]) - M @ delta, compute_uv=False)[:, -1]
 
 
-def block_gains(blocks: Sequence[Block], row: ComplexArray, x: ComplexArray) -> ComplexArray:
-    """Factors a (k, n_blocks) in ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block."""
-    gains = np.empty((len(x), len(blocks)), dtype=complex)
-    for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):
-        if isinstance(block, FullBlock):
-            gains[:, i] = np.linalg.norm(row[:, w], axis=1) * np.linalg.norm(x[:, z], axis=1)
-        else:
-            gains[:, i] = (row[:, w] * x[:, z]).sum(axis=1)
-    return gains
+def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int) -> tuple[ComplexArray, Array]:
+    """Deltas (k, r, q, p), singular, next to random points of the box of the best norm (k,) so far, and their norms.
 
-
-def step_delta(blocks: Sequence[Block], values: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-    """Delta (k, q, p) from one number per block (k, n_blocks); full blocks point along row and x."""
-    q, p = structure_size(blocks)
-    delta = np.zeros((len(values), q, p), dtype=complex)
-    for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):
-        if isinstance(block, FullBlock):
-            left, right = _unit(np.conj(row[:, w])), _unit(np.conj(x[:, z]))
-            delta[:, w, z] = values[:, i, None, None] * left[:, :, None] * right[:, None, :]
-        else:
-            delta[:, w, z] = values[:, i, None, None] * np.eye(block.repeats)
-    return delta
-
-
-def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
-    r"""The d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``.
-
-    The dual is a convex function of one number alpha,
-    ``f = sum_R |Re a_i + alpha Im a_i| + sqrt(1 + alpha^2) sum_C |a_i|``, whose minimum is ``1 / max |d_i|``: either
-    at a kink, where that one real d_i is inside its range, or at a smooth point between two.
+    With few real parameters valleys are narrow, and steps to the corners jump over them.
     """
-    k = len(a)
-    rows = np.arange(k)
-    re, im = a.real[:, real], a.imag[:, real]
-    total = np.abs(a[:, ~real]).sum(axis=1)
-    alpha, kink = np.zeros(k), np.full(k, -1)
-    if re.shape[1]:
-        alpha, kink = _dual_minimum(re, im, total)
-    value = np.abs(re + alpha[:, None] * im).sum(axis=1) + np.sqrt(1 + alpha**2) * total
-    tau = 1 / np.maximum(value, 1e-300)
-    inside = np.zeros(k)
-    sign = np.sign(re + alpha[:, None] * im)
-    phase = np.exp(1j * np.arctan(alpha))
-    has = kink >= 0
-    if has.any():
-        # At a kink the two real equations of sum a d = 1 fix tau and the one free d.
-        sign[rows[has], kink[has]] = 0
-        sum_others = (sign * (re + 1j * im)).sum(axis=1) + phase * total
-        free = (re + 1j * im)[rows, np.maximum(kink, 0)]
-        determinant = sum_others.real * free.imag - sum_others.imag * free.real
-        safe = np.where(determinant == 0, 1.0, determinant)
-        tau = np.where(has & (determinant != 0), free.imag / safe, tau)
-        inside = np.where(has & (determinant != 0), -sum_others.imag / safe, 0.0)
-    d = np.empty(a.shape, dtype=complex)
-    reals = tau[:, None] * sign
-    if has.any():
-        reals[rows[has], kink[has]] = inside[has]
-    d[:, real] = reals
-    unit = np.conj(a[:, ~real]) / np.maximum(np.abs(a[:, ~real]), 1e-300)
-    d[:, ~real] = tau[:, None] * unit * phase[:, None]
-    return np.where(np.isfinite(d), d, 0.0)
+    rng = np.random.default_rng([seed, 3])
+    k = len(M)
+    radius = np.where(np.isfinite(norm), norm, 3.0)
+    values = rng.uniform(-1, 1, (1, SCATTERED, layout.n)) * radius[:, None, None]
+    ones = np.ones((k * SCATTERED, layout.q), dtype=complex)
+    start = layout.deltas(values.reshape(-1, layout.n).astype(complex), ones, ones)
+    repeated = _repeated(M, SCATTERED)
+    found = sharpened(repeated, layout, start, steps=8)
+    sizes = np.where(_residuals(repeated, found) <= 1e-8, layout.sizes(found).max(axis=1), np.inf)
+    return found.reshape(k, SCATTERED, layout.q, layout.p), sizes.reshape(k, SCATTERED)
 
 
-def _dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Minimiser alpha of the dual of `smallest_step`, and the index of the kink it sits at (-1: none)."""
-    rows = np.arange(len(re))
-    size = np.abs(re) + np.abs(im)
-    straight = np.abs(im) <= 1e-13 * np.maximum(size.max(axis=1, keepdims=True), 1e-300)
-    im = np.where(straight, 0.0, im)
-    # A real direction without a kink never changes sign; alpha = 0 stands in for it and changes nothing.
-    kinks = np.where(straight, 0.0, -re / np.where(straight, 1.0, im))
-    values = np.abs(re[:, None, :] + kinks[:, :, None] * im[:, None, :])
-    f = values.sum(axis=2) + np.sqrt(1 + kinks**2) * total[:, None]
-    best = f.argmin(axis=1)
-    alpha = kinks[rows, best]
-    own = np.where(straight[rows, best], 0.0, np.abs(im[rows, best]))
-    slopes = im * np.sign(re + alpha[:, None] * im)
-    slopes[rows, best] = 0.0
-    flat = slopes.sum(axis=1)
-    curve = total * alpha / np.sqrt(1 + alpha**2)
-    kink = np.where((np.abs(flat + curve) <= own) & (own > 0), best, -1)
-    # Elsewhere the minimum is where flat +- own + total * sin = 0, on the side that goes down.
-    side = flat - np.sign(flat + curve) * own
-    sine = np.clip(-side / np.maximum(total, 1e-300), -1 + 1e-12, 1 - 1e-12)
-    smooth = np.where(total > 0, sine / np.sqrt(1 - sine**2), alpha)
-    return np.where(kink >= 0, alpha, smooth), kink
+def _starts(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int) -> tuple[ComplexArray, ...]:
+    """Directions x, y (k, restarts, p); the same random ones for every matrix."""
+    k = len(M)
+    rng = np.random.default_rng(seed)
+    u, _, vh = np.linalg.svd(M)
+    if not layout.real.any():
+        b, w = rng.standard_normal((2, 1, restarts, layout.q, 2)) @ np.array([1, 1j]) * np.ones((1, k, 1, 1))
+        b[:, 0] = w[:, 0] = np.conj(vh[:, 0])
+        x, y = power_directions(_repeated(M, restarts), layout, _flat(b), _flat(w), 15 + steps // 2)
+        return x.reshape(k, restarts, -1), y.reshape(k, restarts, -1)
+    x, y = rng.standard_normal((2, 1, restarts, layout.p, 2)) @ np.array([1, 1j]) * np.ones((1, k, 1, 1))
+    x[:, 0] = y[:, 0] = u[:, :, 0]
+    if restarts > 1 and layout.p == layout.q:
+        x[:, 1], y[:, 1] = np.conj(vh[:, 0]), u[:, :, 0]
+    return x, y
 
 
-def _completed(M: ComplexArray, blocks: list[Block], delta: ComplexArray) -> ComplexArray:
-    """The same Delta, its complex part (where it has one) scaled so that ``I - M Delta`` is singular to rounding."""
-    delta = project(blocks, delta)
-    fixed, free = np.zeros_like(delta), delta.copy()
-    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
-        if isinstance(block, RealScalar):
-            fixed[w, z] = delta[w, z]
-            free[w, z] = 0
-    if not free.any():
-        return delta
-    try:
-        eigenvalues = np.linalg.eigvals(np.linalg.solve(np.eye(len(M)) - M @ fixed, M @ free))
-    except np.linalg.LinAlgError:
-        return delta
-    # I - M fixed - M free / lambda is singular.
-    largest = eigenvalues[np.abs(eigenvalues).argmax()]
-    return fixed + free / largest if np.abs(largest) > 1e-12 else delta
+def _promising(
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, count: int
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Of the directions (k, r, p) those ``count`` whose steps are the smallest after the first few, and that norm."""
+    k, r = x.shape[:2]
+    x, y, norm = first_steps(_repeated(M, r), layout, _flat(x), _flat(y))
+    norm = norm.reshape(k, r)
+    keep = np.argsort(norm, axis=1)[:, :count, None]
+    x, y = np.take_along_axis(x.reshape(k, r, -1), keep, 1), np.take_along_axis(y.reshape(k, r, -1), keep, 1)
+    return x, y, norm.min(axis=1)
 
 
-# --- power iteration -------------------------------------------------------------------------------------------------
+def _follow(
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int
+) -> tuple[ComplexArray, Array]:
+    """Deltas (k, r, q, p) at the ends of minimum-norm paths from x, y (k, r, p), and their norms, inf where none is."""
+    k, r = x.shape[:2]
+    delta, norm = minimum_norm_paths(_repeated(M, r), layout, _flat(x), _flat(y), steps)
+    return delta.reshape(k, r, layout.q, layout.p), norm.reshape(k, r)
 
 
-def _power_iteration(
-    M: ComplexArray, blocks: list[Block], rng: np.random.Generator, restarts: int, steps: int
-) -> list[ComplexArray]:
-    """Fixed points of ``beta a = M b, z = Q^* w-alignment, beta w = M^* z, b = Q a`` for complex blocks."""
-    q, _ = structure_size(blocks)
-    slices = block_slices(blocks)
-    b, w = rng.standard_normal((2, restarts, q, 2)) @ np.array([1, 1j])
-    b[0] = w[0] = np.conj(np.linalg.svd(M)[2][0])
-    b, w = _unit(b), _unit(w)
-    a = np.zeros((restarts, M.shape[0]), dtype=complex)
-    for _ in range(steps):
-        a = _unit(b @ M.T)
-        z = np.empty_like(a)
-        for block, (sw, sz) in zip(blocks, slices, strict=True):
-            z[:, sz] = _align(block, w[:, sw], a[:, sz])
-        w = _unit(z @ np.conj(M))
-        for block, (sw, sz) in zip(blocks, slices, strict=True):
-            b[:, sw] = _align_back(block, w[:, sw], a[:, sz])
-        b = _unit(b)
-    found = []
-    for i in range(restarts):
-        delta = np.zeros((q, M.shape[0]), dtype=complex)
-        for block, (sw, sz) in zip(blocks, slices, strict=True):
-            if isinstance(block, FullBlock):
-                delta[sw, sz] = np.outer(_unit(w[i : i + 1, sw])[0], np.conj(_unit(a[i : i + 1, sz])[0]))
-            else:
-                inner = np.vdot(a[i, sz], w[i, sw])
-                delta[sw, sz] = np.exp(1j * np.angle(inner)) * np.eye(block.repeats)
-        found.append(_completed(M, blocks, delta))
-    return found
+def _ascended(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, ...]:
+    """Directions (k, count, p) at points that gain ascent reaches in a box of about the size (k,) that is expected."""
+    rng = np.random.default_rng([seed, 1])
+    k = len(M)
+    known = np.where(np.isfinite(norm), norm, 1.0)
+    radius = known[:, None] * np.linspace(1.0, 0.8, count)
+    values = np.where(layout.real, rng.choice([-1.0, 1.0], (count, layout.n)), 0.0).astype(complex)
+    values = (values * radius[..., None]).reshape(k * count, layout.n)
+    ones = np.ones((k * count, max(layout.q, layout.p)), dtype=complex)
+    start = layout.deltas(values, ones[:, : layout.q], ones[:, : layout.p])
+    x, y = gain_ascent(_repeated(M, count), layout, start, radius.ravel())
+    return x.reshape(k, count, -1), y.reshape(k, count, -1)
 
 
-def _align(block: Block, w: ComplexArray, a: ComplexArray) -> ComplexArray:
-    """Vector z of one block from w and a."""
-    if isinstance(block, FullBlock):
-        return np.linalg.norm(w, axis=1, keepdims=True) * _unit(a)
-    return np.exp(-1j * np.angle((np.conj(a) * w).sum(axis=1)))[:, None] * w
+def _vertices(M: Array, layout: DeltaLayout, known: list[ComplexArray], seed: int, count: int) -> list[ComplexArray]:
+    """Vertices that a search over signs finds for real M; blocks that are repeated follow rays only."""
+    rng = np.random.default_rng([seed, 2])
+    signs = rng.choice([-1.0, 1.0], (2 * count, layout.n))
+    signs[0] = 1.0
+    for row, delta in zip(signs[1:], known, strict=False):
+        row[:] = np.where(np.diagonal(delta).real[np.searchsorted(layout.of_w, np.arange(layout.n))] < 0, -1.0, 1.0)
+    if layout.n == layout.q:
+        found = vertex_search(M, signs)
+    else:
+        found = vertex_rays(M, signs[:, layout.of_w])
+    return [(size * np.diag(s)).astype(complex) for size, s in found[:3]]
 
 
-def _align_back(block: Block, w: ComplexArray, a: ComplexArray) -> ComplexArray:
-    """Vector b of one block from w and a."""
-    if isinstance(block, FullBlock):
-        return np.linalg.norm(a, axis=1, keepdims=True) * _unit(w)
-    return np.exp(1j * np.angle((np.conj(a) * w).sum(axis=1)))[:, None] * a
+def _repeated(M: ComplexArray, count: int) -> ComplexArray:
+    return np.repeat(M, count, axis=0)
 
 
-def _unit(v: ComplexArray, instead: ComplexArray | None = None) -> ComplexArray:
-    """Rows of unit length; rows of zeros (or not finite ones) stay, or become those of ``instead``."""
-    norm = np.linalg.norm(v, axis=1, keepdims=True)
-    good = np.isfinite(norm) & (norm > 0)
-    return np.where(good, v / np.where(good, norm, 1.0), v if instead is None else instead)
+def _flat(v: ComplexArray) -> ComplexArray:
+    return v.reshape(-1, v.shape[-1])
 
 
 def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -> ComplexArray:

@@ -1,0 +1,143 @@
+"""Models for the benchmarks of mu: random ones in classes, and published ones typed in from their equations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, structure_size
+
+Model = tuple[StateSpaceModel, list[Block]]
+KINDS = ("real", "real x2", "real M", "mixed", "mixed x2", "mixed full", "complex", "complex x2", "full", "wide")
+
+
+def structure(kind: str, n: int) -> list[Block]:
+    """Blocks of about n columns in all."""
+    if kind in ("real", "real M"):
+        return [RealScalar(f"d{i}") for i in range(n)]
+    if kind == "real x2":
+        return [RealScalar(f"d{i}", 2) for i in range(n // 2)]
+    if kind == "complex":
+        return [ComplexScalar(f"d{i}") for i in range(n)]
+    if kind == "complex x2":
+        return [ComplexScalar(f"d{i}", 2) for i in range(n // 2)]
+    if kind == "full":
+        return [FullBlock(f"d{i}", 2, 2) for i in range(n // 2)]
+    if kind == "wide":
+        return [FullBlock(f"d{i}", 1, 2) for i in range(n // 2)]
+    if kind == "mixed":
+        return [RealScalar(f"d{i}") if i < n // 2 else ComplexScalar(f"d{i}") for i in range(n)]
+    rest: list[Block] = [ComplexScalar("c")] if n % 2 else []
+    if kind == "mixed full":
+        real: list[Block] = [RealScalar(f"r{i}") for i in range(n // 2)]
+        return real + [FullBlock(f"f{i}", 2, 2) for i in range((n - n // 2) // 2)] + rest
+    k = max(n // 4, 1)
+    twice: list[Block] = [RealScalar(f"r{i}", 2) for i in range(k)]
+    return twice + [ComplexScalar(f"c{i}", 2) for i in range((n - 2 * k) // 2)] + rest
+
+
+def random_matrices(kind: str, n: int, count: int, seed: int = 0) -> np.ndarray:
+    """A stack of matrices with normal entries that fits ``structure(kind, n)``."""
+    rng = np.random.default_rng([seed, n, KINDS.index(kind)])
+    q, p = structure_size(structure(kind, n))
+    real = rng.standard_normal((count, p, q))
+    return real + 0j if kind == "real M" else real + 1j * rng.standard_normal((count, p, q))
+
+
+def random_model(n_states: int, blocks: Sequence[Block], damping: tuple[float, float], seed: int) -> Model:
+    """Oscillators of a given range of damping over two decades of frequency, mixed by a random well-conditioned map."""
+    rng = np.random.default_rng([seed, n_states])
+    omega = 10 ** rng.uniform(-1, 1, n_states // 2)
+    zeta = 10 ** rng.uniform(*np.log10(damping), n_states // 2)
+    A = np.zeros((n_states, n_states))
+    for i, (w, z) in enumerate(zip(omega, zeta, strict=True)):
+        A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[-z * w, w], [-w, -z * w]]
+    q, p = structure_size(blocks)
+    mix = np.eye(n_states) + 0.3 * rng.standard_normal((n_states, n_states)) / np.sqrt(n_states)
+    B = rng.standard_normal((n_states, q)) * np.repeat(np.sqrt(omega), 2)[:, None]
+    C = rng.standard_normal((p, n_states)) * np.repeat(np.sqrt(omega), 2)[None, :]
+    D = 0.2 * rng.standard_normal((p, q)) / np.sqrt(p)
+    back = np.linalg.inv(mix)
+    return StateSpaceModel(mix @ A @ back, mix @ B, C @ back, D), list(blocks)
+
+
+CLASSES = {
+    "12 states, 12 real": lambda seed: random_model(12, structure("real", 12), (0.05, 0.7), seed),
+    "12 states, 24 real": lambda seed: random_model(12, structure("real", 24), (0.05, 0.7), seed),
+    "12 states, 24 real, each twice": lambda seed: random_model(12, structure("real x2", 48), (0.05, 0.7), seed),
+    "24 states, 12 real, lightly damped": lambda seed: random_model(24, structure("real", 12), (0.002, 0.02), seed),
+    "12 states, 6 real + 6 complex": lambda seed: random_model(12, structure("mixed", 12), (0.05, 0.7), seed),
+    "12 states, 6 real + 3 full": lambda seed: random_model(12, structure("mixed full", 12), (0.05, 0.7), seed),
+}
+
+
+def two_mass() -> Model:
+    """MathWorks' example: two masses and a spring, each 1 +- 20 %, under 100 ((s + 1) / (0.001 s + 1))^3.
+
+    Published robust stability margin 2.8826 .. 2.8864 at 575.03 rad/s.
+    """
+    # w and z of m1, m2, k; the controller reads the position of mass 2 and pushes mass 1.
+    # acceleration_1 = u - f - 0.2 w1, acceleration_2 = f - 0.2 w2, f = x1 - x2 + 0.2 w3.
+    A = np.array([[0, 1, 0, 0], [-1, 0, 1, 0], [0, 0, 0, 1], [1, 0, -1, 0]], dtype=float)
+    B = np.zeros((4, 4))
+    B[1], B[3] = [-0.2, 0, -0.2, 1], [0, -0.2, 0.2, 0]
+    C = np.array([A[1], A[3], [1, 0, -1, 0], [0, 0, 1, 0]])
+    D = np.array([B[1], B[3], [0] * 4, [0] * 4])
+    # One factor (s + 1) / (0.001 s + 1) = 1000 - 999000 / (s + 1000); three in series, gain 100.
+    Ak, Bk, Ck, Dk = -1000.0 * np.eye(3), np.zeros((3, 1)), np.zeros((1, 3)), 100.0 * 1000.0**3
+    for i in range(3):
+        Ak[i, :i] = -999000.0 * 1000.0 ** np.arange(i - 1, -1, -1)
+        Bk[i, 0] = 1000.0**i
+        Ck[0, i] = -100.0 * 999000.0 * 1000.0 ** (2 - i)
+    # u = -K y
+    loop = np.zeros((7, 7))
+    loop[:4, :4] = A - B[:, 3:] * Dk @ C[3:]
+    loop[:4, 4:] = -B[:, 3:] @ Ck
+    loop[4:, :4] = Bk @ C[3:]
+    loop[4:, 4:] = Ak
+    B_all = np.vstack([B[:, :3], Bk @ D[3:, :3]])
+    C_all = np.hstack([C[:3] - D[:3, 3:] * Dk @ C[3:], -D[:3, 3:] @ Ck])
+    blocks: list[Block] = [RealScalar("m1"), RealScalar("m2"), RealScalar("k")]
+    return StateSpaceModel(loop, B_all, C_all, D[:3, :3]), blocks
+
+
+def two_parameters_with_an_island(r: float = 0.1) -> Model:
+    """``s^3 + (q1 + q2 + 1) s^2 + (q1 + q2 + 3) s + 1 + r^2 + 6 q1 + 6 q2 + 2 q1 q2``: unstable inside a small circle.
+
+    Classic of the parametric literature (Ackermann). q1 = 1.4 +- 1.1, q2 = 0.85 +- 0.85; the instability is a disk of
+    radius r in the middle of a stable box.
+    """
+    q1, q2, h1, h2 = 1.4, 0.85, 1.1, 0.85
+    s = q1 + q2
+    A = np.array([[0, 1, 0], [0, 0, 1], [-(1 + r * r + 6 * s + 2 * q1 * q2), -(s + 3), -(s + 1)]])
+    B = np.array([[0, 0, 0], [0, 0, 0], [-1, -1, 0]], dtype=float)
+    C = np.array([[h1 * (6 + 2 * q2), h1, h1], [h2 * (6 + 2 * q1), h2, h2], [1, 0, 0]])
+    D = np.zeros((3, 3))
+    D[0, 2] = 2 * h1 * h2
+    return StateSpaceModel(A, B, C, D), [RealScalar("q1"), RealScalar("q2", 2)]
+
+
+def spring_mass_damper() -> Model:
+    """Gu, Petkov, Konstantinov: m 3 +- 40 %, c 1 +- 20 %, k 2 +- 30 %, under a stiff lead controller of our own."""
+    # m x'' + c x' + k x = u; channels: w_m = delta_m z_m on 1 / m, w_c, w_k.
+    A = np.array([[0, 1.0], [-2 / 3, -1 / 3]])
+    B = np.array([[0, 0, 0, 0], [-0.4, -0.2 / 3, -0.3 / 3, 1 / 3]])
+    C = np.array([[-2 / 3, -1 / 3], [0, 1], [2, 0], [1, 0]])
+    D = np.zeros((4, 4))
+    D[0] = [-0.4, -0.2 / 3, -0.3 / 3, 1 / 3]
+    # u = -K y with K = 400 (s + 2) / (s + 40) + 20 / s
+    Ak, Bk = np.diag([-40.0, 0.0]), np.array([[1.0], [1.0]])
+    Ck, Dk = np.array([[400.0 * -38, 20.0]]), 400.0
+    loop = np.block([[A - B[:, 3:] * Dk @ C[3:], -B[:, 3:] @ Ck], [Bk @ C[3:], Ak]])
+    B_all = np.vstack([B[:, :3], np.zeros((2, 3))])
+    C_all = np.hstack([C[:3] - D[:3, 3:] * Dk @ C[3:], -D[:3, 3:] @ Ck])
+    return StateSpaceModel(loop, B_all, C_all, D[:3, :3]), [RealScalar("m"), RealScalar("c"), RealScalar("k")]
+
+
+PUBLISHED = {
+    "two-mass (MathWorks)": two_mass,
+    "island (Ackermann)": two_parameters_with_an_island,
+    "mass-spring-damper (Gu, Petkov, Konstantinov)": spring_mass_damper,
+}
