@@ -42,15 +42,6 @@ class Box:
         high[index] += half[index]
         return Box(low, half), Box(high, half)
 
-    def clipped(self, outer: Box, real: NDArray[np.bool_]) -> Box | None:
-        """The part of this box that lies in ``outer``; None where there is none."""
-        low = np.maximum(self.centre - self.half, outer.centre - outer.half)
-        high = np.minimum(self.centre + self.half, outer.centre + outer.half)
-        if (real & (low > high)).any():
-            return None
-        half = np.where(real, (high - low) / 2, np.minimum(self.half, outer.half))
-        return Box(np.where(real, (high + low) / 2, 0.0), half)
-
 
 def lowest(blocks: Sequence[Block]) -> Array:
     """What multiplies in Delta at the lower end of each block's range: -1, or ``-below / radius`` where asymmetric."""

@@ -110,8 +110,8 @@ class Problem(Protocol):
 def tighten(problem: Problem, lower: float, upper: float, tolerance: float, until: float) -> Proof:
     """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the time allows.
 
-    The level aimed at is ``lower (1 + tolerance)``. Where time runs short the aim is raised step by step: what was
-    proved for a lower level holds for a higher one, whose set is smaller.
+    A wide gap is halved first, and halved again: each level costs several times the one before it, so that what is
+    proved when time is up is worth having, and the way there cost little.
 
     Parameters
     ----------
@@ -121,32 +121,23 @@ def tighten(problem: Problem, lower: float, upper: float, tolerance: float, unti
         Monotonic time in s at which to stop.
     """
     proof = Proof(lower, upper)
-    real = _real(problem)
-    started = time.monotonic()
-    slack, patience = tolerance, 0.6 * (until - started)
-    deadline = started + patience
-    level = lower * (1 + slack)
-    regions = [problem.root(level)]
-    while level < proof.upper and time.monotonic() < until:
-        worse = _prove(problem, regions, level, min(deadline, until), proof)
+    while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and time.monotonic() < until:
+        gap = min(proof.upper / proof.lower - 1, 2.0)
+        level = proof.lower * (1 + (tolerance if gap <= 3 * tolerance else gap / 2))
+        regions, leaves = [problem.root(level)], []
+        worse = _prove(problem, regions, level, until, leaves, proof)
         if worse is not None:
             proof.lower, proof.values = worse.level, worse.values
-        elif not regions:
-            proof.upper = level
+        elif regions:  # time is up, or a box has come to rounding size
             break
-        elif time.monotonic() >= deadline:
-            slack *= 1.6
-            deadline = time.monotonic() + 0.4 * (until - time.monotonic())
-        else:  # a box of rounding size is left: this level cannot be proved in floating point
-            slack *= 1.6
-        level = max(level, proof.lower * (1 + slack))
-        root = problem.root(level).box
-        clipped = [(r, r.box.clipped(root, real)) for r in regions]
-        regions = [Region(box, r.open, r.hot) for r, box in clipped if box is not None]
+        else:
+            proof.upper, proof.leaves = level, leaves
     return proof
 
 
-def _prove(problem: Problem, regions: list[Region], level: float, until: float, proof: Proof) -> Improved | None:
+def _prove(
+    problem: Problem, regions: list[Region], level: float, until: float, leaves: list[Region], proof: Proof
+) -> Improved | None:
     """Work on the regions, a stack emptied in place, until all are proved or time is up; or a Delta above the level.
 
     A region whose box has come to rounding size is put back, and ends the work.
@@ -161,7 +152,7 @@ def _prove(problem: Problem, regions: list[Region], level: float, until: float, 
         stuck, worst = False, None
         for region, was, weight in zip(chosen, before, weights, strict=True):
             if not region.open:
-                proof.leaves.append(Region(region.box, was, region.hot))
+                leaves.append(Region(region.box, was, region.hot))
                 continue
             if weight is None:
                 regions.append(region)

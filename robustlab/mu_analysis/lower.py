@@ -147,9 +147,7 @@ def _power_of_two(size: Array) -> Array:
 # --- candidates ------------------------------------------------------------------------------------------------------
 
 
-def _candidates(
-    M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
-) -> list[list[ComplexArray]]:
+def _candidates(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int) -> list[list[ComplexArray]]:
     """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
     if layout.real.any():
         x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)

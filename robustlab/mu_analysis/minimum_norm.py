@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from robustlab.mu_analysis.delta_layout import DeltaLayout
 
-__all__ = ["descended", "first_steps", "minimum_norm_paths", "null_directions", "restored", "rows", "sharpened", "smallest_step", "unit_rows"]
+__all__ = [
+    "descended",
+    "first_steps",
+    "minimum_norm_paths",
+    "null_directions",
+    "restored",
+    "rows",
+    "sharpened",
+    "smallest_step",
+    "unit_rows",
+]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -206,6 +216,8 @@ def _limited(delta: ComplexArray) -> ComplexArray:
         return delta
     delta = np.where(np.isfinite(delta), delta, 0.0)
     return np.clip(delta.real, -HUGE, HUGE) + 1j * np.clip(delta.imag, -HUGE, HUGE)
+
+
 def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
     r"""The d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``.
 
@@ -271,5 +283,3 @@ def _dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np
     sine = np.clip(-side / np.maximum(total, 1e-300), -1 + 1e-12, 1 - 1e-12)
     smooth = np.where(total > 0, sine / np.sqrt(1 - sine**2), alpha)
     return np.where(kink >= 0, alpha, smooth), kink
-
-

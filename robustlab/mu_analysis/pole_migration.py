@@ -137,7 +137,7 @@ def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
 
 
 def first_crossing(
-    model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, best: float
+    model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, best: float = np.inf
 ) -> Destabilising | None:
     """The smallest multiple of Delta found, up to a little more than itself, at which the model is not stable.
 
@@ -272,7 +272,9 @@ def _migrated(
     again = _scattered(model, layout, rng, size, random_starts)
     more, more_norm = _migrate(model, layout, again, _rightmost(model, again))
     pool = np.concatenate([found, more, again, *(g[None] for g in given)])
-    norm = np.concatenate([norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]])
+    norm = np.concatenate(
+        [norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]]
+    )
     chosen = pool[_distinct(pool, norm, CHOSEN + len(given))]
     lower = _descended(model, layout, chosen)
     return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
@@ -438,7 +440,7 @@ def _by_inverse_iteration(
 def _gradient(
     model: StateSpaceModel, deltas: ComplexArray, inverse: ComplexArray | None, u: ComplexArray, v: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
+    """Row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
     x, row = v @ model.C.T, u @ model.B
     if inverse is None:
         return row, x

@@ -342,7 +342,7 @@ def curvature(V, W, t, T, Y, pattern):
 
 @nb.njit(**INSIDE)
 def g_part(x, pattern):
-    """x with the parameters of D set to zero."""
+    """X with the parameters of D set to zero."""
     out = np.empty(len(x))
     for i in range(len(x)):
         out[i] = x[i] if pattern.owner[i] < 0 else 0.0

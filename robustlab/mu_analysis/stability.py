@@ -112,6 +112,8 @@ def robust_stability(
     Doyle (1982); Sideris, "Elimination of frequency search from robustness tests" (1992); Ly, Safonov, Chiang (1998);
     Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
     """
+    from threadpoolctl import threadpool_limits
+
     check_nominal(uncertain, "robust_stability")
     if not 0 < accuracy < 1 or not tolerance > 0 or not time_limit >= 0:
         found = f"accuracy {accuracy}, tolerance {tolerance}, time_limit {time_limit}"
@@ -123,10 +125,11 @@ def robust_stability(
         nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
         return _margin(uncertain, nothing, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
     until = time.monotonic() + time_limit
-    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed)
-    response = frequency_response(uncertain.delta_channels, grid)
-    mu_lower = np.array([lower_bound(m, blocks, seed, restarts=4, steps=24)[0] for m in response])
-    mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
+    with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
+        found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed)
+        response = frequency_response(uncertain.delta_channels, grid)
+        mu_lower = np.array([lower_bound(m, blocks, seed, restarts=4, steps=24)[0] for m in response])
+        mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
     notes = () if len(grid) == 0 or (lowest(blocks) == -1).all() else (_SYMMETRIC_CURVES,)
     return _margin(uncertain, found, grid, mu_lower, mu_upper, notes)
 

@@ -73,9 +73,7 @@ def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[
     return result
 
 
-def _minimise(
-    M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None
-) -> list[UpperBound]:
+def _minimise(M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None) -> list[UpperBound]:
     """D and G by the primal-dual method; where that came to no end, the better ones of two methods."""
     from robustlab.mu_analysis import path_following, primal_dual
 

@@ -149,6 +149,8 @@ def worst_case_gain(
     >>> round(worst.lower, 6), worst.delta["pole"]
     (2.0, -1.0)
     """
+    from threadpoolctl import threadpool_limits
+
     check_nominal(uncertain, "worst_case_gain")
     if not tolerance > 0 or not time_limit >= 0:
         found = f"tolerance {tolerance}, time_limit {time_limit}"
@@ -163,6 +165,19 @@ def worst_case_gain(
         known = _Known(nominal.lower, nominal.upper, {}, nominal.frequency)
         return _result(uncertain, nominal.value, known, ("no uncertainty: the gain is the nominal one",), grid)
     blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y))
+    with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
+        return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, until, seed)
+
+
+def _with_blocks(
+    uncertain: UncertainModel,
+    blocks: Sequence[Block],
+    nominal: float,
+    grid: Array,
+    tolerance: float,
+    until: float,
+    seed: int,
+) -> WorstCaseGain:
     model = continuous(uncertain.M)
     seeds = seed_frequencies(model)
     channels = continuous(uncertain.delta_channels)
@@ -170,10 +185,10 @@ def worst_case_gain(
     if unstable is not None:
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
         known = _Known(np.inf, np.inf, delta_values(uncertain.blocks, unstable.delta), at)
-        return _result(uncertain, nominal.value, known, ("a member of the set is unstable",), grid)
+        return _result(uncertain, nominal, known, ("a member of the set is unstable",), grid)
     known = _largest_member(uncertain, model, blocks, seeds, seed)
     _prove(known, model, blocks, seeds, tolerance, until, uncertain)
-    return _result(uncertain, nominal.value, known, known.notes, grid, model, blocks, seed)
+    return _result(uncertain, nominal, known, known.notes, grid, model, blocks, seed)
 
 
 def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
