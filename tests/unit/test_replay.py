@@ -1,0 +1,52 @@
+"""The critical Delta in the time domain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.mu_analysis.replay import replay
+
+
+def oscillator(kind, dt: float = 0.0) -> rl.UncertainModel:
+    """x'' + (0.4 - 0.1 delta) x' + x = u: delta = 4 takes the damping away, at 1 rad/s."""
+    M = rl.StateSpaceModel(
+        [[0.0, 1.0], [-1.0, -0.4]], [[0.0, 0.0], [0.1, 1.0]], [[0.0, 1.0], [1.0, 0.0]], np.zeros((2, 2))
+    )
+    if dt:
+        from robustlab.norms import bilinear_to_discrete
+
+        M = bilinear_to_discrete(M, dt)
+    return rl.UncertainModel(M, [kind("c")])
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.05])
+@pytest.mark.parametrize("kind", [rl.RealScalar, rl.ComplexScalar])
+def test_the_critical_delta_keeps_the_oscillation_alive(kind, dt):
+    uncertain = oscillator(kind, dt)
+    margin = rl.robust_stability(uncertain)
+    assert margin.upper == pytest.approx(4.0, rel=1e-6)
+    shown = replay(uncertain, margin)
+    assert shown.growth == pytest.approx(1.0, abs=1e-3)
+    assert shown.period == pytest.approx(2 * np.pi, rel=1e-3)
+    assert np.abs(shown.nominal[-20:]).max() < 1e-4
+    inside = np.abs(shown.inside)
+    assert inside[-40:].max() < 0.9 * inside[:40].max()
+
+
+def test_a_real_pole_that_crosses_at_zero_stands_still():
+    M = rl.StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    uncertain = rl.UncertainModel(M, [rl.RealScalar("pole")])
+    shown = replay(uncertain, rl.robust_stability(uncertain))
+    assert shown.critical[:, 0] == pytest.approx(np.full(len(shown.t), shown.critical[0, 0]))
+    assert shown.nominal[-1, 0] == pytest.approx(shown.critical[0, 0] * np.exp(-12.0))
+
+
+def test_what_cannot_be_replayed_is_said():
+    uncertain = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), [])
+    with pytest.raises(rl.InputError, match="without a critical Delta"):
+        replay(uncertain, rl.robust_stability(uncertain))
+    margin = rl.robust_stability(oscillator(rl.RealScalar))
+    with pytest.raises(rl.InputError, match="this very model"):
+        replay(uncertain, margin)
