@@ -1,4 +1,4 @@
-"""``robustlab mu``: robust stability margin of an uncertain model."""
+"""``robustlab mu``: stability margin, robust performance and worst-case gain of an uncertain model."""
 
 from __future__ import annotations
 
@@ -7,22 +7,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import JsonOption, OutOption, SeedOption, emit, note, table
-from robustlab.errors import InputError
+from robustlab.errors import InputError, UsageError
 
 if TYPE_CHECKING:
-    from robustlab.mu_analysis import Margin
+    from robustlab.mu_analysis import Margin, WorstCaseGain
+    from robustlab.uncertainty.lft import UncertainModel
 
 app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_completion=False)
+
+SHOWN_BLOCKS = 40
 
 
 @app.command()
 def mu(
     file: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.")],
-    accuracy: Annotated[float, typer.Option(help="Relative distance to the best margin that D, G can prove.")] = 1e-3,
-    timeout: Annotated[float, typer.Option(help="Seconds after which the proof over the axis is given up.")] = 60.0,
+    gain: Annotated[bool, typer.Option("--gain", help="Worst-case gain from inputs to outputs instead.")] = False,
+    performance: Annotated[
+        bool, typer.Option("--performance", help="Robust performance margin of weighted inputs and outputs instead.")
+    ] = False,
+    inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None,
+    outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Relative gap of the bounds that branch and bound aims at; inf: none.")
+    ] = 0.01,
+    accuracy: Annotated[float, typer.Option(help="Relative distance to the best margin that D, G can prove.")] = 3e-5,
+    timeout: Annotated[float, typer.Option(help="Seconds after which the proof stops where it is.")] = 60.0,
     intervals: Annotated[bool, typer.Option("--intervals", help="Print the proved frequency intervals.")] = False,
     figure: Annotated[
-        str | None, typer.Option(help="Figure to write, as NAME.svg and NAME.png.", show_default=False)
+        str | None,
+        typer.Option(
+            help="Figures to write: NAME (bounds), NAME-shares, NAME-replay, SVG and PNG.", show_default=False
+        ),
     ] = None,
     seed: SeedOption = 0,
     out: OutOption = None,
@@ -32,47 +47,134 @@ def mu(
 
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
-    from robustlab.mu_analysis import robust_stability
+    if gain and performance:
+        raise UsageError("mu", "--gain and --performance", "one of them")
+    if (inputs or outputs) and not (gain or performance):
+        raise UsageError("mu", "--inputs or --outputs without --gain or --performance", "one of these, too")
+    if not 0 < accuracy < 1 or not timeout > 0 or not tolerance > 0:
+        found = f"accuracy {accuracy}, timeout {timeout}, tolerance {tolerance}"
+        raise InputError("mu", found, "0 < accuracy < 1, a positive timeout and a positive tolerance")
+    uncertain = _uncertain(file, inputs, outputs)
+    if gain:
+        result, text = _worst_gain(uncertain, tolerance, timeout, seed, intervals, figure)
+    else:
+        result, text = _margin(
+            uncertain, performance, tolerance, accuracy, timeout, seed, with_intervals=intervals, figure=figure
+        )
+    if out is not None:
+        from robustlab.storage import save
+
+        save(out, result)
+        note(f"written: {out}")
+    emit("mu", result.to_json(), text, as_json)
+    if not result.status.trustworthy:
+        raise typer.Exit(4)
+
+
+def _uncertain(file: str, inputs: str | None, outputs: str | None) -> UncertainModel:
     from robustlab.storage import load
     from robustlab.uncertainty.lft import UncertainModel
 
-    if not 0 < accuracy < 1 or not timeout > 0:
-        raise InputError("mu", f"accuracy {accuracy}, timeout {timeout}", "0 < accuracy < 1 and a positive timeout")
     uncertain = load(file)
     if not isinstance(uncertain, UncertainModel):
         raise InputError(
             file, f"a {type(uncertain).__name__}", "an uncertain model", "robustlab uncertain build --help"
         )
-    margin = robust_stability(uncertain, accuracy=accuracy, time_limit=timeout, seed=seed)
-    if out is not None:
-        from robustlab.storage import save
+    if inputs or outputs:
+        return uncertain.select(inputs.split(",") if inputs else None, outputs.split(",") if outputs else None)
+    return uncertain
 
-        save(out, margin)
-        note(f"written: {out}")
+
+def _grid(uncertain: UncertainModel, figure: str | None) -> Any:
+    """Frequencies for the curves of a figure; none where nothing is drawn."""
+    from robustlab.frequency import default_grid
+
+    return default_grid(uncertain.M, 60) if figure is not None and uncertain.M.n_states else None
+
+
+def _margin(
+    uncertain: UncertainModel,
+    performance: bool,
+    tolerance: float,
+    accuracy: float,
+    timeout: float,
+    seed: int,
+    *,
+    with_intervals: bool,
+    figure: str | None,
+) -> tuple[Margin, str]:
+    from robustlab.mu_analysis import robust_performance, robust_stability
+
+    analyse = robust_performance if performance else robust_stability
+    margin = analyse(
+        uncertain,
+        omega=_grid(uncertain, figure),
+        accuracy=accuracy,
+        time_limit=timeout,
+        seed=seed,
+        tolerance=tolerance,
+    )
     if figure is not None:
-        _draw(margin, figure)
-        note(f"written: {figure}")
-    emit("mu", margin.to_json(), _text(margin, intervals), as_json)
-    if not margin.status.trustworthy:
-        raise typer.Exit(4)
-
-
-def _text(margin: Margin, with_intervals: bool) -> str:
-    """The margin as a reader wants it: bounds, what is critical, what is proved."""
+        _draw(uncertain, margin, figure, performance)
+    what = "robust performance margin" if performance else "robust stability margin"
     lines = [
-        f"robust stability margin  {margin.lower:.6g} .. {margin.upper:.6g}  ({margin.status})",
+        f"{what}  {margin.lower:.6g} .. {margin.upper:.6g}  ({margin.status})",
         f"peak of mu               {_inverse(margin.upper):.6g} .. {_inverse(margin.lower):.6g}",
     ]
     if margin.frequency is not None:
         lines += [f"critical frequency       {margin.frequency:.6g} rad/s", "", "critical Delta (smallest found):"]
-        rows = [(name, _number(value), _physical(margin, name)) for name, value in margin.delta.items()]
-        lines.append(table(rows, ("block", "delta", "parameter")))
-    lines += [f"note: {text}" for text in margin.notes]
+        lines += _delta_lines(margin.delta, margin.physical, margin.shares)
+    lines += _tail(margin, "mu at most", with_intervals)
+    return margin, "\n".join(lines)
+
+
+def _worst_gain(
+    uncertain: UncertainModel, tolerance: float, timeout: float, seed: int, with_intervals: bool, figure: str | None
+) -> tuple[WorstCaseGain, str]:
+    from robustlab.mu_analysis import worst_case_gain
+
+    grid = _grid(uncertain, figure)
+    worst = worst_case_gain(uncertain, omega=grid, tolerance=tolerance, time_limit=timeout, seed=seed)
+    if figure is not None:
+        from robustlab.report.mu_figures import gain_figure
+
+        _save(gain_figure(worst), figure)
+    lines = [
+        f"worst-case gain  {worst.lower:.6g} .. {worst.upper:.6g}  ({worst.status})",
+        f"nominal gain     {worst.nominal:.6g}",
+    ]
+    if worst.frequency is not None:
+        lines += [f"at               {worst.frequency:.6g} rad/s"]
+    if worst.delta:
+        lines += ["", "worst Delta found:", *_delta_lines(worst.delta, worst.physical, {})]
+    lines += _tail(worst, "gain at most", with_intervals)
+    return worst, "\n".join(lines)
+
+
+def _delta_lines(delta: Any, physical: Any, shares: Any) -> list[str]:
+    """One row a block: normalised delta, parameter, share in the margin; the largest shares first."""
+    order = sorted(delta, key=lambda name: -abs(shares.get(name, 0.0))) if shares else list(delta)
+    rows = []
+    for name in order[:SHOWN_BLOCKS]:
+        value, unit = physical.get(name, (None, ""))
+        parameter = "" if value is None else f"{value:.6g} {unit}".rstrip()
+        share = f"{100 * shares[name]:.1f} %" if name in shares else ""
+        rows.append((name, _number(delta[name]), parameter, share)[: 4 if shares else 3])
+    lines = table(rows, ("block", "delta", "parameter", "share")[: 4 if shares else 3]).splitlines()
+    if len(order) > SHOWN_BLOCKS:
+        lines.append(f"... and {len(order) - SHOWN_BLOCKS} more blocks")
+    if shares:
+        lines.append(f"tighten first: {order[0]} (each percent of its range taken off gives {shares[order[0]]:.2g} %)")
+    return lines
+
+
+def _tail(result: Margin | WorstCaseGain, header: str, with_intervals: bool) -> list[str]:
+    lines = [f"note: {text}" for text in result.notes]
     if with_intervals:
-        rows = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(margin.intervals)]
-        lines += ["", "proved intervals:", table(rows, ("from rad/s", "to rad/s", "mu at most"))]
-        lines += [f"not proved: {low:.6g} .. {high:.6g} rad/s" for low, high in margin.open]
-    return "\n".join(lines)
+        rows = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(result.intervals)]
+        lines += ["", "proved intervals:", table(rows, ("from rad/s", "to rad/s", header))]
+        lines += [f"not proved: {low:.6g} .. {high:.6g} rad/s" for low, high in result.open]
+    return lines
 
 
 def _inverse(value: float) -> float:
@@ -86,19 +188,29 @@ def _number(value: Any) -> str:
     return f"{value:+.6g}"
 
 
-def _physical(margin: Margin, name: str) -> str:
-    if name not in margin.physical:
-        return ""
-    value, unit = margin.physical[name]
-    return f"{value:.6g} {unit}".rstrip()
+def _draw(uncertain: UncertainModel, margin: Margin, figure: str, performance: bool) -> None:
+    from robustlab.errors import RobustlabError
+    from robustlab.mu_analysis.replay import replay
+    from robustlab.report.mu_figures import mu_figure, replay_figure, shares_figure
+
+    _save(mu_figure(margin), figure)
+    if margin.shares:
+        _save(shares_figure(margin.shares), figure, "-shares")
+    if performance or not margin.delta or not uncertain.outputs:
+        return
+    try:
+        shown = replay(uncertain, margin)
+    except RobustlabError as error:
+        note(f"no replay: {error}")
+        return
+    _save(replay_figure(shown), figure, "-replay")
 
 
-def _draw(margin: Margin, path: str) -> None:
+def _save(drawing: Any, path: str, suffix: str = "") -> None:
     from pathlib import Path
 
     from robustlab.report.figures import save_figure
-    from robustlab.report.mu_figures import mu_figure
 
     target = Path(path)
-    drawing = mu_figure(margin.omega, margin.mu_lower, margin.mu_upper, margin.intervals, margin.frequency)
-    save_figure(drawing, target.parent, target.stem)
+    for made in save_figure(drawing, target.parent, target.stem + suffix):
+        note(f"written: {made}")

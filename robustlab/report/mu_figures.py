@@ -1,65 +1,112 @@
-"""Figure of mu bounds over frequency, with the intervals on which the upper bound is proved."""
+"""Figures of robustness analysis: bounds over frequency with what is proved, shares of the blocks, replay in time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure
+from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
 
-__all__ = ["mu_figure"]
+if TYPE_CHECKING:
+    from robustlab.mu_analysis import Margin, WorstCaseGain
+    from robustlab.mu_analysis.replay import Replay
+
+__all__ = ["gain_figure", "mu_figure", "replay_figure", "shares_figure"]
 
 Array = NDArray[np.floating[Any]]
+Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
+SHOWN_BLOCKS = 16
 
 
-def mu_figure(
-    omega: Array, lower: Array, upper: Array, intervals: Sequence[tuple[float, float, float]], critical: float | None
-) -> Figure:
-    """Bounds of mu over frequency.
-
-    Parameters
-    ----------
-    omega
-        Frequencies in rad/s, shape (n,).
-    lower, upper
-        Bounds of mu at these frequencies, shape (n,).
-    intervals
-        ``(from, to, bound)``: mu is proved to be at most ``bound`` at every frequency between; the outer ones may
-        reach 0 and inf.
-    critical
-        Frequency in rad/s at which the destabilising Delta puts a pole on the axis, or None.
-    """
+def mu_figure(margin: Margin) -> Figure:
+    """Bounds of mu at the frequencies of the margin, and what is proved between them."""
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
-    shown = np.isfinite(omega) & (omega > 0)
-    low, high = (float(omega[shown].min()), float(omega[shown].max())) if shown.any() else (1e-1, 1e1)
+    omega, lower, upper = margin.omega, margin.mu_lower, margin.mu_upper
     with house_style():
-        for i, (start, stop, bound) in enumerate(intervals):
-            edges = [max(start, low), min(stop, high)]
-            if edges[0] < edges[1]:
-                label = "proved for every frequency between" if i == 0 else None
-                axes.fill_between(edges, 0, bound, color=PROVED, lw=0, label=label)
+        shown = _frame(axes, omega, margin.intervals)
         axes.plot(omega[shown], upper[shown], color=COLOURS["nominal"], label="upper bound (proved by D, G)")
         found = shown & (lower > 0)
-        axes.plot(
-            omega[found],
-            lower[found],
-            ".",
-            color=COLOURS["worst"],
-            ms=4,
-            label="lower bound (attained by an explicit Δ)",
-        )
+        points = "lower bound (attained by an explicit Δ)"
+        axes.plot(omega[found], lower[found], ".", color=COLOURS["worst"], ms=4, label=points)
+        peak = 1 / margin.upper if margin.upper > 0 else 0.0
+        low, high = axes.get_xlim()
+        if margin.frequency is not None and low <= margin.frequency <= high and peak > 0:
+            axes.plot(margin.frequency, peak, "o", color=COLOURS["worst"], ms=6, label="peak of μ, attained")
         axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
-        if critical is not None and np.isfinite(critical) and critical > 0:
-            axes.axvline(critical, color=COLOURS["worst"], lw=0.9, ls=":")
-        logarithmic(axes.xaxis)
-        axes.set_xlim(low, high)
-        axes.set_ylim(0, 1.12 * max(1.0, float(np.nanmax(upper[shown], initial=0.0))))
-        axes.set_xlabel("frequency [rad/s]")
+        axes.set_ylim(0, 1.12 * max(1.0, peak, float(np.nanmax(upper[shown], initial=0.0))))
         axes.set_ylabel("structured singular value μ")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def gain_figure(worst: WorstCaseGain) -> Figure:
+    """Nominal gain, largest gain found and its bound over frequency, and what is proved between them."""
+    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
+    omega = worst.omega
+    with house_style():
+        shown = _frame(axes, omega, worst.intervals)
+        axes.plot(omega[shown], worst.gain_upper[shown], color=COLOURS["nominal"], label="bound (proved by D, G)")
+        axes.plot(omega[shown], worst.gain_lower[shown], ".", color=COLOURS["worst"], ms=4, label="largest gain found")
+        axes.plot(omega[shown], worst.nominal_gain[shown], color=COLOURS["reference"], lw=1.0, label="nominal gain")
+        low, high = axes.get_xlim()
+        if worst.frequency is not None and low <= worst.frequency <= high and np.isfinite(worst.lower):
+            axes.plot(worst.frequency, worst.lower, "o", color=COLOURS["worst"], ms=6, label="worst gain, attained")
+        tall = [worst.lower, worst.upper, float(np.nanmax(worst.gain_upper[shown], initial=0.0))]
+        axes.set_ylim(0, 1.12 * max([v for v in tall if np.isfinite(v)] or [1.0]))
+        axes.set_ylabel("largest singular value")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
+    """Shade the proved intervals, set the frequency axis; which frequencies can be shown on it."""
+    shown = np.isfinite(omega) & (omega > 0)
+    low, high = (float(omega[shown].min()), float(omega[shown].max())) if shown.any() else (1e-1, 1e1)
+    for i, (start, stop, bound) in enumerate(intervals):
+        edges = [max(start, low), min(stop, high)]
+        if edges[0] < edges[1] and np.isfinite(bound):
+            label = "proved for every frequency between" if i == 0 else None
+            axes.fill_between(edges, 0, bound, color=PROVED, lw=0, label=label)
+    logarithmic(axes.xaxis)
+    axes.set_xlim(low, high)
+    axes.set_xlabel("frequency [rad/s]")
+    return shown
+
+
+def shares_figure(shares: Mapping[str, float]) -> Figure:
+    """Share of each block in the margin, the largest on top: which range to tighten first."""
+    ranked = sorted(shares.items(), key=lambda pair: -abs(pair[1]))[:SHOWN_BLOCKS]
+    figure, (axes,) = new_figure(1, 1, width=8.0, height=0.8 + 0.26 * max(len(ranked), 1))
+    with house_style():
+        names = [plain_label(name if len(name) <= 40 else name[:39] + "…") for name, _ in ranked]
+        values = [value for _, value in ranked]
+        colours = [COLOURS["nominal"] if v >= 0 else COLOURS["sample"] for v in values]
+        axes.barh(range(len(ranked)), values, color=colours, height=0.7)
+        axes.set_yticks(range(len(ranked)), names)
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.axvline(0.0, color=COLOURS["reference"], lw=0.8)
+        axes.set_xlabel("percent of margin gained per percent of range taken off")
+    return figure
+
+
+def replay_figure(replay: Replay, shown: int = 4) -> Figure:
+    """Free responses of the nominal model, just inside the margin, and at the critical Delta."""
+    size = np.abs(replay.critical).max(axis=0)
+    columns = np.argsort(-size, kind="stable")[:shown]
+    figure, panels = new_figure(len(columns), 1, width=8.0, height=2.2, sharex=True)
+    with house_style():
+        for axes, k in zip(panels, columns, strict=True):
+            axes.plot(replay.t, replay.critical[:, k], color=COLOURS["worst"], lw=1.1, label="at the critical Δ")
+            axes.plot(replay.t, replay.inside[:, k], color=COLOURS["band"], lw=1.1, label="at 0.95 of it")
+            axes.plot(replay.t, replay.nominal[:, k], color=COLOURS["reference"], lw=1.1, label="nominal")
+            axes.set_ylabel(axis_label(replay.outputs[k].name, replay.outputs[k].unit))
+        panels[-1].set_xlabel("time [s]")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure

@@ -118,9 +118,12 @@ def hinf_norm(step: HinfNormStep, work: Workspace) -> Outcome:
 def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
     """Robust stability margin with both bounds, over the whole frequency axis."""
     import robustlab as rl
-    from robustlab.report.mu_figures import mu_figure
+    from robustlab.frequency import default_grid
+    from robustlab.report.mu_figures import mu_figure, shares_figure
 
-    margin = rl.robust_stability(work.uncertain(step.of), seed=work.seed)
+    uncertain = work.uncertain(step.of)
+    grid = default_grid(uncertain.M, 60) if uncertain.M.n_states else None
+    margin = rl.robust_stability(uncertain, omega=grid, seed=work.seed)
     work.keep(margin)
     numbers = {"lower": margin.lower, "upper": margin.upper, "frequency": margin.frequency, "delta": margin.delta}
     attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"
@@ -131,8 +134,14 @@ def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
     ]
     if margin.frequency is not None:
         facts.append(Fact("Critical frequency", quantity(margin.frequency, "rad/s")))
-    figure = mu_figure(margin.omega, margin.mu_lower, margin.mu_upper, margin.intervals, margin.frequency)
-    work.draw(figure, "mu", "Bounds of μ over frequency. The proved margin is the inverse of the highest shaded level.")
+    work.draw(
+        mu_figure(margin),
+        "mu",
+        "Bounds of μ over frequency. The proved margin is the inverse of the highest shaded level.",
+    )
+    if margin.shares:
+        caption = "What each block weighs in the margin: the one on top is to be tightened first."
+        work.draw(shares_figure(margin.shares), "shares", caption)
     stable = "proved stable for every Δ of the set" if margin.lower > 1 else "not proved stable over the whole set"
     scale = "A margin of 1 means the set as stated; at 2 every range could be twice as wide."
     return Outcome(None, f"{step.of}: {stable}.", numbers, tuple(facts), margin.status, (scale, *margin.notes))
