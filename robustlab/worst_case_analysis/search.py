@@ -18,10 +18,10 @@ from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.draws import vertex_signs
 from robustlab.worst_case_analysis.ensemble import chunks, members
 from robustlab.worst_case_analysis.excitation import default_clock, excitation
 from robustlab.worst_case_analysis.metrics import HinfGain, Metric, PeakDeviation, SpectralAbscissa
-from robustlab.worst_case_analysis.sampling import vertex_signs
 
 __all__ = ["METRICS", "WorstCase", "worst_case"]
 
