@@ -15,15 +15,15 @@ from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, vertex_signs
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, time_responses
+from robustlab.worst_case_analysis.ensemble import Hold
 from robustlab.worst_case_analysis.excitation import Excitation, excitation
+from robustlab.worst_case_analysis.lanes import responses
 from robustlab.worst_case_analysis.real_set import RealSet
 from robustlab.worst_case_analysis.streaming import (
     LABEL,
     MARGINAL,
     StreamedResponses,
     blocks_of,
-    lane_responses,
     stream,
 )
 
@@ -33,8 +33,6 @@ Array = NDArray[np.float64]
 
 # A response is kept whole: samples x times x outputs.
 MAX_NUMBERS = 64_000_000
-# From this many products per block on, loading the compiled kernel is worth its time.
-COMPILED_FROM = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -283,8 +281,8 @@ def _respond(
                 f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {samples.deltas[index]}",
             )
         unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
-        _fill(ensemble, drive, start, hold, y[part], len(samples))
-    nominal = time_responses(members.members(np.zeros((1, len(members)))), drive.h, drive.u, start, hold)[0]
+        responses(ensemble, drive, start, hold, y[part])
+    nominal = responses(members.members(np.zeros((1, len(members)))), drive, start, hold)[0]
     lower, upper, deviation, finite = _envelope(y, nominal)
     return Responses(
         drive.t,
@@ -300,14 +298,6 @@ def _respond(
         tuple(unstable),
         Status.CONVERGED if finite else Status.INACCURATE,
     )
-
-
-def _fill(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, y: Array, count: int) -> None:
-    """Responses of a block; which way depends on the whole request, not on the block."""
-    if count * len(drive.t) * max(1, len(x0)) ** 2 < COMPILED_FROM:
-        y[:] = time_responses(ensemble, drive.h, drive.u, x0, hold)
-    else:
-        lane_responses(ensemble, drive, x0, hold, y)
 
 
 def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:

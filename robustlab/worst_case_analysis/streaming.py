@@ -16,11 +16,12 @@ from robustlab.result import Status
 from robustlab.statespace import Signal
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, time_responses, transitions
+from robustlab.worst_case_analysis.ensemble import Ensemble, Hold
 from robustlab.worst_case_analysis.excitation import Excitation
+from robustlab.worst_case_analysis.lanes import in_lanes, responses
 from robustlab.worst_case_analysis.real_set import RealSet
 
-__all__ = ["StreamedResponses", "blocks_of", "in_order", "lane_responses", "stream"]
+__all__ = ["StreamedResponses", "blocks_of", "in_order", "stream"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -118,59 +119,6 @@ def in_order(function: Callable[[slice], T], parts: Sequence[slice], workers: in
             yield ahead.popleft().result()
 
 
-# --- kernels ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Lanes:
-    """Arrays as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`."""
-
-    matrices: tuple[Array, Array, Array, Array]
-    c_entries: NDArray[np.int64]
-    d_entries: NDArray[np.int64]
-    u: Array
-    v: Array
-    x0: Array
-
-    @property
-    def arguments(self) -> tuple[Any, ...]:
-        return (*self.matrices, self.c_entries, self.d_entries, self.u, self.v, self.x0)
-
-
-def _lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> _Lanes:
-    used = np.flatnonzero(drive.u.any(axis=0))
-    phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
-    u = np.ascontiguousarray(drive.u[:, used])
-    v = u[:-1]
-    if hold == "foh":
-        gamma, v = np.concatenate([gamma, slope], axis=2), np.hstack([v, np.diff(u, axis=0)])
-    d = ensemble.D[:, :, used]
-    # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
-    where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
-    matrices = tuple(_in_lanes(matrix) for matrix in (phi, gamma, ensemble.C, d))
-    entries = [np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d)]
-    return _Lanes(matrices, entries[0], entries[1], u, np.ascontiguousarray(v), np.array(x0, dtype=float))  # pyright: ignore[reportArgumentType]
-
-
-def _in_lanes(matrices: Array) -> Array:
-    """(k, r, c) as (n_groups, r, c, LANES), zeros after the last."""
-    from robustlab.worst_case_analysis.response_kernels import LANES
-
-    k, rows, columns = matrices.shape
-    groups = -(-k // LANES)
-    whole = np.zeros((groups * LANES, rows, columns))
-    whole[:k] = matrices
-    return np.ascontiguousarray(whole.reshape(groups, LANES, rows, columns).transpose(0, 2, 3, 1))
-
-
-def lane_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out: Array) -> None:
-    """As `time_responses`, by the compiled kernel, into ``out (k, n_t, n_y)``: for many members."""
-    from robustlab.worst_case_analysis.response_kernels import respond
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        respond(*_lanes(ensemble, drive, x0, hold).arguments, out)
-
-
 # --- statistics ------------------------------------------------------------------------------------------------------
 
 
@@ -240,7 +188,7 @@ class _Stream:
         sums = _Sums.empty(self.nominal.shape, self.bins, np.int32)
         peak = np.empty((count, self.nominal.shape[1]))
         with np.errstate(over="ignore", invalid="ignore"):
-            lanes = _lanes(ensemble, self.drive, self.x0, self.hold)
+            lanes = in_lanes(ensemble, self.drive, self.x0, self.hold)
         accumulate(
             *lanes.arguments, count, self.nominal, self.low, self.per_bin,
             sums.lower, sums.upper, sums.total, sums.squares, sums.lost, sums.counts, peak,
@@ -264,7 +212,7 @@ def stream(
         if not 0 < q < 1:
             raise InputError("stream", f"quantile {q!r}", "numbers between 0 and 1")
     members = RealSet(uncertain)
-    nominal = time_responses(members.members(np.zeros((1, len(members)))), drive.h, drive.u, x0, hold)[0]
+    nominal = responses(members.members(np.zeros((1, len(members)))), drive, x0, hold)[0]
     if nominal.size * FEWEST_BINS > MOST_COUNTS:
         limit = MOST_COUNTS // FEWEST_BINS
         raise InputError("stream", f"{nominal.size} times x outputs", f"at most {limit}", "fewer times or outputs")
@@ -281,8 +229,7 @@ def _with_bins(job: _Stream) -> _Stream:
     """Bins from the first block's envelope, widened by half of it on both sides."""
     bins = int(np.clip(MOST_COUNTS // max(1, job.nominal.size), FEWEST_BINS, BINS))
     first = slice(0, min(job.members.block, len(job.deltas)))
-    y = np.empty((first.stop, *job.nominal.shape))
-    lane_responses(job.ensemble(first), job.drive, job.x0, job.hold, y)
+    y = responses(job.ensemble(first), job.drive, job.x0, job.hold)
     everything = np.concatenate([y, job.nominal[None]])
     finite = np.isfinite(everything)
     low = np.where(finite, everything, np.inf).min(axis=0)
