@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, real_array
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, members
 from robustlab.worst_case_analysis.gramians import finite_gramians, gramians, stable_members
@@ -64,7 +64,9 @@ class RelativeReach(Metric):
         """Smallest generalised eigenvalue of each Gramian (k, n_x, n_x) against the nominal one."""
         scaled = gramian / np.outer(self._unit, self._unit)
         half = np.linalg.solve(self._root, scaled)
-        return np.linalg.eigvalsh(np.linalg.solve(self._root, half.transpose(0, 2, 1)))[:, 0]
+        return real_array(
+            "eigenvalues", np.linalg.eigvalsh(np.linalg.solve(self._root, half.transpose(0, 2, 1)))[:, 0], 1
+        )
 
     def of(self, ensemble: Ensemble) -> Array:
         """See `Metric.of`."""
@@ -145,7 +147,7 @@ class HankelValue(Metric):
         for gramian in (reach, see):
             values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
             roots.append(vectors * np.sqrt(np.maximum(values, 0.0)))
-        return np.linalg.svd(roots[1].T @ roots[0], compute_uv=False)
+        return real_array("Hankel values", np.linalg.svd(roots[1].T @ roots[0], compute_uv=False), 1)
 
     def slack(self, value: float) -> float:
         """See `Metric.slack`: the root of a product of Gramians that are known to a share of the largest."""

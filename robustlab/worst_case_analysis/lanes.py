@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from robustlab.worst_case_analysis.excitation import Excitation
 __all__ = ["Lanes", "in_lanes", "responses"]
 
 Array = NDArray[np.float64]
+Entries = NDArray[np.int64]
 
 # From this many products per member on, loading the compiled kernel is worth its time.
 COMPILED_FROM = 20_000
@@ -24,18 +24,20 @@ class Lanes:
     """Arrays as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`."""
 
     matrices: tuple[Array, Array, Array, Array]
-    c_entries: NDArray[np.int64]
-    d_entries: NDArray[np.int64]
+    c_entries: Entries
+    d_entries: Entries
     u: Array
     v: Array
     x0: Array
 
     @property
-    def arguments(self) -> tuple[Any, ...]:
+    def arguments(self) -> tuple[Array, Array, Array, Array, Entries, Entries, Array, Array, Array]:
+        """In the kernels' order."""
         return (*self.matrices, self.c_entries, self.d_entries, self.u, self.v, self.x0)
 
 
 def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> Lanes:
+    """The kernels' arrays for some members under one input."""
     used = np.flatnonzero(drive.u.any(axis=0))
     phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
     u = np.ascontiguousarray(drive.u[:, used])
@@ -45,9 +47,9 @@ def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> La
     d = ensemble.D[:, :, used]
     # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
     where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
-    matrices = tuple(_grouped(matrix) for matrix in (phi, gamma, ensemble.C, d))
+    grouped = (_grouped(phi), _grouped(gamma), _grouped(ensemble.C), _grouped(d))
     entries = [np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d)]
-    return Lanes(matrices, entries[0], entries[1], u, np.ascontiguousarray(v), np.array(x0, dtype=float))  # pyright: ignore[reportArgumentType]
+    return Lanes(grouped, entries[0], entries[1], u, np.ascontiguousarray(v), np.array(x0, dtype=float))
 
 
 def _grouped(matrices: Array) -> Array:

@@ -60,7 +60,7 @@ class _OfPoles(Metric):
             return super().evaluate(delta)
         m11 = self.uncertain.delta_channels
         a = m11.A + m11.B @ d @ np.linalg.solve(np.eye(d.shape[1]) - m11.D @ d, m11.C)
-        return self._evaluation(np.linalg.eigvals(a))
+        return self._evaluation(np.asarray(np.linalg.eigvals(a), dtype=np.complex128))
 
     def _evaluation(self, poles: NDArray[np.complex128]) -> Evaluation:
         numbers = self._number(poles)

@@ -16,7 +16,6 @@ from numba import njit
 
 # Long enough for the compiler to use vector instructions, short enough for Phi to stay in the first caches.
 LANES = 32
-_OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
 @njit(nogil=True, error_model="numpy")
@@ -56,7 +55,9 @@ def _advance(phi, gamma, x, v, next_x):
 @njit(
     "void(f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],i8[:,::1],i8[:,::1],f8[:,::1],f8[:,::1],f8[::1],"
     "f8[:,:,::1])",
-    **_OPTIONS,
+    cache=True,
+    nogil=True,
+    error_model="numpy",
 )
 def respond(phi, gamma, c, d, c_entries, d_entries, u, v, x0, out):
     """Responses of all members into out (k, n_t, n_y); k may end inside the last group."""
@@ -80,7 +81,9 @@ def respond(phi, gamma, c, d, c_entries, d_entries, u, v, x0, out):
 @njit(
     "void(f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],i8[:,::1],i8[:,::1],f8[:,::1],f8[:,::1],f8[::1],"
     "i8,f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],i8[:,::1],i4[:,:,::1],f8[:,::1])",
-    **_OPTIONS,
+    cache=True,
+    nogil=True,
+    error_model="numpy",
 )
 def accumulate(
     phi, gamma, c, d, c_entries, d_entries, u, v, x0,

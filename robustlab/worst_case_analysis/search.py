@@ -420,7 +420,9 @@ def _sobol(n: int, d: int, seed: int) -> Array:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 3)))
     if d > qmc.Sobol.MAXDIM:
         return rng.random((n, d))
-    return qmc.Sobol(d, scramble=True, rng=rng).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
+    # "seed" is what the oldest scipy that we take calls it, "rng" the newest.
+    settings: dict[str, Any] = {"seed": rng}
+    return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
 
 
 def _apart(points: Array, count: int) -> Array:

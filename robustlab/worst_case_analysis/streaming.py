@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -138,9 +138,11 @@ class _Sums:
 
     @classmethod
     def empty(cls, shape: tuple[int, int], bins: int, dtype: Any) -> _Sums:
-        filled_with = [np.full(shape, value) for value in (np.inf, -np.inf, 0.0, 0.0)]
+        """Statistics of no samples."""
+        lower, upper = np.full(shape, np.inf), np.full(shape, -np.inf)
         lost, counts = np.zeros(shape, dtype=np.int64), np.zeros((*shape, bins), dtype=dtype)
-        return cls(*filled_with, lost, counts, np.full(shape[1], -1.0), np.zeros(shape[1], dtype=np.int64))
+        peak, worst = np.full(shape[1], -1.0), np.zeros(shape[1], dtype=np.int64)
+        return cls(lower, upper, np.zeros(shape), np.zeros(shape), lost, counts, peak, worst)
 
     def add(self, other: _Sums) -> None:
         """The samples of ``other`` come after those of this one."""
@@ -243,8 +245,7 @@ def _with_bins(job: _Stream) -> _Stream:
     width = np.where(np.isfinite(width), width, np.finfo(float).max)
     middle = 0.5 * low + 0.5 * high
     start = np.ascontiguousarray(middle - 0.5 * bins * width)
-    data = {**vars(job), "low": start, "per_bin": np.ascontiguousarray(1.0 / width), "bins": bins}
-    return _Stream(**data)
+    return replace(job, low=start, per_bin=np.ascontiguousarray(1.0 / width), bins=bins)
 
 
 def _result(uncertain: UncertainModel, job: _Stream, sums: _Sums, quantiles: Sequence[float]) -> StreamedResponses:

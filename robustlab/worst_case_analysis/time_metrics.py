@@ -54,7 +54,8 @@ class TimeMetric(Metric):
         need_real(uncertain, self.name)
         self.uncertain = connected(selected(uncertain, None, output))
         self.unit = self.uncertain.outputs[0].unit
-        self._drive, self._hold = drive, hold
+        self._drive = drive
+        self._hold: Hold = hold
         self._centre = members(self.uncertain, np.zeros((1, *self.uncertain.delta_shape)))
         self._nominal = self._responses(self._centre)[0]
 
