@@ -131,7 +131,7 @@ class _Sums:
     total: Array
     squares: Array
     lost: NDArray[np.int64]
-    counts: NDArray[np.int32] | NDArray[np.int64]
+    counts: NDArray[Any]
     peak: Array
     worst: NDArray[np.int64]
     unstable: int = 0
