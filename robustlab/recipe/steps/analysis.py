@@ -67,9 +67,10 @@ def _sampled_output(step: SampleStep, work: Workspace, responses: Any, k: int) -
     facts = [Fact(f"{name} at the end", f"{span} (nominal {quantity(final['nominal'], unit)})")]
     for (value, text), inside in zip(references, covers, strict=True):
         facts.append(Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}"))
-    figure = response_figure(responses.t, y, nominal, (lower, upper), output=(name, unit), references=references)
-    members = f"{step.n} random members and {step.vertices} vertices of Δ"
-    work.draw(figure, name, f"{name} after {_amplitudes(step, responses.inputs)}: {members}.")
+    if step.percent is None:  # else the curves would lie on one another
+        figure = response_figure(responses.t, y, nominal, (lower, upper), output=(name, unit), references=references)
+        members = f"{step.n} random members and {step.vertices} vertices of Δ"
+        work.draw(figure, name, f"{name} after {_amplitudes(step, responses.inputs)}: {members}.")
     deviation = float(abs(y - nominal).max(initial=0.0))
     numbers = {"final": final, "peak_deviation": deviation, "covers": covers, "worst_member": responses.worst[k]}
     size = float(abs(nominal).max())
@@ -142,7 +143,8 @@ def violation_probability(step: ViolationStep, work: Workspace) -> Outcome:
     from robustlab.report.worst_case_figures import distribution_figure, influence_figure
 
     limit = step.limit if step.unit is None else f"{step.limit!r} {step.unit}"
-    options = {**_metric_options(step, work), "confidence": step.confidence, "probability": step.probability}
+    options = _metric_options(step, work)
+    options |= {"confidence": step.confidence, "probability": step.probability}
     found = rl.violation_probability(work.uncertain(step.of), step.metric, limit, n=step.n, **options)
     work.keep(found)
     keys = ("n", "violations", "unbounded", "probability", "lower", "upper", "at_most", "worst_value", "worst_delta")
@@ -258,10 +260,8 @@ def _amplitudes(step: DrivenStep, inputs: Any) -> str:
     """What drives, in words."""
     units = dict(inputs)
     parts: list[str] = []
-    for amplitudes, what in (
-        (step.input, "a step"),
-        (step.sine, f"a sine of {step.frequency:g} Hz" if step.frequency else ""),
-    ):
+    sine = f"a sine of {step.frequency:g} Hz" if step.frequency else ""
+    for amplitudes, what in ((step.input, "a step"), (step.sine, sine)):
         given = {name: quantity(value, units[name]) for name, value in amplitudes.items()}
         if len(given) > 2 and len(set(given.values())) == 1:
             parts.append(f"{what} of {next(iter(given.values()))} on {len(given)} inputs")
