@@ -29,7 +29,7 @@ def distribution_figure(found: ViolationProbability) -> Figure:
             (~beyond, COLOURS["nominal"], "within the limit"),
             (beyond, COLOURS["worst"], f"violates it: {found.violations} of {found.n}"),
         ):
-            axes.hist(values[some], edges, color=colour, alpha=0.85, label=label)
+            axes.hist(values[some], edges.tolist(), color=colour, alpha=0.85, label=label)
         limit = f"limit {found.limit:.4g} {found.unit}".rstrip()
         axes.axvline(found.limit, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.3, label=plain_label(limit))
         axes.set_xlabel(axis_label(found.metric, found.unit))
@@ -46,26 +46,28 @@ def influence_figure(found: Influence, metric: str) -> Figure:
     Left: share of the variance that each parameter explains by itself; a bar that ends in the grey zone may be chance.
     Right: the metric at the worst sample (line), and where it comes to if that one parameter were nominal (dot).
     """
-    order = found.order[:SHOWN]
-    figure, (shares, saved) = new_figure(1, 2, width=10.4, height=1.2 + 0.3 * max(4, len(order)), sharey=True)
+    order = tuple(k for k in found.order if found.matters[k])[:SHOWN] or found.order[:1]
+    figure, (shares, saved) = new_figure(1, 2, width=10.4, height=1.4 + 0.3 * max(3, len(order)), sharey=True)
     rows = np.arange(len(order))
     names = [plain_label(found.names[k]) for k in order]
+    kinds = {
+        1: (COLOURS["worst"], f"{metric} grows with it"),
+        -1: (COLOURS["nominal"], f"{metric} falls with it"),
+        0: (COLOURS["sample"], "no clear direction"),
+    }
     with house_style():
-        labelled: set[str] = set()
-        for row, k in enumerate(order):
-            raises = not found.rank_coefficients[k] < 0
-            label = f"{metric} grows with it" if raises else f"{metric} falls with it"
-            colour = COLOURS["worst"] if raises else COLOURS["nominal"]
-            shares.barh(
-                row, 100 * found.first_order[k], color=colour, label=None if label in labelled else plain_label(label)
-            )
-            labelled.add(label)
+        for direction, (colour, label) in kinds.items():
+            some = [row for row, k in enumerate(order) if found.directions[k] == direction]
+            if some:
+                widths = [100 * found.first_order[order[row]] for row in some]
+                shares.barh(some, widths, color=colour, label=plain_label(label))
         shares.axvspan(0, 100 * found.noise, color=COLOURS["sample"], alpha=0.25, lw=0, label="may be chance")
         shares.set_yticks(rows, names)
         shares.invert_yaxis()
         shares.set_xlim(0, max(1.08 * 100 * float(found.first_order.max(initial=0.0)), 200 * found.noise, 1.0))
         shares.set_xlabel("share of the spread [%]")
-        shares.set_title("which parameters matter")
+        rest = len(found.names) - len(order)
+        shares.set_title("which parameters matter" + (f" ({rest} more do not, or less)" if rest else ""))
         _draw_savings(saved, found, order)
         saved.set_xlabel(axis_label(metric, found.unit))
         saved.set_title("the worst sample, one parameter nominal")

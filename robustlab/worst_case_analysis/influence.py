@@ -61,6 +61,8 @@ class Influence:
         The metric at Delta = 0.
     unit
         Unit of the values.
+    n
+        Number of samples.
     """
 
     names: tuple[str, ...]
@@ -74,11 +76,30 @@ class Influence:
     alone: Array
     nominal_value: float
     unit: str
+    n: int
+
+    @property
+    def savings(self) -> Array:
+        """How far the worst value moves where one parameter alone is put back to nominal, (d,); 0 where unbounded."""
+        with np.errstate(invalid="ignore"):
+            return np.nan_to_num(np.abs(self.worst_value - self.restored), nan=0.0, posinf=0.0)
 
     @property
     def order(self) -> tuple[int, ...]:
-        """The parameters from the most to the least influential, by ``first_order``."""
-        return tuple(int(k) for k in np.argsort(-self.first_order, kind="stable"))
+        """From the most to the least influential: by ``first_order`` where it is no chance, then by ``savings``."""
+        shares = np.where(self.first_order > self.noise, self.first_order, 0.0)
+        return tuple(int(k) for k in np.lexsort((-self.savings, -shares)))
+
+    @property
+    def matters(self) -> NDArray[np.bool_]:
+        """Which parameters show in either way, (d,)."""
+        return (self.first_order > self.noise) | (self.savings > 1e-3 * self.savings.max(initial=0.0))
+
+    @property
+    def directions(self) -> NDArray[np.int_]:
+        """1 where the metric grows with a parameter, -1 where it falls, 0 where neither can be told from chance."""
+        clear = np.abs(self.rank_coefficients) > 3.0 / np.sqrt(self.n)
+        return np.where(clear, np.sign(self.rank_coefficients), 0).astype(int)
 
     def to_json(self) -> dict[str, object]:
         """All fields, and the order."""
@@ -119,6 +140,7 @@ def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
         found[d : 2 * d],
         float(found[-1]),
         judge.unit,
+        len(values),
     )
 
 
