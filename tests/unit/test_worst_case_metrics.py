@@ -38,7 +38,7 @@ def request(metric, model, hold="zoh"):
     t = 0.1 * np.arange(120)
     u = np.random.default_rng(5).standard_normal((120, 2))
     if metric in ("overshoot", "settling-time"):
-        u = {model.inputs[0].name: 1.0}
+        t, u = 0.1 * np.arange(1500), {model.inputs[0].name: 1.0}
     return MetricRequest(metric, None if metric == "controllability" else model.outputs[0].name, None, t, u, hold)
 
 
@@ -80,9 +80,7 @@ def oscillator(zeta=0.3, change=0.1):
     """w^2 / (s^2 + 2 zeta s + 1) with w = 1 and the damping ratio in zeta +- change."""
 
     def model(z):
-        return StateSpaceModel(
-            [[0.0, 1.0], [-1.0, -2 * z]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], outputs=[("q", "m")]
-        )
+        return StateSpaceModel([[0.0, 1.0], [-1.0, -2 * z]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], outputs=["q"])
 
     return elementwise(model(zeta), model(zeta + change))
 
@@ -106,7 +104,7 @@ def test_settling_time_of_a_lag():
 
 
 def test_overshoot_of_an_oscillator():
-    found = worst_case(oscillator(), "overshoot", t=np.linspace(0, 40, 4001))
+    found = worst_case(oscillator(), "overshoot", t=np.linspace(0, 20, 2001))
     zeta = 0.2
     assert found.value == pytest.approx(100 * np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), rel=1e-4)
     assert found.unit == "%"
@@ -154,9 +152,8 @@ def test_relative_reach_does_not_see_units():
         pair = [StateSpaceModel(s[:, None] * m / s, s[:, None] * b, np.eye(2), np.zeros((2, 1))) for m in (a, 1.3 * a)]
         return elementwise(*pair)
 
-    one, two = (
-        worst_case(scaled(s), "controllability", t=[0.0, 1.5]).value for s in (np.ones(2), np.array([1e4, 1e-3]))
-    )
+    units = np.ones(2), np.array([1e4, 1e-3])
+    one, two = (worst_case(scaled(s), "controllability", t=[0.0, 1.5]).value for s in units)
     assert one == pytest.approx(two, rel=1e-6)
     assert 0 < one < 1
 
@@ -176,13 +173,13 @@ def test_a_function_that_gives_no_number(gives, error):
 
 
 def test_effort_is_a_metric_of_the_control_signal():
-    """A static loop u = -k (r - y)... with outputs y and u: the effort is the peak of u."""
+    """u = k (r - y) around 1 / (s + 1), k in 2 +- 1: the largest u is k, at the beginning."""
 
     def loop(k):
         a = [[-1.0 - k]]
         return StateSpaceModel(a, [[k]], [[1.0], [-k]], [[0.0], [k]], inputs=["r"], outputs=["y", ("u", "V")])
 
-    found = worst_case(elementwise(loop(2.0), loop(3.0)), "peak", output="u", t=T)
+    found = worst_case(elementwise(loop(2.0), loop(3.0), "single"), "peak", output="u", t=T)
     assert (found.unit, found.at) == ("V", 0.0)
     assert found.value == pytest.approx(3.0)
 
@@ -267,15 +264,15 @@ def test_search_against_brute_force_in_two_parameters():
 
 
 def test_search_of_many_parameters_finds_the_vertex():
-    """Sum of 30 lags with uncertain gains: the peak is linear in them."""
+    """Sum of 12 lags with uncertain gains: the peak is linear in them."""
     rng = np.random.default_rng(0)
-    change = rng.standard_normal((1, 30))
-    a = -np.diag(np.linspace(1, 3, 30))
-    b = np.ones((30, 1))
+    change = rng.standard_normal((1, 12))
+    a = -np.diag(np.linspace(1, 3, 12))
+    b = np.ones((12, 1))
     pair = [StateSpaceModel(a, b, 1.0 + x, [[0.0]]) for x in (0 * change, change)]
     t = np.linspace(0, 8, 81)
     found = worst_case(elementwise(*pair), "peak", t=t, n=16)
-    truth = ((1 + np.abs(change)) * (1 - np.exp(-8 * np.linspace(1, 3, 30))) / np.linspace(1, 3, 30)).sum()
+    truth = ((1 + np.abs(change)) * (1 - np.exp(-8 * np.linspace(1, 3, 12))) / np.linspace(1, 3, 12)).sum()
     assert found.value == pytest.approx(truth, rel=1e-9)
 
 
@@ -295,7 +292,8 @@ def test_a_sample_has_one_value_whatever_its_batch(metric):
     again = pickle.loads(pickle.dumps(batch))
     for first, count in ((0, 1), (1, 3), (509, 7), (17, 500)):
         np.testing.assert_array_equal(again(first, count), whole[first : first + count])
-    assert not np.array_equal(MetricBatch(model, request(metric, model), 4)(0, 5), whole[:5])
+    if metric != "overshoot":  # which is zero in this set
+        assert not np.array_equal(MetricBatch(model, request(metric, model), 4)(0, 5), whole[:5])
 
 
 def test_parameter_ranges_come_back_in_their_unit():
