@@ -252,7 +252,8 @@ def _result(uncertain: UncertainModel, job: _Stream, sums: _Sums, quantiles: Seq
     count, drive = len(job.deltas), job.drive
     valid = np.maximum(count - sums.lost, 1)
     mean_gap = sums.total / valid
-    variance = np.maximum(sums.squares / valid - mean_gap**2, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        variance = np.maximum(sums.squares / valid - mean_gap**2, 0.0)
     lower, upper = np.minimum(sums.lower, job.nominal), np.maximum(sums.upper, job.nominal)
     gone = sums.lost > 0
     worst = tuple(int(i) for i in sums.worst)

@@ -83,12 +83,8 @@ def test_quantile_bounds_cover_whatever_the_distribution(share):
 
 
 def test_quantile_of_few_samples_is_open():
-    assert quantile_bounds([3.0, 1.0, 2.0], 0.99) == (
-        0.99,
-        3.0,
-        2.0,
-        np.inf,
-    )  # P(fewer than 2 of 3 below it) = 3e-4, than 3: 0.030
+    # P(fewer than 2 of 3 samples lie below it) = 3e-4, fewer than 3: 0.030 > 0.025.
+    assert quantile_bounds([3.0, 1.0, 2.0], 0.99) == (0.99, 3.0, 2.0, np.inf)
     assert quantile_bounds([1.0, np.inf], 0.5).upper == np.inf
 
 
