@@ -108,8 +108,8 @@ class RelativeReach(Metric):
 class HankelValue(Metric):
     r"""Smallest Hankel singular value, :math:`\sqrt{\lambda_{min}(P Q)}`: the weakest path from past inputs to outputs.
 
-    Of the states that inputs reach and outputs see; ``-inf`` for an unstable member, which has none. Below about 1e-6 of
-    the nominal model's largest value it cannot be told from zero.
+    Of the states that inputs reach and outputs see; ``-inf`` for an unstable member, which has none. Below about 1e-6
+    of the nominal model's largest value it cannot be told from zero.
     """
 
     sense = -1.0
