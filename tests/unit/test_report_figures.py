@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import robustlab as rl
+from robustlab.mu_analysis import Margin
 from robustlab.report.figures import axis_label, house_style, logarithmic, new_figure, save_figure
-from robustlab.report.mu_figures import mu_figure
+from robustlab.report.mu_figures import mu_figure, shares_figure
 from robustlab.report.response_figures import response_figure, worst_case_figure
 from robustlab.report.synthesis_figures import WeightedResponse, sensitivity_figure
 
@@ -70,9 +72,29 @@ def test_the_worst_case_marks_the_largest_deviation():
     assert marker.get_xdata()[0] == pytest.approx(T[np.argmax(np.abs(deviation))])
 
 
+def margin(omega, lower, upper, intervals) -> Margin:
+    return Margin(
+        lower=1 / max(bound for _, _, bound in intervals) if max(b for _, _, b in intervals) else np.inf,
+        upper=np.inf,
+        frequency=None,
+        delta={},
+        status=rl.Status.CERTIFIED,
+        physical={},
+        pole=None,
+        omega=omega,
+        mu_lower=lower,
+        mu_upper=upper,
+        intervals=tuple(intervals),
+        open=(),
+        shares={},
+        proof=(),
+        notes=(),
+    )
+
+
 def test_the_mu_figure_shades_what_is_proved_up_to_infinity():
     omega = np.geomspace(1.0, 100.0, 5)
-    figure = mu_figure(omega, 0.4 * np.ones(5), 0.5 * np.ones(5), [(0.0, 10.0, 0.5), (10.0, np.inf, 0.6)], 10.0)
+    figure = mu_figure(margin(omega, 0.4 * np.ones(5), 0.5 * np.ones(5), [(0.0, 10.0, 0.5), (10.0, np.inf, 0.6)]))
     (axes,) = figure.axes
     tops = [path.vertices[:, 1].max() for band in axes.collections for path in band.get_paths()]
     assert tops == [0.5, 0.6]
@@ -80,7 +102,13 @@ def test_the_mu_figure_shades_what_is_proved_up_to_infinity():
 
 
 def test_the_mu_figure_of_no_uncertainty():
-    mu_figure(np.array([1.0, 2.0]), np.zeros(2), np.zeros(2), [(0.0, np.inf, 0.0)], None)
+    mu_figure(margin(np.array([1.0, 2.0]), np.zeros(2), np.zeros(2), [(0.0, np.inf, 0.0)]))
+
+
+def test_shares_are_ranked_with_the_largest_on_top():
+    (axes,) = shares_figure({"a": 0.2, "b": 0.9, "c": -0.1}).axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["b", "a", "c"]
+    assert [bar.get_width() for bar in axes.patches] == [0.9, 0.2, -0.1]
 
 
 def test_sensitivities_with_and_without_a_weight():
