@@ -15,7 +15,7 @@ D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation repr
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,11 @@ UNCHANGED = 1e-10
 
 
 def reduce_blocks(
-    M: StateSpaceModel, blocks: Sequence[Block], tolerance: float = 1e-12
+    M: StateSpaceModel,
+    blocks: Sequence[Block],
+    tolerance: float = 1e-12,
+    names: Collection[str] | None = None,
+    keep: bool = False,
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
     """M and blocks with each scalar block repeated as rarely as its own channels allow.
 
@@ -47,6 +51,10 @@ def reduce_blocks(
         Model whose first q inputs and p outputs are the channels of the blocks.
     tolerance
         Singular values below ``tolerance`` times the largest count as zero.
+    names
+        Reduce these blocks only.
+    keep
+        A block without any effect stays, once and without any channel that reaches it, so that its name stays known.
     """
     if not 0 < tolerance < 1:
         raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")
@@ -59,7 +67,8 @@ def reduce_blocks(
         block = kept[index]
         w, z = block_slices(kept)[index]
         rows, cols = np.arange(n + z.start, n + z.stop), np.arange(n + w.start, n + w.stop)
-        smaller = None if isinstance(block, FullBlock) else _reduced(constant, rows, cols, tolerance)
+        wanted = not isinstance(block, FullBlock) and (names is None or block.name in names)
+        smaller = _reduced(constant, rows, cols, tolerance, keep) if wanted else None
         if smaller is None:
             index += 1
             continue
@@ -84,7 +93,7 @@ def reduce_blocks(
     return model, tuple(kept)
 
 
-def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) -> tuple[Array, int] | None:
+def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float, keep: bool) -> tuple[Array, int] | None:
     """The constant matrix with a smaller block at these rows and columns, and its new size; None where it stays."""
     n11 = constant[rows[:, None], cols]
     n12 = np.delete(constant[rows], cols, axis=1)
@@ -100,6 +109,8 @@ def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) ->
     show = _invariant_basis(a.T, c.T, tolerance)
     a, b, c = show.T @ a @ show, show.T @ b, c @ show
     size = a.shape[0]
+    if keep and size == 0:
+        a, b, c, size = np.zeros((1, 1)), np.zeros((1, b.shape[1])), np.zeros((c.shape[0], 1)), 1
     if size == len(rows) or not _same_map((n11, n12 / into, n21 / out[:, None]), (a, b, c)):
         return None
     keep_rows, keep_cols = (
