@@ -227,7 +227,7 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
 
 
 def lower(P: Any, K: Any) -> UncertainModel:
-    r"""Lower LFT :math:`F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}` of two sets: K closes the last channels.
+    r"""Lower LFT :math:`F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}`: K closes the last channels of P.
 
     Raises
     ------
@@ -419,11 +419,17 @@ def _wired(
     n = m.n_states
     b2, c2, d12, d22 = m.B[:, q:], m.C[p:], m.D[:p, q:], m.D[p:, q:]
     around = wiring.K @ d22
-    if not _is_acyclic(around) and is_singular(around):
+    acyclic = _is_acyclic(around)
+    if not acyclic and is_singular(around):
         found = "the loop is not well posed at Delta = 0 (every block at its nominal value): I - K D22 is singular"
         raise NoTrustworthyNumber(where, found)
     into = np.hstack([wiring.K @ c2, wiring.K @ m.D[p:, :q], wiring.E])
-    gain = np.linalg.solve(np.eye(len(around)) - around, into) if around.any() else into
+    if acyclic:  # (I - K D22)^-1 is a finite sum of powers: what is exact stays exact
+        gain, rest = into, around @ into
+        while rest.any():
+            gain, rest = gain + rest, around @ rest
+    else:
+        gain = np.linalg.solve(np.eye(len(around)) - around, into)
     # from (x, w, v): what the interconnection's signals are, then the states, channels and outputs
     shown = wiring.F @ np.hstack([c2, m.D[p:, :q], np.zeros((len(c2), wiring.E.shape[1]))]) + wiring.F @ d22 @ gain
     change = np.vstack([b2, d12]) @ gain

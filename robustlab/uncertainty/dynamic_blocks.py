@@ -1,7 +1,7 @@
 r"""Dynamic (unmodelled) uncertainty with weights.
 
-A `FullBlock` or `ComplexScalar` stands for every stable linear time-invariant :math:`\Delta(s)` of gain at most one. A
-stable weight says how large the uncertainty is at each frequency; it is absorbed into M, so that Delta stays normalised:
+A `FullBlock` or `ComplexScalar` stands for every stable linear time-invariant :math:`\Delta(s)` of gain at most one.
+A stable weight says how large the uncertainty is at each frequency; it goes into M, so that Delta stays normalised:
 
 .. math:: w = \Delta \, W z \quad (\text{side } z), \qquad w = W \Delta \, z \quad (\text{side } w)
 

@@ -189,22 +189,21 @@ class UncertainModel:
         """
         dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
         constant = delta_matrix(self.blocks, {name: v for name, v in delta.items() if name not in dynamic})
-        q, p = constant.shape
         try:
-            if not dynamic:
-                return upper_lft(self.M, constant)
-            if np.iscomplexobj(constant):
-                raise InputError("evaluate", "a complex Delta", "real numbers, or models", "use response(omega, delta)")
-            system = self._delta_system(constant, dynamic)
-            if is_singular(self.M.D[:p, :q] @ system.D):
-                raise NoTrustworthyNumber(
-                    "evaluate", "I - D11 D_Delta is singular: this Delta makes the model ill-posed"
-                )
+            return self._with_dynamics(constant, dynamic) if dynamic else upper_lft(self.M, constant)
         except NoTrustworthyNumber as error:
-            raise NoTrustworthyNumber("evaluate", f"{error.found} ({self._named(delta)})") from None
+            raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+
+    def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
+        """The member for a Delta with models in it."""
+        q, p = constant.shape
+        if np.iscomplexobj(constant):
+            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
+        system = self._delta_system(constant, dynamic)
+        if is_singular(self.M.D[:p, :q] @ system.D):
+            raise NoTrustworthyNumber("evaluate", "I - D11 D_Delta is singular: this Delta makes the model ill-posed")
         order = self.M.input_names[q:] + self.M.input_names[:q], self.M.output_names[p:] + self.M.output_names[:p]
-        closed = lower_lft(self.M.select(*order), system)
-        return closed.renamed(self.inputs, self.outputs)
+        return lower_lft(self.M.select(*order), system).renamed(self.inputs, self.outputs)
 
     def response(self, omega: ArrayLike, delta: Mapping[str, Any]) -> NDArray[np.complex128]:
         """Frequency response of the member for a real, complex or dynamic Delta, shape (n_omega, n_y, n_u)."""
@@ -242,7 +241,7 @@ class UncertainModel:
         plain = [StateSpaceModel(s.A, s.B, s.C, s.D, s.dt, *_numbered(i, s)) for i, s in enumerate(parts)]
         return append(*plain)
 
-    def _named(self, delta: Mapping[str, Any]) -> str:
+    def named(self, delta: Mapping[str, Any]) -> str:
         """A Delta in words: normalised values, and the parameters' where they stand for any."""
         said = []
         for b in self.blocks:
