@@ -52,7 +52,7 @@ class ConstantLft:
 
     def inverse(self) -> ConstantLft:
         """The LFT of the inverse of a 1 x 1 matrix, not zero at Delta = 0."""
-        gain = np.asarray(1.0 / self.d22, dtype=np.float64)
+        gain = np.linalg.inv(self.d22)
         return ConstantLft(self.names, self.d11 - self.d12 @ gain @ self.d21, self.d12 @ gain, -gain @ self.d21, gain)
 
     def repeated(self, count: int) -> ConstantLft:

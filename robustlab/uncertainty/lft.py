@@ -336,12 +336,11 @@ class UncertainModel:
         return UncertainModel(lower_lft(self.M, as_model(K, "close: K")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
-        """The same set with each repeated scalar block repeated as rarely as its own channels allow.
+        """The same set with each scalar block repeated as rarely as its channels allow; `reduction` shows the evidence.
 
-        Block i alone is an LFT in one variable; like the states of a transfer function in 1/s, repetitions that its
-        channels cannot reach or that do not show at its outputs are removed (Kalman decomposition, one block after the
-        other).
-        A scalar block without any effect vanishes altogether: its name is then unknown to `evaluate`.
+        Like the states of a transfer function in 1/s, repetitions that the channels cannot reach or that do not show
+        are removed (Kalman decomposition, block by block and then jointly). A scalar block without any effect vanishes
+        altogether: its name is then unknown to `evaluate`.
 
         Parameters
         ----------
@@ -352,10 +351,9 @@ class UncertainModel:
         ----------
         D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
         """
-        from robustlab.uncertainty.reduction import reduce_blocks
+        from robustlab.uncertainty.structured_reduction import reduction
 
-        m, blocks = reduce_blocks(self.M, self.blocks, tolerance)
-        return UncertainModel(m, blocks, self.operating_point)
+        return reduction(self, tolerance).model
 
     def to_json(self) -> dict[str, object]:
         """M and blocks as plain types."""

@@ -21,7 +21,7 @@ from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
 from robustlab.uncertainty.laurent import Algebra, Laurent, constant, number_arithmetic, parsed, walk
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.reduction import reduce_blocks
+from robustlab.uncertainty.structured_reduction import reduction
 
 __all__ = ["as_range", "parametric"]
 
@@ -410,7 +410,7 @@ def _as_model(
         plain.states,
         where="parametric",
     )
-    return UncertainModel(*reduce_blocks(model, blocks))
+    return reduction(UncertainModel(model, blocks)).model
 
 
 def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[SignalLike]:
