@@ -22,6 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice, permutations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,13 +53,14 @@ class ConstantLft:
 
     def inverse(self) -> ConstantLft:
         """The LFT of the inverse of a 1 x 1 matrix, not zero at Delta = 0."""
-        gain = np.linalg.inv(self.d22)
-        return ConstantLft(self.names, self.d11 - self.d12 @ gain @ self.d21, self.d12 @ gain, -gain @ self.d21, gain)
+        gain = _floats(np.linalg.inv(self.d22))
+        out = -gain @ self.d21
+        return ConstantLft(self.names, self.d11 + self.d12 @ out, self.d12 @ gain, out, gain)
 
     def repeated(self, count: int) -> ConstantLft:
         """``count`` copies side by side, block-diagonal."""
         eye = np.eye(count)
-        parts = (np.kron(eye, part) for part in (self.d11, self.d12, self.d21, self.d22))
+        parts = (_floats(np.kron(eye, part)) for part in (self.d11, self.d12, self.d21, self.d22))
         return ConstantLft(self.names * count, *parts)
 
 
@@ -215,6 +217,10 @@ def assemble(plan: Plan, gains: Mapping[tuple[str, bool], ConstantLft]) -> Const
         gain = gains[step.variable, step.inverted].repeated(r)
         lft = _after(lft, gain, step.factor) if step.rows else _before(lft, gain, step.factor)
     return lft
+
+
+def _floats(matrix: NDArray[Any]) -> Array:
+    return np.asarray(matrix, dtype=np.float64)
 
 
 def _after(inner: ConstantLft, gain: ConstantLft, left: Array) -> ConstantLft:

@@ -26,7 +26,7 @@ Monomial = tuple[tuple[str, int], ...]
 MAX_TEXT = 10_000
 MAX_DEPTH = 150
 MAX_EXPONENT = 30
-MAX_TERMS = 3000
+MAX_TERMS = 1000
 LARGEST = 1e300
 MAX_BITS = 8000
 
@@ -93,15 +93,23 @@ class Algebra:
     ----------
     parameters
         Names that may occur.
+    exact
+        Those that have one value only: it takes their place.
+    nonzero
+        Those that are never zero in their range: a division by them is safe.
     denominators
         Name of a denominator (its text in parentheses) -> the denominator.
     """
 
     parameters: tuple[str, ...]
+    exact: Mapping[str, Fraction] = field(default_factory=dict)
+    nonzero: frozenset[str] = frozenset()
     denominators: dict[str, Laurent] = field(default_factory=dict)
 
     def variable(self, name: str) -> Laurent:
         """A parameter as an expression."""
+        if name in self.exact:
+            return constant(self.exact[name])
         return Laurent({((name, 1),): Fraction(1)})
 
     def divide(self, a: Laurent, b: Laurent) -> Laurent:
@@ -115,9 +123,24 @@ class Algebra:
         exact = _exact_quotient(quotient, rest)
         if exact is not None:
             return exact
+        quotient, rest = self._into_denominator(quotient, rest)
         name = f"({rest})"
         self.denominators[name] = rest
         return quotient * Laurent({((name, -1),): Fraction(1)})
+
+    def _into_denominator(self, a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
+        """``a / b`` with common factors of a moved into b where that leaves fewer: 1/(1/x + 1/y) for xy/(x + y)."""
+        common, _ = _content(a) if a.terms else (((), Fraction(1)), a)
+        down = tuple((name, -e) for name, e in common[0] if e > 0 and name in self.nonzero and name in b.variables)
+        turned = Laurent({times(m, down): c for m, c in b.terms.items()})
+        moved = len(a.terms) * sum(-e for _, e in down)
+        if not down or _factors(turned) >= _factors(b) + moved:
+            return a, b
+        lead = turned.terms[min(turned.terms)]
+        return (
+            Laurent({times(m, down): c / lead for m, c in a.terms.items()}),
+            Laurent({m: c / lead for m, c in turned.terms.items()}),
+        )
 
     def power(self, a: Laurent, exponent: int) -> Laurent:
         """``a ** exponent`` for a whole exponent."""
@@ -131,6 +154,11 @@ class Algebra:
         if len(a.terms) > 1:  # 1/(a+b)^2 is (1/(a+b))^2: one denominator for every power
             return self.power(self.divide(constant(1), a), -exponent)
         return self.divide(constant(1), result)
+
+
+def _factors(a: Laurent) -> int:
+    """Number of factors in all terms."""
+    return sum(abs(e) for m in a.terms for _, e in m)
 
 
 def _content(b: Laurent) -> tuple[tuple[Monomial, Fraction], Laurent]:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft
+from robustlab.uncertainty.balancing import balanced
 from robustlab.uncertainty.blocks import (
     Block,
     FullBlock,
@@ -39,13 +40,10 @@ def is_singular(product: ArrayLike) -> bool:
 
     The units of the channels must not decide: the product is balanced first (a similarity by powers of two).
     """
-    from scipy.linalg import matrix_balance
-
     matrix = np.asarray(product)
     if not matrix.any():
         return False
-    balanced = np.asarray(matrix_balance(matrix, permute=False)[0])
-    return not np.linalg.cond(np.eye(len(balanced)) - balanced) <= ILL_POSED
+    return not np.linalg.cond(np.eye(len(matrix)) - balanced(matrix)) <= ILL_POSED
 
 
 def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:

@@ -31,6 +31,7 @@ from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.balancing import balancing_scale
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, block_slices, delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import CANCELLED, UNCHANGED, reduce_blocks
@@ -260,13 +261,11 @@ def _diagonal(parts: Sequence[Array]) -> Array:
 
 def _channel_scale(a: Array, b: Array, c: Array) -> Array:
     """Powers of two for the channels: what comes in and what goes out alike, the outside as one more channel."""
-    from scipy.linalg import matrix_balance
-
     k = len(a)
     square = np.zeros((k + 1, k + 1))
     square[:k, :k] = np.abs(a)
     square[:k, k], square[k, :k] = np.abs(b).sum(axis=1), np.abs(c).sum(axis=0)
-    scale = np.asarray(matrix_balance(square, permute=False, separate=True)[1][0])
+    scale = balancing_scale(square)
     return scale[:k] / scale[k]
 
 

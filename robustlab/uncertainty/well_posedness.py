@@ -46,6 +46,8 @@ MAX_VERTICES = 1024
 RANDOM_DELTAS = 200
 # A Perron bound this near to one proves nothing: rounding of its own eigenvalue.
 CLEAR = 1e-10
+# A Delta that was found counts as singular up to this residual.
+SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,7 @@ class WellPosedness:
         CONVERGED where the question is answered, INCONCLUSIVE where it stays open.
     well_posed
         True: proved for every Delta with normalised size up to ``level``. False: ``delta`` makes it singular. None:
-        open; no singular Delta was found, and none was excluded.
+        open; no singular Delta was found (or one to few digits only: status INACCURATE), and none was excluded.
     level
         Size of the set that was asked for; 1 is the set itself.
     delta
@@ -66,7 +68,7 @@ class WellPosedness:
     parameters
         Physical values and units that belong to it.
     residual
-        Smallest singular value of ``I - D11 Delta`` there over its largest; 0 where there is none.
+        Smallest singular value of ``I - D11 Delta`` there over ``1 + ||D11 Delta||``; 0 where there is none.
     bound
         Largest Perron bound over all boxes that were proved (or of the whole set, where that is open).
     boxes
@@ -151,10 +153,13 @@ def _refuted(
     uncertain: UncertainModel, delta: Matrix, d11: Array, level: float, bound: float, count: int
 ) -> WellPosedness:
     values = delta_values(uncertain.blocks, delta)
-    s = np.linalg.svd(np.eye(len(d11)) - d11 @ delta, compute_uv=False)
-    text = f"ill-posed at {uncertain.named(values)}"
-    parameters = uncertain.physical(values)
-    return WellPosedness(Status.CONVERGED, False, level, values, parameters, float(s[-1] / s[0]), bound, count, text)
+    product_ = d11 @ delta
+    smallest = np.linalg.svd(np.eye(len(d11)) - product_, compute_uv=False)[-1]
+    residual = float(smallest / (1.0 + np.linalg.norm(product_, 2)))
+    sure = residual <= SINGULAR
+    text = f"{'ill-posed at' if sure else 'open: nearly singular at'} {uncertain.named(values)}"
+    status, answer = (Status.CONVERGED, False) if sure else (Status.INACCURATE, None)
+    return WellPosedness(status, answer, level, values, uncertain.physical(values), residual, bound, count, text)
 
 
 # --- proof -----------------------------------------------------------------------------------------------------------
