@@ -220,7 +220,7 @@ class _RaySearch:
         rng = np.random.default_rng(seed)
         k = len(self.real)
         if 2**k <= MAX_VERTICES:
-            signs = np.array(list(product((-1.0, 1.0), repeat=k))).reshape(-1, k)
+            signs = np.array(list(product((-1.0, 1.0), repeat=k))).reshape(2**k, k)
         else:
             signs = rng.choice([-1.0, 1.0], (MAX_VERTICES, k))
         for sign in signs:
