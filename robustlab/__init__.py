@@ -45,6 +45,8 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.uncertainty.blocks import FullBlock as FullBlock
     from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
     from robustlab.uncertainty.blocks import RealScalar as RealScalar
+    from robustlab.uncertainty.centring import centred as centred
+    from robustlab.uncertainty.elementwise import by_cause as by_cause
     from robustlab.uncertainty.elementwise import elementwise as elementwise
     from robustlab.uncertainty.lft import UncertainModel as UncertainModel
     from robustlab.uncertainty.parametric import parametric as parametric
@@ -74,7 +76,9 @@ _PUBLIC = {
     "ParameterRange": "uncertainty.blocks",
     "UncertainModel": "uncertainty.lft",
     "elementwise": "uncertainty.elementwise",
+    "by_cause": "uncertainty.elementwise",
     "parametric": "uncertainty.parametric",
+    "centred": "uncertainty.centring",
     "reduction": "uncertainty.structured_reduction",
     "well_posedness": "uncertainty.well_posedness",
     "star": "uncertainty.algebra",

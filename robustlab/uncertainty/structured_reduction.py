@@ -62,7 +62,7 @@ class Reduction:
         frequencies, relative to each response's largest entry (or to a thousandth of the largest summand, where
         the summands cancel).
     points
-        How many (Delta, omega) were compared.
+        How many (Delta, omega) were compared; none where nothing was removed.
     status
         CONVERGED where both are below 1e-9, INACCURATE otherwise (then ``model`` is the given one).
     """
@@ -117,6 +117,9 @@ def reduction(uncertain: UncertainModel, tolerance: float = 1e-12, seed: int = 0
             break
         M, blocks = step.M, step.blocks
         invariance = max(invariance, step.invariance)
+    if blocks == uncertain.blocks:
+        sizes = _sizes(uncertain)
+        return Reduction(uncertain, sizes, sizes, 0.0, 0.0, 0, Status.CONVERGED)
     small = UncertainModel(M, blocks, uncertain.operating_point)
     difference = _difference(uncertain, small, seed)
     proved = invariance <= 1e-9 and difference <= 1e-9

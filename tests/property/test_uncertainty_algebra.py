@@ -12,6 +12,7 @@ from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import algebra
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.centring import centred
 from robustlab.uncertainty.lft import UncertainModel
 
 SETTINGS = settings(max_examples=20, deadline=None, derandomize=True)
@@ -352,3 +353,26 @@ def test_weights_that_do_not_fit(weights, side, text):
     model = UncertainModel(StateSpaceModel([[-1.0]], np.ones((1, 5)), np.ones((6, 1)), np.zeros((6, 5))), blocks)
     with pytest.raises(InputError, match=text):
         model.weighted(weights, side)
+
+
+# --- centring -----------------------------------------------------------------------------------------------------
+
+
+@SETTINGS
+@given(seeds, st.floats(0.1, 1.5), few)
+def test_the_centred_set_has_the_same_members(seed, level, n):
+    model = random_set(seed, n, 1, 2, "1")
+    middle = centred(model, level)
+    values = values_for(seed, model)
+    span = next(b.parameter for b in middle.blocks if isinstance(b, RealScalar))
+    assert (span.below, span.low) == (None, pytest.approx(1.0 - 0.25 * level))
+    assert span.high == pytest.approx(1.0 + 0.5 * level)
+    inside = {name: level * v for name, v in values.items()}
+    inside["k"] = SHARED.parameter.delta(span.value(values["k"]))
+    assert_same(at(middle, values), at(model, inside))
+
+
+def test_levels_that_are_none():
+    for level in (0.0, -1.0, np.nan, True, "1"):
+        with pytest.raises(InputError, match="level"):
+            centred(gain_of("k"), level)
