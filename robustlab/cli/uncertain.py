@@ -59,22 +59,32 @@ def build(
         str | None,
         typer.Option("--outputs", help="Outputs of the plant to keep: a,b; states they do not show are dropped."),
     ] = None,
+    expressions: Annotated[
+        str | None,
+        typer.Option("--expressions", help="Instead of models: a TOML file with A, B, C, D in named parameters."),
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Uncertain model from two models (every delta of its structure in [-1, 1]), or from a plant's parameter ranges.
+    """Uncertain model from two models, from a plant's parameter ranges, or from matrices of expressions.
 
     Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
     """
     from robustlab.storage import save
 
-    if (plant is None) == (nominal is None):
+    if sum(source is not None for source in (plant, nominal, expressions)) != 1:
         raise UsageError(
-            "uncertain build", "no models or both files and a plant", "NOMINAL [PERTURBED], or --plant NAME"
+            "uncertain build",
+            "no models, or both files and a plant or expressions",
+            "NOMINAL [PERTURBED], or --plant NAME, or --expressions FILE",
         )
     if nominal is not None and perturbed is None and _holds_plant(nominal):
         plant = nominal
-    if plant is not None:
+    if expressions is not None:
+        if outputs or tolerance:
+            raise UsageError("uncertain build", "--outputs or --tolerance with --expressions", "them with --plant only")
+        model, residual, origin = _from_expressions(expressions)
+    elif plant is not None:
         kept = outputs.split(",") if outputs else None
         model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance), kept)
     else:
@@ -89,7 +99,11 @@ def build(
     lines = [f"{out}: {model!r}" if out else repr(model), *_block_lines(model)]
     if residual is not None:
         lines.append(f"at Delta = I off the perturbed model by {residual.largest:.2g} of each matrix's largest entry")
-    result = {"file": out, "structure": structure if plant is None else "parameters", "delta_shape": model.delta_shape}
+    result = {
+        "file": out,
+        "structure": structure if nominal and not plant else "parameters",
+        "delta_shape": model.delta_shape,
+    }
     emit("uncertain build", {**result, "blocks": _blocks(model), "residual": residual}, "\n".join(lines), as_json)
 
 
@@ -221,6 +235,14 @@ def _from_plant(
     said = ", ".join(f"{key} +-{100 * value:g} %" for key, value in tolerances.items())
     inputs = {name: file_sha256(name)} if from_file else None
     return model, None, Provenance.now("uncertain build", inputs, note=f"{name} {said}".strip())
+
+
+def _from_expressions(file: str) -> tuple[UncertainModel, None, Provenance]:
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.storage.expression_files import load_parametric
+
+    model = load_parametric(file)
+    return model, None, Provenance.now("uncertain build", {file: file_sha256(file)}, note="expressions")
 
 
 def _holds_plant(path: str) -> bool:
