@@ -6,7 +6,7 @@ D11 is the constant direct way from w to z: where the determinant vanishes, the 
   Delta of the unit ball (Perron-Frobenius; the best diagonal scaling is in it). A set of real blocks is cut into
   smaller boxes, and the bound is taken around the centre of each, until every box is proved.
 * **Refutation**: the eigenvalues of :math:`D_{11} \Delta_0` on rays to vertices, to box centres and to random complex
-  Deltas give singular Deltas exactly on the ray; the smallest one inside the set is returned.
+  Deltas give singular Deltas exactly on the ray; the smallest one that was met is returned.
 
 References
 ----------
@@ -43,7 +43,7 @@ Matrix = NDArray[Any]
 
 MAX_BOXES = 2000
 MAX_VERTICES = 1024
-RANDOM_DELTAS = 200
+RANDOM_DELTAS = 60
 # A Perron bound this near to one proves nothing: rounding of its own eigenvalue.
 CLEAR = 1e-10
 # A Delta that was found counts as singular up to this residual.
@@ -231,6 +231,8 @@ class _RaySearch:
             share = np.append(rng.uniform(-1, 1, k), 0.0)[:k] if rng.random() < 0.8 else np.zeros(k)
             base = self.real_delta(np.where(share > 0, self.high[self.real], -self.low[self.real]) * share)
             self._turned(base, self._complex_delta(rng))
+            if self.best is not None:
+                return
 
     def real_delta(self, entries: Array) -> Array:
         """Delta with these entries in the real blocks (in their order), zero elsewhere."""

@@ -117,6 +117,18 @@ def test_show_prints_the_true_ends_of_a_range_that_is_not_symmetric(tmp_path, ca
     assert data["blocks"][0]["parameter"] == {"nominal": 1.0, "radius": 0.5, "unit": "s", "below": 0.25}
 
 
+def test_build_a_plant_with_a_range_that_is_not_symmetric(tmp_path, capsys):
+    out = str(tmp_path / "motor.h5")
+    code, text, err = call(capsys, "build", "--plant", "dc-motor", "--range", "Kf=4e-5:9e-5", "--out", out)
+    assert (code, err) == (0, "")
+    assert "4e-05 .. 9e-05 N m s/rad around 4.8e-05" in text
+    assert load(out).physical({"Kf": -1.0})["Kf"][0] == pytest.approx(4e-5)
+    for bad in ("Kf=4e-5", "Kf=a:b", "=1:2"):
+        assert call(capsys, "build", "--plant", "dc-motor", "--range", bad)[0] == 2
+    assert call(capsys, "build", "--plant", "dc-motor", "--range", "Kf=9e-5:4e-5")[0] == 3
+    assert call(capsys, "build", "a.h5", "b.h5", "--range", "Kf=1:2")[0] == 2
+
+
 EXPRESSIONS = """
 A = [[0, 1], ["-k/m", "-c/m"]]
 B = [[0], ["1/m"]]
