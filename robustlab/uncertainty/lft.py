@@ -38,12 +38,21 @@ ILL_POSED = 1e12
 def is_singular(product: ArrayLike) -> bool:
     """Whether ``I - product`` is singular, or so near to it that nothing can be trusted; product has shape (n, n).
 
-    The units of the channels must not decide: the product is balanced first (a similarity by powers of two).
+    Its determinant is that of its strongly connected parts: entries on no cycle do not count, however large they are.
+    Nor must the units of the channels decide: each part is balanced first (a similarity by powers of two).
     """
+    from scipy.sparse.csgraph import connected_components
+
     matrix = np.asarray(product)
     if not matrix.any():
         return False
-    return not np.linalg.cond(np.eye(len(matrix)) - balanced(matrix)) <= ILL_POSED
+    count, label = connected_components(matrix != 0, directed=True, connection="strong")
+    for k in range(count):
+        part = np.flatnonzero(label == k)
+        inner = matrix[part[:, None], part]
+        if inner.any() and not np.linalg.cond(np.eye(len(part)) - balanced(inner)) <= ILL_POSED:
+            return True
+    return False
 
 
 def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:

@@ -100,8 +100,8 @@ def parametric(
     try:
         expressions = [[parsed(entry, algebra, where) for where, entry in row] for row in table]
         _check_denominators(expressions, algebra, ranges)
-        model = _smallest(expressions, algebra, ranges, shapes, (dt, inputs, outputs, states))
-        _verify(model, table, ranges, exact)
+        candidates = _candidates(expressions, algebra, ranges, shapes, (dt, inputs, outputs, states))
+        model = _first_exact(candidates, table, ranges, exact)
     except OverflowError:
         raise InputError("parametric", "numbers that overflow", "values and coefficients of a usual size") from None
     return model
@@ -316,27 +316,25 @@ class _Signals(NamedTuple):
     states: Iterable[SignalLike] | None
 
 
-def _smallest(
+def _candidates(
     expressions: Sequence[Sequence[Laurent]],
     algebra: Algebra,
     ranges: Mapping[str, ParameterRange],
     shapes: tuple[int, int, int],
     signals: tuple[Any, ...],
-) -> UncertainModel:
-    """The smallest reduced LFT among the best few decompositions."""
+) -> list[UncertainModel]:
+    """The LFTs of the best few decompositions, reduced and as they are, the smallest first."""
     n, n_u, n_y = shapes
     gains = _Gains(algebra, ranges)
-    best: UncertainModel | None = None
+    found: list[UncertainModel] = []
     for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[:TRIED]:
         used = {(s.variable, s.inverted) for s in plan.steps}
         lft = assemble(plan, {key: gains.of(*key) for key in used})
         model = _as_model(lft, ranges, shapes, _Signals(*signals))
-        if best is None or sum(model.delta_shape) < sum(best.delta_shape):
-            best = model
-        if best.delta_shape[0] == len(best.blocks):
+        found += [reduction(model).model, model]
+        if found[0].delta_shape[0] == len(found[0].blocks):
             break
-    assert best is not None
-    return best
+    return sorted(found, key=lambda model: sum(model.delta_shape))
 
 
 class _Gains:
@@ -372,7 +370,7 @@ class _Gains:
 def _as_model(
     lft: ConstantLft, ranges: Mapping[str, ParameterRange], shapes: tuple[int, int, int], signals: _Signals
 ) -> UncertainModel:
-    """Channels grouped by parameter, in the order of the given ranges; then reduced."""
+    """Channels grouped by parameter, in the order of the given ranges."""
     n = shapes[0]
     order = [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
     blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
@@ -392,7 +390,7 @@ def _as_model(
         plain.states,
         where="parametric",
     )
-    return reduction(UncertainModel(model, blocks)).model
+    return UncertainModel(model, blocks)
 
 
 def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[SignalLike]:
@@ -401,15 +399,33 @@ def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[Signa
     return [f"{prefix}{name}" for name in names]
 
 
-def _verify(
-    model: UncertainModel, table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
-) -> None:
-    """The LFT against the texts themselves, computed in floats at random values and at vertices."""
+def _first_exact(
+    candidates: Sequence[UncertainModel],
+    table: Table,
+    ranges: Mapping[str, ParameterRange],
+    exact: Mapping[str, float],
+) -> UncertainModel:
+    """The first candidate that gives the texts back, computed in floats at random values and at vertices.
+
+    A reduction mixes entries of different units: where small ones drown, the LFT as it was decomposed is taken.
+    """
+    samples = _samples(table, ranges, exact)
+    misses: list[float] = []
+    for model in candidates:
+        misses.append(_missed(model, samples))
+        if misses[-1] <= EXACT:
+            return model
+    raise NoTrustworthyNumber("parametric", f"the LFT misses the expressions by {min(misses):.2g} of an entry's size")
+
+
+def _samples(
+    table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
+) -> list[tuple[dict[str, float], Array]]:
+    """Deltas and the entries that belong to them, by a second way through the texts."""
     rng = np.random.default_rng(0)
     k = len(ranges)
     deltas = [np.zeros(k), np.ones(k), -np.ones(k), *rng.uniform(-1, 1, (4, k)), *rng.choice([-1.0, 1.0], (2, k))]
-    known = {b.name for b in model.blocks}
-    pairs: list[tuple[Array, Array]] = []
+    result: list[tuple[dict[str, float], Array]] = []
     for delta in deltas:
         by_name = dict(zip(ranges, delta.tolist(), strict=True))
         values = {**exact, **{name: ranges[name].value(d) for name, d in by_name.items()}}
@@ -418,14 +434,24 @@ def _verify(
             rows = [[walk(entry, arithmetic, tuple(values), where) for where, entry in row] for row in table]
         except ZeroDivisionError:  # a factor that cancels, as in a/a at a = 0
             continue
-        wanted = np.array(rows, dtype=float).reshape(len(table), len(table[0]) if table else 0)
-        member = model.evaluate({name: d for name, d in by_name.items() if name in known})
-        pairs.append((wanted, np.block([[member.A, member.B], [member.C, member.D]])))
-    if not pairs or not pairs[0][0].size:
-        return
-    size = np.max([np.abs(wanted) for wanted, _ in pairs], axis=0)
-    size = np.maximum(size, 1e-12 * size.max())
-    missed = np.max([np.abs(found - wanted) for wanted, found in pairs], axis=0)
-    if not (missed <= EXACT * size).all():
-        worst = float((missed / np.where(size > 0, size, 1.0)).max())
-        raise NoTrustworthyNumber("parametric", f"the LFT misses the expressions by {worst:.2g} of their size")
+        result.append((by_name, np.array(rows, dtype=float).reshape(len(table), len(table[0]) if table else 0)))
+    return result
+
+
+def _missed(model: UncertainModel, samples: Sequence[tuple[dict[str, float], Array]]) -> float:
+    """Largest miss of an entry over its largest value; an entry that is zero is judged by its row and column."""
+    if not samples or not samples[0][1].size:
+        return 0.0
+    known = {b.name for b in model.blocks}
+    size = np.max([np.abs(wanted) for _, wanted in samples], axis=0)
+    outer = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
+    size = np.maximum(size, 1e-6 * np.where(size > 0, 0.0, outer))
+    worst = 0.0
+    for delta, wanted in samples:
+        try:
+            member = model.evaluate({name: d for name, d in delta.items() if name in known})
+        except NoTrustworthyNumber:
+            return np.inf
+        off = np.abs(np.block([[member.A, member.B], [member.C, member.D]]) - wanted)
+        worst = max(worst, float((off / np.where(size > 0, size, 1.0)).max()))
+    return worst
