@@ -115,6 +115,27 @@ def test_the_lft_is_the_expression(rows, seed):
         np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-9 * np.abs(wanted).max())
 
 
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [["1/0.3 - 1e12/(a*b)", 0, 0], [-1.5e-4, 0, "(2 + b)/b"], ["(b/0.3)**2/(0.3*(1e6 + b))", "0.09 + c*a", 0.3]],
+        [["1e6*(a - 2*b)", "1/(a + 2.3 + d)"], ["d**2", "1e12*(-1.5e-4*c - 2/c)"], ["b", 0]],
+        [[0, "(c**2 - (b + a))/-1.5e-4", "(b/1e6/a**2)**2"], ["1/d", "d**2 + 1e6", "a*c**2"]],
+    ],
+)
+def test_entries_of_very_different_size_are_each_exact(rows):
+    """Found by random expressions: a reduction that mixed entries of 1e14 with entries of 1e-10 lost the small ones."""
+    nominal = {"a": 2.0, "b": 3e-3, "c": 1.0, "d": 4e4}
+    model = gain(rows, {name: (value, 0.2) for name, value in nominal.items()})
+    rng = np.random.default_rng(1)
+    for delta in rng.uniform(-1, 1, (5, 4)):
+        values = {name: value * (1 + 0.2 * d) for (name, value), d in zip(nominal.items(), delta, strict=True)}
+        wanted = np.array([[value_of(str(entry), values) for entry in row] for row in rows], dtype=float)
+        known = {b.name for b in model.blocks}
+        found = model.evaluate({n: float(d) for n, d in zip(nominal, delta, strict=True) if n in known}).D
+        np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-30)
+
+
 def test_signals_ranges_and_physical_values():
     ranges = {"m": ParameterRange(3.0, 1.2, "kg"), "c": (1.0, 0.2), "k": (2.0, 1.5, 3.0)}
     model = rl.parametric(*SPRING, ranges, inputs=[("F", "N")], outputs=[("x", "m")], states=["x", "v"])
