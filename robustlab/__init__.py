@@ -41,12 +41,20 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import hinf as hinf
     from robustlab.synthesis import mixsyn as mixsyn
     from robustlab.synthesis import performance_weight as performance_weight
+    from robustlab.uncertainty.algebra import beside as beside
+    from robustlab.uncertainty.algebra import stacked as stacked
+    from robustlab.uncertainty.algebra import star as star
     from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
     from robustlab.uncertainty.blocks import FullBlock as FullBlock
     from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
     from robustlab.uncertainty.blocks import RealScalar as RealScalar
+    from robustlab.uncertainty.centring import centred as centred
+    from robustlab.uncertainty.elementwise import by_cause as by_cause
     from robustlab.uncertainty.elementwise import elementwise as elementwise
     from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+    from robustlab.uncertainty.parametric import parametric as parametric
+    from robustlab.uncertainty.structured_reduction import reduction as reduction
+    from robustlab.uncertainty.well_posedness import well_posedness as well_posedness
     from robustlab.worst_case_analysis import sample as sample
     from robustlab.worst_case_analysis import sample_size as sample_size
     from robustlab.worst_case_analysis import violation_probability as violation_probability
@@ -73,6 +81,14 @@ _PUBLIC = {
     "ParameterRange": "uncertainty.blocks",
     "UncertainModel": "uncertainty.lft",
     "elementwise": "uncertainty.elementwise",
+    "by_cause": "uncertainty.elementwise",
+    "parametric": "uncertainty.parametric",
+    "centred": "uncertainty.centring",
+    "reduction": "uncertainty.structured_reduction",
+    "well_posedness": "uncertainty.well_posedness",
+    "star": "uncertainty.algebra",
+    "beside": "uncertainty.algebra",
+    "stacked": "uncertainty.algebra",
     # analysis
     "sample": "worst_case_analysis",
     "worst_case": "worst_case_analysis",

@@ -55,32 +55,47 @@ def build(
         list[str] | None,
         typer.Option("--tolerance", help="Relative tolerance of a parameter of the plant, NAME=VALUE; repeatable."),
     ] = None,
+    ranges: Annotated[
+        list[str] | None,
+        typer.Option("--range", help="Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable."),
+    ] = None,
     outputs: Annotated[
         str | None,
         typer.Option("--outputs", help="Outputs of the plant to keep: a,b; states they do not show are dropped."),
     ] = None,
+    expressions: Annotated[
+        str | None,
+        typer.Option("--expressions", help="Instead of models: a TOML file with A, B, C, D in named parameters."),
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Uncertain model from two models (every delta of its structure in [-1, 1]), or from a plant's parameter ranges.
+    """Uncertain model from two models, from a plant's parameter ranges, or from matrices of expressions.
 
     Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
     """
     from robustlab.storage import save
 
-    if (plant is None) == (nominal is None):
+    if sum(source is not None for source in (plant, nominal, expressions)) != 1:
         raise UsageError(
-            "uncertain build", "no models or both files and a plant", "NOMINAL [PERTURBED], or --plant NAME"
+            "uncertain build",
+            "no models, or both files and a plant or expressions",
+            "NOMINAL [PERTURBED], or --plant NAME, or --expressions FILE",
         )
     if nominal is not None and perturbed is None and _holds_plant(nominal):
         plant = nominal
-    if plant is not None:
+    if expressions is not None:
+        if outputs or tolerance or ranges:
+            raise UsageError("uncertain build", "options of a plant with --expressions", "them with --plant only")
+        model, residual, origin = _from_expressions(expressions)
+    elif plant is not None:
         kept = outputs.split(",") if outputs else None
-        model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance), kept)
+        model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance), kept, _ends(ranges))
     else:
         assert nominal is not None
-        if outputs:
-            raise UsageError("uncertain build", "--outputs without --plant", "--outputs with --plant NAME only")
+        if outputs or ranges:
+            option = "--outputs" if outputs else "--range"
+            raise UsageError("uncertain build", f"{option} without --plant", f"{option} with --plant NAME only")
         model, residual, origin = _from_models(nominal, perturbed, structure, noise)
     if not model.blocks:
         note("no uncertainty: mu = 0")
@@ -89,7 +104,11 @@ def build(
     lines = [f"{out}: {model!r}" if out else repr(model), *_block_lines(model)]
     if residual is not None:
         lines.append(f"at Delta = I off the perturbed model by {residual.largest:.2g} of each matrix's largest entry")
-    result = {"file": out, "structure": structure if plant is None else "parameters", "delta_shape": model.delta_shape}
+    result = {
+        "file": out,
+        "structure": structure if nominal and not plant else "parameters",
+        "delta_shape": model.delta_shape,
+    }
     emit("uncertain build", {**result, "blocks": _blocks(model), "residual": residual}, "\n".join(lines), as_json)
 
 
@@ -200,7 +219,7 @@ def _from_models(
 
 
 def _from_plant(
-    name: str, tolerances: dict[str, float], outputs: list[str] | None
+    name: str, tolerances: dict[str, float], outputs: list[str] | None, ranges: dict[str, tuple[float, float]]
 ) -> tuple[UncertainModel, None, Provenance]:
     from robustlab.dynamics import plant
     from robustlab.provenance import Provenance, file_sha256
@@ -215,12 +234,40 @@ def _from_plant(
     if unknown:
         raise UsageError(f"--tolerance {unknown[0]}", f"no such parameter of {name}", f"one of {', '.join(nominal)}")
     made = made.with_parameters(**{key: (nominal[key], value) for key, value in tolerances.items()})
-    model = made.uncertain(outputs)
+    if ranges and hasattr(made, "effects"):
+        raise UsageError("--range", f"{made.name} carries effects", "--tolerance NAME=VALUE")
+    model = made.uncertain(outputs, ranges=ranges) if ranges else made.uncertain(outputs)
     for item in made.left_out() if hasattr(made, "left_out") else ():
         note(f"not in it: {item.effect.effect.title} at {item.effect.site}: {item.reason}")
-    said = ", ".join(f"{key} +-{100 * value:g} %" for key, value in tolerances.items())
+    said = ", ".join(
+        [f"{key} +-{100 * value:g} %" for key, value in tolerances.items()]
+        + [f"{key} {low:g} .. {high:g}" for key, (low, high) in ranges.items()]
+    )
     inputs = {name: file_sha256(name)} if from_file else None
     return model, None, Provenance.now("uncertain build", inputs, note=f"{name} {said}".strip())
+
+
+def _ends(texts: list[str] | None) -> dict[str, tuple[float, float]]:
+    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``."""
+    ends: dict[str, tuple[float, float]] = {}
+    for text in texts or []:
+        name, _, value = text.rpartition("=")
+        low, colon, high = value.partition(":")
+        try:
+            ends[name] = float(low), float(high)
+        except ValueError:
+            raise UsageError(f"--range {text}", "no two numbers after =", "NAME=LOW:HIGH") from None
+        if not (name and colon):
+            raise UsageError(f"--range {text}", "no name", "NAME=LOW:HIGH")
+    return ends
+
+
+def _from_expressions(file: str) -> tuple[UncertainModel, None, Provenance]:
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.storage.expression_files import load_parametric
+
+    model = load_parametric(file)
+    return model, None, Provenance.now("uncertain build", {file: file_sha256(file)}, note="expressions")
 
 
 def _holds_plant(path: str) -> bool:

@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike
 
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import Array, Plant
-from robustlab.errors import InputError
+from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["Descriptor", "LinearPlant"]
@@ -136,7 +136,9 @@ class LinearPlant(Plant):
 
     # --- uncertainty -------------------------------------------------------------------------------------------------
 
-    def uncertain(self, outputs: Sequence[str] | None = None) -> UncertainModel:
+    def uncertain(
+        self, outputs: Sequence[str] | None = None, ranges: Mapping[str, tuple[float, float]] | None = None
+    ) -> UncertainModel:
         r"""The set of all models whose parameters lie within their tolerances, as an exact and minimal LFT.
 
         .. math::
@@ -151,6 +153,8 @@ class LinearPlant(Plant):
         outputs
             Names of the outputs to keep; states that then neither show nor act are left out (a motor's angle, where
             only its speed is looked at). All outputs and states where left out.
+        ranges
+            Name -> (low, high) around the parameter's value, instead of its tolerance: a range need not be symmetric.
 
         Returns
         -------
@@ -165,7 +169,7 @@ class LinearPlant(Plant):
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         e, _, _, c, d = self._matrices(self.values)
         nominal = self.state_space()
-        left, right, blocks = self._channels()
+        left, right, blocks = self._channels(self._ranges(ranges or {}))
         into_x = self._solve(e, left[:n]) + 0.0  # no negative zeros
         r_x, r_u, r_rate = right[:, :n], right[:, n : n + n_u], right[:, n + n_u :]
         q = left.shape[1]
@@ -186,20 +190,40 @@ class LinearPlant(Plant):
             m = drop_unconnected(kept)
         return UncertainModel(m, blocks)
 
-    def _channels(self) -> tuple[Array, Array, tuple[RealScalar, ...]]:
-        """L (n_x + n_y, q), R (q, n_x + n_u + n_x) and the blocks; R is scaled by the parameters' radii."""
+    def _ranges(self, given: Mapping[str, tuple[float, float]]) -> dict[str, ParameterRange]:
+        """The range of every parameter that has one: as given, or from its tolerance."""
+        known = tuple(self.parameters)
+        for name in given:
+            where = f"{self.name}: uncertain: {name!r}"
+            if name not in known:
+                raise InputError(where, "no such parameter", f"one of {', '.join(known)}", did_you_mean(name, known))
+            if name in self.exact:
+                raise InputError(where, "a range", "none: it is taken as exact")
+        ranges: dict[str, ParameterRange] = {}
+        for name, p in self.parameters.items():
+            if name in given:
+                if len(given[name]) != 2:
+                    raise InputError(f"{self.name}: uncertain: {name!r}", f"{given[name]!r}", "(low, high)")
+                low, high = given[name]
+                for end in (low, high):
+                    replace(p, value=end, tolerance=0.0)  # says what physics forbids
+                ranges[name] = ParameterRange.between(low, high, p.value, p.unit)
+            elif p.radius:
+                ranges[name] = p.range
+        return ranges
+
+    def _channels(self, ranges: Mapping[str, ParameterRange]) -> tuple[Array, Array, tuple[RealScalar, ...]]:
+        """L (n_x + n_y, q), R (q, n_x + n_u + n_x) and the blocks; R is scaled by the widths above nominal."""
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         constant = self._matrices(self._cleared)
         left, right, blocks = [np.zeros((n + n_y, 0))], [np.zeros((0, 2 * n + n_u))], []
-        for name, parameter in self.parameters.items():
-            if parameter.radius == 0:
-                continue
+        for name, span in ranges.items():
             e, f, g, c, d = self._coefficients(name, constant)
             columns, rows = _rank_factors(np.block([[f, g, -e], [c, d, np.zeros((n_y, n))]]))
             if columns.shape[1]:
                 left.append(columns)
-                right.append(parameter.radius * rows)
-                blocks.append(RealScalar(name, columns.shape[1], parameter.range))
+                right.append(span.radius * rows)
+                blocks.append(RealScalar(name, columns.shape[1], span))
         return np.hstack(left), np.vstack(right), tuple(blocks)
 
     # --- matrices ----------------------------------------------------------------------------------------------------

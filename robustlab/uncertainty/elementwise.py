@@ -16,7 +16,7 @@ diagonal Delta. It is kept as structure ``"columns"``; what the text says in wor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from robustlab.statespace import MAX_NAME, MAX_STATES, Signal, StateSpaceModel, 
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["STRUCTURES", "EndpointResidual", "elementwise", "endpoint_residual"]
+__all__ = ["STRUCTURES", "EndpointResidual", "by_cause", "elementwise", "endpoint_residual"]
 
 Array = NDArray[np.float64]
 
@@ -99,6 +99,48 @@ def elementwise(
     _check_pair(first, second)
     difference = _difference(first, second, tolerance or 0.0)
     parts = _FACTORS[structure](difference)
+    return _assemble(first, parts)
+
+
+def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None = None) -> UncertainModel:
+    r"""One real parameter for each physical cause, from one perturbed model of each.
+
+    .. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}(\Delta) =
+              \begin{bmatrix} A & B \\ C & D \end{bmatrix}_{nominal} + \sum_i \delta_i L_i R_i, \qquad
+              L_i R_i = perturbed_i - nominal
+
+    Each cause is repeated as often as the rank of its difference, found jointly in A, B, C, D: what moves together
+    stays together, and causes superpose linearly (their products are not in it).
+
+    Parameters
+    ----------
+    perturbed
+        Name of the cause -> model at the upper end of that cause alone. A cause that changes nothing gives no block.
+    tolerance
+        As in `elementwise`.
+
+    Raises
+    ------
+    InputError
+        No cause, sizes, sample times or signal names that differ.
+
+    Examples
+    --------
+    >>> nominal = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> heavy = StateSpaceModel([[-0.8]], [[0.8]], [[1.0]], [[0.0]])
+    >>> strong = StateSpaceModel([[-1.0]], [[1.3]], [[1.0]], [[0.0]])
+    >>> both = by_cause(nominal, {"mass": heavy, "motor": strong})
+    >>> [(b.name, b.repeats) for b in both.blocks], both.evaluate({"mass": 1.0, "motor": 1.0}).B.round(12).tolist()
+    ([('mass', 1), ('motor', 1)], [[1.1]])
+    """
+    first = as_model(nominal, "by_cause: nominal")
+    if not isinstance(perturbed, Mapping) or not perturbed:
+        raise InputError("by_cause", "no cause", "at least one: {name: perturbed model}")
+    parts: list[_Part] = []
+    for name, model in perturbed.items():
+        second = as_model(model, f"by_cause: {name}")
+        _check_pair(first, second)
+        parts += [part._replace(name=name) for part in _single(_difference(first, second, tolerance or 0.0))]
     return _assemble(first, parts)
 
 

@@ -18,19 +18,41 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, as_model, lower_lft
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft
+from robustlab.uncertainty.balancing import balanced
 from robustlab.uncertainty.blocks import (
     Block,
+    FullBlock,
     RealScalar,
     as_blocks,
     delta_matrix,
     structure_size,
 )
 
-__all__ = ["UncertainModel", "upper_lft"]
+__all__ = ["UncertainModel", "is_singular", "upper_lft"]
 
 # I - M11 Delta with a condition number above this has no digits left that could be trusted.
 ILL_POSED = 1e12
+
+
+def is_singular(product: ArrayLike) -> bool:
+    """Whether ``I - product`` is singular, or so near to it that nothing can be trusted; product has shape (n, n).
+
+    Its determinant is that of its strongly connected parts: entries on no cycle do not count, however large they are.
+    Nor must the units of the channels decide: each part is balanced first (a similarity by powers of two).
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    matrix = np.asarray(product)
+    if not matrix.any():
+        return False
+    count, label = connected_components(matrix != 0, directed=True, connection="strong")
+    for k in range(count):
+        part = np.flatnonzero(label == k)
+        inner = matrix[part[:, None], part]
+        if inner.any() and not np.linalg.cond(np.eye(len(part)) - balanced(inner)) <= ILL_POSED:
+            return True
+    return False
 
 
 def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
@@ -54,7 +76,7 @@ def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
     if q > n_w or p > n_z:
         raise InputError("upper_lft", f"Delta is {d.shape}, M has {n_w} inputs and {n_z} outputs", "a smaller Delta")
     loop = np.eye(p) - d11 @ d
-    if p and q and np.linalg.cond(loop) > ILL_POSED:
+    if is_singular(d11 @ d):
         raise NoTrustworthyNumber("upper_lft", "I - D11 Delta is singular: this Delta makes the model ill-posed")
     # z = (I - D11 Delta)^-1 (C1 x + D12 u), w = Delta z
     gain = d @ np.linalg.solve(loop, np.hstack([c1, d12])) if p else np.zeros((q, M.n_states + n_w - q))
@@ -160,24 +182,146 @@ class UncertainModel:
     def evaluate(self, delta: Mapping[str, Any]) -> StateSpaceModel:
         """The member of the set for one real value (or matrix) per block name; blocks left out are zero.
 
-        Values outside [-1, 1] are allowed: a critical Delta may be larger than the set.
+        Values outside [-1, 1] are allowed: a critical Delta may be larger than the set. A full or complex block also
+        takes a StateSpaceModel (rows x cols for a full block, 1 x 1 for a scalar one): a dynamic Delta, closed in. The
+        member's states are then those of M followed by those of the Deltas.
 
         Raises
         ------
         InputError
-            Unknown names, wrong shapes, complex values (those have a frequency response only: `response`).
+            Unknown names, wrong shapes, complex values (those have a frequency response only: `response`), a dynamic
+            value for a real block.
         NoTrustworthyNumber
-            This Delta makes the model ill-posed.
+            This Delta makes the model ill-posed; the message names its values.
         """
-        return upper_lft(self.M, delta_matrix(self.blocks, delta))
+        dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
+        constant = delta_matrix(self.blocks, {name: v for name, v in delta.items() if name not in dynamic})
+        try:
+            return self._with_dynamics(constant, dynamic) if dynamic else upper_lft(self.M, constant)
+        except NoTrustworthyNumber as error:
+            raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+
+    def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
+        """The member for a Delta with models in it."""
+        q, p = constant.shape
+        if np.iscomplexobj(constant):
+            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
+        system = self._delta_system(constant, dynamic)
+        if is_singular(self.M.D[:p, :q] @ system.D):
+            raise NoTrustworthyNumber("evaluate", "I - D11 D_Delta is singular: this Delta makes the model ill-posed")
+        order = self.M.input_names[q:] + self.M.input_names[:q], self.M.output_names[p:] + self.M.output_names[:p]
+        return lower_lft(self.M.select(*order), system).renamed(self.inputs, self.outputs)
 
     def response(self, omega: ArrayLike, delta: Mapping[str, Any]) -> NDArray[np.complex128]:
-        """Frequency response of the member for a real or complex Delta, shape (n_omega, n_y, n_u)."""
-        d = delta_matrix(self.blocks, delta)
+        """Frequency response of the member for a real, complex or dynamic Delta, shape (n_omega, n_y, n_u)."""
+        dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
+        d: NDArray[Any] = delta_matrix(self.blocks, {name: v for name, v in delta.items() if name not in dynamic})
         q, p = d.shape
         m = frequency_response(self.M, omega)
+        if dynamic:
+            d = d + frequency_response(self._delta_system(np.zeros((q, p)), dynamic), omega)
         loop = np.eye(p) - m[:, :p, :q] @ d
         return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])
+
+    def _delta_system(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
+        """Delta(s), q x p: the constant values with the dynamic ones in their places."""
+        known = {b.name for b in self.blocks}
+        for name in dynamic:
+            if name not in known:
+                delta_matrix(self.blocks, {name: 0.0})  # says so
+        parts: list[StateSpaceModel] = []
+        row, col = 0, 0
+        for b in self.blocks:
+            value = constant[row : row + b.rows, col : col + b.cols]
+            row, col = row + b.rows, col + b.cols
+            if b.name not in dynamic:
+                parts.append(StateSpaceModel([], [], [], value, self.dt))
+                continue
+            system = dynamic[b.name]
+            if isinstance(b, RealScalar):
+                raise InputError(f"delta {b.name!r}", "a dynamic value for a real block", "a real number")
+            shape, count = ((b.rows, b.cols), 1) if isinstance(b, FullBlock) else ((1, 1), b.repeats)
+            if (system.n_outputs, system.n_inputs) != shape:
+                found = f"a model of {system.n_outputs} x {system.n_inputs}"
+                raise InputError(f"delta {b.name!r}", found, f"{shape[0]} x {shape[1]}")
+            parts += [system] * count
+        plain = [StateSpaceModel(s.A, s.B, s.C, s.D, s.dt, *_numbered(i, s)) for i, s in enumerate(parts)]
+        return append(*plain)
+
+    def named(self, delta: Mapping[str, Any]) -> str:
+        """A Delta in words: normalised values, and the parameters' where they stand for any."""
+        said = []
+        for b in self.blocks:
+            value = delta.get(b.name, 0.0)
+            if isinstance(value, StateSpaceModel) or np.size(value) != 1:
+                said.append(f"{b.name} = a {'model' if isinstance(value, StateSpaceModel) else 'matrix'}")
+                continue
+            text = f"{b.name} = {complex(np.asarray(value).reshape(())):.6g}".replace("+0j", "")
+            if isinstance(b, RealScalar) and b.parameter is not None:
+                parameter = b.parameter
+                text += f": {parameter.value(float(np.real(value))):.6g} {parameter.unit}".rstrip()
+            said.append(text)
+        return "Delta: " + (", ".join(said[:12]) + (", ..." if len(said) > 12 else "") or "none")
+
+    # --- algebra: see robustlab.uncertainty.algebra -------------------------------------------------------------------
+
+    __array_ufunc__ = None  # numpy arrays on the left leave the operation to us
+
+    def __matmul__(self, other: Any) -> UncertainModel:
+        """``self @ other``: the product of the transfer matrices; ``other`` comes first in the signal's way."""
+        from robustlab.uncertainty.algebra import product
+
+        return product(self, other)
+
+    def __rmatmul__(self, other: Any) -> UncertainModel:
+        from robustlab.uncertainty.algebra import product
+
+        return product(other, self)
+
+    __mul__, __rmul__ = __matmul__, __rmatmul__
+
+    def __add__(self, other: Any) -> UncertainModel:
+        from robustlab.uncertainty.algebra import parallel
+
+        return parallel(self, other)
+
+    def __radd__(self, other: Any) -> UncertainModel:
+        from robustlab.uncertainty.algebra import parallel
+
+        return parallel(other, self)
+
+    def __sub__(self, other: Any) -> UncertainModel:
+        from robustlab.uncertainty.algebra import parallel
+
+        return parallel(self, other, sign=-1)
+
+    def __rsub__(self, other: Any) -> UncertainModel:
+        from robustlab.uncertainty.algebra import parallel
+
+        return parallel(other, self, sign=-1)
+
+    def __neg__(self) -> UncertainModel:
+        from robustlab.uncertainty.algebra import product
+
+        return product(-1.0, self)
+
+    def inverse(self) -> UncertainModel:
+        """The set of the inverses; see `robustlab.uncertainty.algebra.inverse`."""
+        from robustlab.uncertainty.algebra import inverse
+
+        return inverse(self)
+
+    def feedback(self, other: Any = 1.0, sign: int = -1) -> UncertainModel:
+        """``y = self e, e = r + sign other y``; see `robustlab.uncertainty.algebra.feedback`."""
+        from robustlab.uncertainty.algebra import feedback
+
+        return feedback(self, other, sign)
+
+    def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
+        """Weights absorbed into the channels of named blocks; see `robustlab.uncertainty.dynamic_blocks.weighted`."""
+        from robustlab.uncertainty.dynamic_blocks import weighted
+
+        return weighted(self, weights, side)
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Parameter values and units that belong to a Delta, for real blocks that stand for a physical parameter."""
@@ -199,12 +343,11 @@ class UncertainModel:
         return UncertainModel(lower_lft(self.M, as_model(K, "close: K")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
-        """The same set with each repeated scalar block repeated as rarely as its own channels allow.
+        """The same set with each scalar block repeated as rarely as its channels allow; `reduction` shows the evidence.
 
-        Block i alone is an LFT in one variable; like the states of a transfer function in 1/s, repetitions that its
-        channels cannot reach or that do not show at its outputs are removed (Kalman decomposition, one block after the
-        other).
-        A scalar block without any effect vanishes altogether: its name is then unknown to `evaluate`.
+        Like the states of a transfer function in 1/s, repetitions that the channels cannot reach or that do not show
+        are removed (Kalman decomposition, block by block and then jointly). A scalar block without any effect vanishes
+        altogether: its name is then unknown to `evaluate`.
 
         Parameters
         ----------
@@ -215,10 +358,9 @@ class UncertainModel:
         ----------
         D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
         """
-        from robustlab.uncertainty.reduction import reduce_blocks
+        from robustlab.uncertainty.structured_reduction import reduction
 
-        m, blocks = reduce_blocks(self.M, self.blocks, tolerance)
-        return UncertainModel(m, blocks, self.operating_point)
+        return reduction(self, tolerance).model
 
     def to_json(self) -> dict[str, object]:
         """M and blocks as plain types."""
@@ -228,6 +370,11 @@ class UncertainModel:
         kinds = [type(b).__name__ for b in self.blocks]
         count = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds)) or "no uncertainty"
         return f"UncertainModel({self.M.n_states} states, Delta {self.delta_shape[0]} x {self.delta_shape[1]}: {count})"
+
+
+def _numbered(index: int, system: StateSpaceModel) -> tuple[list[str], list[str]]:
+    """Signal names that no other part of an appended system has."""
+    return [f"z{index}.{j}" for j in range(system.n_inputs)], [f"w{index}.{j}" for j in range(system.n_outputs)]
 
 
 def _block_json(block: Block) -> dict[str, object]:

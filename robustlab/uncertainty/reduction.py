@@ -15,7 +15,7 @@ D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation repr
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,16 @@ Indices = NDArray[np.intp]
 
 # A reduced block must give the same F(delta) to this share of the entries' natural magnitude, or it is not reduced.
 UNCHANGED = 1e-10
+# A difference below this share of the summands is their rounding, where F itself is what is left when they cancel.
+CANCELLED = 1e-13
 
 
 def reduce_blocks(
-    M: StateSpaceModel, blocks: Sequence[Block], tolerance: float = 1e-12
+    M: StateSpaceModel,
+    blocks: Sequence[Block],
+    tolerance: float = 1e-12,
+    names: Collection[str] | None = None,
+    keep: bool = False,
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
     """M and blocks with each scalar block repeated as rarely as its own channels allow.
 
@@ -47,6 +53,10 @@ def reduce_blocks(
         Model whose first q inputs and p outputs are the channels of the blocks.
     tolerance
         Singular values below ``tolerance`` times the largest count as zero.
+    names
+        Reduce these blocks only.
+    keep
+        A block without any effect stays, once and without any channel that reaches it, so that its name stays known.
     """
     if not 0 < tolerance < 1:
         raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")
@@ -59,7 +69,8 @@ def reduce_blocks(
         block = kept[index]
         w, z = block_slices(kept)[index]
         rows, cols = np.arange(n + z.start, n + z.stop), np.arange(n + w.start, n + w.stop)
-        smaller = None if isinstance(block, FullBlock) else _reduced(constant, rows, cols, tolerance)
+        wanted = not isinstance(block, FullBlock) and (names is None or block.name in names)
+        smaller = _reduced(constant, rows, cols, tolerance, keep) if wanted else None
         if smaller is None:
             index += 1
             continue
@@ -84,7 +95,7 @@ def reduce_blocks(
     return model, tuple(kept)
 
 
-def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) -> tuple[Array, int] | None:
+def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float, keep: bool) -> tuple[Array, int] | None:
     """The constant matrix with a smaller block at these rows and columns, and its new size; None where it stays."""
     n11 = constant[rows[:, None], cols]
     n12 = np.delete(constant[rows], cols, axis=1)
@@ -95,11 +106,15 @@ def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) ->
     # Channels of one block may carry any scaling T: the one that makes what comes in and what goes out alike is used.
     balance = _power_of_two(np.sqrt(np.abs(b).max(axis=1, initial=0.0) / _nonzero(np.abs(c).max(axis=0, initial=0.0))))
     a, b, c = a / balance[:, None] * balance, b / balance[:, None], c * balance
-    reach = _invariant_basis(a, b, tolerance)
+    # What the second step sees may be rounding of the first: it is judged by the size that b and c had before.
+    sizes = [float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in (b, c)]
+    reach = _invariant_basis(a, b, tolerance, sizes[0])
     a, b, c = reach.T @ a @ reach, reach.T @ b, c @ reach
-    show = _invariant_basis(a.T, c.T, tolerance)
+    show = _invariant_basis(a.T, c.T, tolerance, sizes[1])
     a, b, c = show.T @ a @ show, show.T @ b, c @ show
     size = a.shape[0]
+    if keep and size == 0:
+        a, b, c, size = np.zeros((1, 1)), np.zeros((1, b.shape[1])), np.zeros((c.shape[0], 1)), 1
     if size == len(rows) or not _same_map((n11, n12 / into, n21 / out[:, None]), (a, b, c)):
         return None
     keep_rows, keep_cols = (
@@ -116,11 +131,10 @@ def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float) ->
     return result, size
 
 
-def _invariant_basis(a: Array, b: Array, tolerance: float) -> Array:
+def _invariant_basis(a: Array, b: Array, tolerance: float, size: float) -> Array:
     """Orthonormal basis of the smallest a-invariant subspace that holds the range of b (staircase by SVD)."""
     basis = np.zeros((a.shape[0], 0))
     fresh = b
-    size = np.linalg.norm(b, 2) if b.size else 0.0
     while fresh.size and basis.shape[1] < a.shape[0]:
         fresh = fresh - basis @ (basis.T @ fresh)
         u, s, _ = np.linalg.svd(fresh, full_matrices=False)
@@ -131,7 +145,7 @@ def _invariant_basis(a: Array, b: Array, tolerance: float) -> Array:
         new, _ = np.linalg.qr(new - basis @ (basis.T @ new))
         basis = np.hstack([basis, new])
         fresh = a @ new
-        size = np.linalg.norm(a, 2)
+        size = float(np.linalg.norm(a, 2))
     return basis
 
 
@@ -140,14 +154,16 @@ def _same_map(first: tuple[Array, Array, Array], second: tuple[Array, Array, Arr
     rng = np.random.default_rng(0)
     radius, phase = np.sqrt(rng.random(6)), 2 * np.pi * rng.random(6)
     for delta in radius * np.exp(1j * phase):
-        maps = []
+        maps, summands = [], 0.0
         for a, b, c in (first, second):
             loop = np.eye(a.shape[0]) - delta * a
             if loop.size and np.linalg.cond(loop) > 1 / UNCHANGED:
                 return False
-            maps.append(c @ np.linalg.solve(loop, delta * b) if loop.size else np.zeros((c.shape[0], b.shape[1])))
-        size = max(float(np.abs(maps[0]).max(initial=0.0)), np.finfo(float).tiny)
-        if np.abs(maps[0] - maps[1]).max(initial=0.0) > UNCHANGED * size:
+            inside = np.linalg.solve(loop, delta * b) if loop.size else delta * b
+            maps.append(c @ inside)
+            summands = max(summands, float((np.abs(c) @ np.abs(inside)).max(initial=0.0)))
+        allowed = max(UNCHANGED * float(np.abs(maps[0]).max(initial=0.0)), CANCELLED * summands)
+        if np.abs(maps[0] - maps[1]).max(initial=0.0) > allowed:
             return False
     return True
 

@@ -117,6 +117,84 @@ def test_show_prints_the_true_ends_of_a_range_that_is_not_symmetric(tmp_path, ca
     assert data["blocks"][0]["parameter"] == {"nominal": 1.0, "radius": 0.5, "unit": "s", "below": 0.25}
 
 
+def test_build_a_plant_with_a_range_that_is_not_symmetric(tmp_path, capsys):
+    out = str(tmp_path / "motor.h5")
+    code, text, err = call(capsys, "build", "--plant", "dc-motor", "--range", "Kf=4e-5:9e-5", "--out", out)
+    assert (code, err) == (0, "")
+    assert "4e-05 .. 9e-05 N m s/rad around 4.8e-05" in text
+    assert load(out).physical({"Kf": -1.0})["Kf"][0] == pytest.approx(4e-5)
+    for bad in ("Kf=4e-5", "Kf=a:b", "=1:2"):
+        assert call(capsys, "build", "--plant", "dc-motor", "--range", bad)[0] == 2
+    assert call(capsys, "build", "--plant", "dc-motor", "--range", "Kf=9e-5:4e-5")[0] == 3
+    assert call(capsys, "build", "a.h5", "b.h5", "--range", "Kf=1:2")[0] == 2
+
+
+EXPRESSIONS = """
+A = [[0, 1], ["-k/m", "-c/m"]]
+B = [[0], ["1/m"]]
+C = [[1, 0]]
+D = [[0]]
+inputs = [["F", "N"]]
+outputs = ["x"]
+[parameters]
+m = [3.0, 0.4]
+k = [2.0, 1.4, 3.0]
+c = {nominal = 1.0, low = 0.8, high = 1.5, unit = "N s/m"}
+"""
+
+
+def test_build_from_expressions(tmp_path, capsys):
+    file, out = tmp_path / "spring.toml", str(tmp_path / "spring.h5")
+    file.write_text(EXPRESSIONS, encoding="utf-8")
+    code, text, err = call(capsys, "build", "--expressions", str(file), "--out", out)
+    assert (code, err) == (0, "")
+    assert "0.8 .. 1.5 N s/m around 1" in text
+    model = load(out)
+    assert [(b.name, b.repeats) for b in model.blocks] == [("m", 1), ("k", 1), ("c", 1)]
+    assert model.blocks[2].parameter == ParameterRange(1.0, 0.5, "N s/m", below=1.0 - 0.8)
+    assert model.inputs == (("F", "N"),)
+    np.testing.assert_allclose(model.evaluate({"m": -1.0, "c": 1.0}).A, [[0, 1], [-2 / 1.8, -1.5 / 1.8]])
+    data = json.loads(call(capsys, "build", "--expressions", str(file), "--json")[1])
+    assert (data["structure"], data["delta_shape"]) == ("parameters", [3, 3])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "words"),
+    [
+        ('"-k/m"', '"-q/m"', 3, "no parameter 'q'"),
+        ("[3.0, 0.4]", "[3.0, 1.4]", 4, "vanishes at m = 0"),
+        ("[parameters]", "[paramters]", 3, "did you mean parameters?"),
+        ("D = [[0]]", "", 3, "no D"),
+        ("D = [[0]]", "D = [[", 3, "not a TOML file"),
+        ("low = 0.8", "low = 1.8", 3, "low < nominal < high"),
+        ("low = 0.8", "lwo = 0.8", 3, "did you mean low?"),
+        ("low = 0.8, ", "", 3, "low and high"),
+        ("low = 0.8", 'low = "a"', 3, "numbers for low"),
+        ('unit = "N s/m"', "unit = 3", 3, "unit 3"),
+        ('["F", "N"]', "[3, 4]", 3, "a list of names"),
+        ('outputs = ["x"]', 'outputs = "x"', 3, "a list of names"),
+        ('outputs = ["x"]', 'outputs = ["x", "y"]', 3, "2 signal names"),
+    ],
+)
+def test_expressions_that_cannot_be_used(tmp_path, capsys, old, new, code, words):
+    file = tmp_path / "spring.toml"
+    file.write_text(EXPRESSIONS.replace(old, new), encoding="utf-8")
+    found, out, err = call(capsys, "build", "--expressions", str(file))
+    assert (found, out) == (code, "")
+    assert words in err
+    assert code == 4 or str(file) in err
+
+
+def test_expressions_and_other_sources(tmp_path, files, capsys):
+    assert call(capsys, "build", "--expressions", str(tmp_path / "none.toml"))[0] == 3
+    assert call(capsys, "build", files[0], "--expressions", "a.toml")[0] == 2
+    assert call(capsys, "build", "--expressions", "a.toml", "--tolerance", "m=0.1")[0] == 2
+    (tmp_path / "bad.toml").write_bytes(b"\xff\xfe")
+    assert call(capsys, "build", "--expressions", str(tmp_path / "bad.toml"))[0] == 3
+    (tmp_path / "big.toml").write_bytes(b"#" * (1 << 20) + b"##")
+    assert "at most" in call(capsys, "build", "--expressions", str(tmp_path / "big.toml"))[2]
+
+
 def test_show_of_another_kind(files, capsys):
     code, out, err = call(capsys, "show", files[0])
     assert (code, out) == (3, "")

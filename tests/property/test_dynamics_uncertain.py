@@ -151,3 +151,32 @@ def test_coupled_left_hand_side():
     plant = LinearPlant("pair", parameters, (Signal("T"),), names, names, equations=equations)
     assert [b.repeats for b in plant.uncertain().blocks] == [1, 1, 1]
     check(plant, {"J1": 1.0, "J2": -1.0, "J12": 2.0})
+
+
+@pytest.mark.parametrize("name", list(PLANTS))
+def test_ranges_that_are_not_symmetric(name):
+    plant = toleranced(name)
+    key = next(iter(PLANTS[name]))
+    value = plant.values[key]
+    model = plant.uncertain(ranges={key: (0.7 * value, 1.1 * value)})
+    assert model.blocks[0].parameter.ratio == pytest.approx(3.0)
+    others = list(PLANTS[name])[1:]
+    for delta, factor in ((1.0, 1.1), (-1.0, 0.7), (-0.5, 0.85), (0.5, 1.05)):
+        deltas = {key: delta, **dict.fromkeys(others, 0.3)}
+        values = {k: v for k, (v, _) in model.physical(deltas).items()}
+        assert values[key] == pytest.approx(factor * value, rel=1e-14)
+        assert_same(model.evaluate(deltas), plant.with_parameters(**values).state_space())
+
+
+def test_ranges_of_plants_that_are_none():
+    plant = rl.plant("dc-motor")
+    r = plant.values["R"]
+    for ranges, text in (
+        ({"Q": (1.0, 2.0)}, "no such parameter"),
+        ({"R": (2 * r, 3 * r)}, "low < nominal < high"),
+        ({"R": (-1.0, 3 * r)}, "a positive value"),
+        ({"R": (np.nan, 3 * r)}, "finite"),
+        ({"R": (1.0, 2.0, 3.0)}, r"\(low, high\)"),
+    ):
+        with pytest.raises(rl.InputError, match=text):
+            plant.uncertain(ranges=ranges)

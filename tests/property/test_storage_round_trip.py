@@ -94,6 +94,17 @@ def test_uncertain_models(uncertain):
     np.testing.assert_array_equal(back.operating_point.u, uncertain.operating_point.u)
 
 
+def test_what_the_algebra_makes_comes_back():
+    lag = rl.parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
+    gain = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]])
+    dynamic = rl.UncertainModel(gain, [rl.ComplexScalar("unmodelled")])
+    weight = rl.StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.1]])
+    loop = (dynamic.weighted({"unmodelled": weight}) @ lag @ lag).feedback(0.5)
+    back = there_and_back(loop)
+    assert back.blocks == loop.blocks
+    assert_same_model(back.M, loop.M)
+
+
 @SETTINGS
 @given(models(), st.none() | st.floats(0, 1e6) | st.just(np.inf), st.sampled_from(list(Status)), TEXTS)
 def test_controllers(model, gamma, status, method):

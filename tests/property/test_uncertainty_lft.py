@@ -76,6 +76,12 @@ def test_ill_posed_deltas_are_named():
         model.evaluate({"k": 2.0})
 
 
+def test_large_entries_on_no_cycle_are_not_ill_posed():
+    m = StateSpaceModel([], [], [], [[0.0, 1e20, 1.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    model = UncertainModel(m, [RealScalar("a"), RealScalar("b")])
+    np.testing.assert_allclose(model.evaluate({"a": 1.0, "b": 1.0}).D, [[1e20]])
+
+
 def test_too_few_channels():
     with pytest.raises(InputError, match="channels come first"):
         UncertainModel(random_m(0, 2, 1, 1, 1, 1), [RealScalar("k", 3)])

@@ -10,7 +10,7 @@ from robustlab.errors import InputError, UnitMismatch
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import generalized_plant
-from robustlab.uncertainty.elementwise import STRUCTURES, elementwise, endpoint_residual
+from robustlab.uncertainty.elementwise import STRUCTURES, by_cause, elementwise, endpoint_residual
 
 A = np.array([[-6.0, 7200.0], [-84.0, -3300.0]])
 B, C, D = np.array([[0.0], [1600.0]]), np.eye(2), np.zeros((2, 1))
@@ -203,3 +203,20 @@ def test_generalised_plant_is_m_sorted():
     reached = upper_lft(plant, np.eye(q))
     wanted = frequency_response(second.select(["load", "u"], ["i", "p", "omega"]), [0.5, 30.0])
     np.testing.assert_allclose(frequency_response(reached, [0.5, 30.0]), wanted, rtol=1e-9)
+
+
+def test_one_block_for_each_cause():
+    rng = np.random.default_rng(3)
+    base = rng.standard_normal((5, 5))
+    low, high = (rng.standard_normal((5, r)) @ rng.standard_normal((r, 5)) for r in (1, 2))
+    wholes = (base, base + low, base + high)
+    nominal, one, two = (StateSpaceModel(x[:3, :3], x[:3, 3:], x[3:, :3], x[3:, 3:]) for x in wholes)
+    both = by_cause(nominal, {"mass": one, "pose": two, "nothing": nominal})
+    assert [(b.name, b.repeats) for b in both.blocks] == [("mass", 1), ("pose", 2)]
+    member = both.evaluate({"mass": 0.5, "pose": -1.0})
+    found = np.block([[member.A, member.B], [member.C, member.D]])
+    np.testing.assert_allclose(found, base + 0.5 * low - high, atol=1e-13)
+    with pytest.raises(InputError, match="no cause"):
+        by_cause(nominal, {})
+    with pytest.raises(InputError, match="perturbed A is"):
+        by_cause(nominal, {"mass": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])})

@@ -1,0 +1,253 @@
+r"""Low-order LFTs of matrices of Laurent polynomials: structured tree decomposition.
+
+One step takes a variable out of every term that contains it, and shares what is left:
+
+.. math:: M = M_0 + v \, L R = \begin{bmatrix} I & v L \end{bmatrix} \begin{bmatrix} M_0 \\ R \end{bmatrix}
+          \quad (\text{rows}) \qquad M = \begin{bmatrix} M_0 & L \end{bmatrix}
+          \begin{bmatrix} I \\ v R \end{bmatrix} \quad (\text{columns})
+
+with constant L (rows) or constant R (columns) of the smallest inner size r, found exactly; v then stands r times. The
+stacked matrix goes through the same step until it is constant, so that equal sub-expressions of different entries are
+realised once. Which variable comes first decides how many repetitions come out; several orders are tried.
+
+References
+----------
+Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Varga, Looye,
+"Symbolic and numerical software tools for LFT-based low order uncertainty modeling" (1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice, permutations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.uncertainty.laurent import Laurent, Monomial, times
+
+__all__ = ["ConstantLft", "Plan", "assemble", "plans"]
+
+Array = NDArray[np.float64]
+# A matrix of polynomials: monomial -> {(row, column): coefficient}.
+Terms = dict[Monomial, dict[tuple[int, int], Fraction]]
+
+MAX_ORDERS = 24
+
+
+@dataclass(frozen=True)
+class ConstantLft:
+    """A constant matrix with Delta channels: ``z = d11 w + d12 u``, ``y = d21 w + d22 u``, ``w = Delta z``.
+
+    ``names`` says for every channel which parameter's entry stands on the diagonal of Delta.
+    """
+
+    names: tuple[str, ...]
+    d11: Array
+    d12: Array
+    d21: Array
+    d22: Array
+
+    def inverse(self) -> ConstantLft:
+        """The LFT of the inverse of a 1 x 1 matrix, not zero at Delta = 0."""
+        gain = _floats(np.linalg.inv(self.d22))
+        out = -gain @ self.d21
+        return ConstantLft(self.names, self.d11 + self.d12 @ out, self.d12 @ gain, out, gain)
+
+    def repeated(self, count: int) -> ConstantLft:
+        """``count`` copies side by side, block-diagonal."""
+        eye = np.eye(count)
+        parts = (_floats(np.kron(eye, part)) for part in (self.d11, self.d12, self.d21, self.d22))
+        return ConstantLft(self.names * count, *parts)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One variable taken out: L (rows) or R (columns) is the constant factor, (r x ..) times."""
+
+    variable: str
+    inverted: bool
+    rows: bool
+    factor: Array
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Steps from the outside to the inside, and the constant matrix that is left; ``size`` counts the repetitions."""
+
+    steps: tuple[_Step, ...]
+    core: Array
+    size: int
+
+
+def plans(matrix: Sequence[Sequence[Laurent]], weight: Callable[[str], int], shape: tuple[int, int]) -> list[Plan]:
+    """Ways to decompose a matrix, the smallest first.
+
+    Parameters
+    ----------
+    weight
+        Repetitions that one use of a variable costs (1 for a parameter, more for a denominator).
+    shape
+        Rows and columns of the matrix (either may be 0).
+    """
+    terms: Terms = {}
+    for i, row in enumerate(matrix):
+        for j, entry in enumerate(row):
+            for monomial, c in entry.terms.items():
+                terms.setdefault(monomial, {})[i, j] = c
+    variables = sorted({name for monomial in terms for name, _ in monomial})
+    found = [_plan(terms, shape, weight, None)]
+    for order in islice(permutations(variables), MAX_ORDERS):
+        if found[0].size > sum(weight(v) for v in variables):
+            found.append(_plan(terms, shape, weight, order))
+    distinct = {(plan.size, len(plan.steps)): plan for plan in reversed(found)}
+    return sorted(distinct.values(), key=lambda plan: plan.size)
+
+
+def _plan(terms: Terms, shape: tuple[int, int], weight: Callable[[str], int], order: Sequence[str] | None) -> Plan:
+    steps: list[_Step] = []
+    size = 0
+    while any(terms):
+        choices = []
+        for variable, inverted in sorted({(name, e < 0) for monomial in terms for name, e in monomial}):
+            step, left, new_shape, count = _taken_out(terms, shape, variable, inverted)
+            saved = (_occurrences(terms, weight) - _occurrences(left, weight)) / (count * weight(variable))
+            rank = 0 if order is None else -order.index(variable)
+            choices.append(((rank, saved, -len(choices)), step, left, new_shape, count))
+        _, step, terms, shape, count = max(choices, key=lambda choice: choice[0])
+        size += count * weight(step.variable)
+        steps.append(step)
+    core = np.zeros(shape)
+    for (i, j), c in terms.get((), {}).items():
+        core[i, j] = float(c)
+    return Plan(tuple(steps), core, size)
+
+
+def _occurrences(terms: Terms, weight: Callable[[str], int]) -> int:
+    return sum(sum(abs(e) * weight(name) for name, e in monomial) * len(entries) for monomial, entries in terms.items())
+
+
+def _taken_out(
+    terms: Terms, shape: tuple[int, int], variable: str, inverted: bool
+) -> tuple[_Step, Terms, tuple[int, int], int]:
+    """The step for one variable, the stacked matrix that is left, its shape, and the inner size r."""
+    down: Monomial = ((variable, 1 if inverted else -1),)
+    rest: Terms = {}
+    part: Terms = {}
+    for monomial, entries in terms.items():
+        e = dict(monomial).get(variable, 0)
+        if (e < 0) if inverted else (e > 0):
+            part[times(monomial, down)] = entries
+        else:
+            rest[monomial] = entries
+    by_row = _row_factors(part, shape[0])
+    turned = {m: {(j, i): c for (i, j), c in entries.items()} for m, entries in part.items()}
+    by_col = _row_factors(turned, shape[1])
+    r_row, r_col = by_row[0].shape[1], by_col[0].shape[1]
+    if (r_row, _count(by_row[1])) <= (r_col, _count(by_col[1])):
+        factor, below = by_row
+        stacked = {m: dict(entries) for m, entries in rest.items()}
+        for m, entries in below.items():
+            stacked.setdefault(m, {}).update({(shape[0] + i, j): c for (i, j), c in entries.items()})
+        return _Step(variable, inverted, True, factor), stacked, (shape[0] + r_row, shape[1]), r_row
+    factor, beside = by_col
+    stacked = {m: dict(entries) for m, entries in rest.items()}
+    for m, entries in beside.items():
+        stacked.setdefault(m, {}).update({(j, shape[1] + i): c for (i, j), c in entries.items()})
+    return _Step(variable, inverted, False, factor.T), stacked, (shape[0], shape[1] + r_col), r_col
+
+
+def _count(terms: Terms) -> int:
+    return sum(len(entries) for entries in terms.values())
+
+
+def _row_factors(part: Terms, n_rows: int) -> tuple[Array, Terms]:
+    """``part = L R`` with constant L (n_rows, r) and R made of r rows of ``part``, r the rank of its rows (exact)."""
+    rows: dict[int, dict[tuple[Monomial, int], Fraction]] = {}
+    for monomial, entries in part.items():
+        for (i, j), c in entries.items():
+            rows.setdefault(i, {})[monomial, j] = c
+    kept: list[int] = []
+    echelon: list[tuple[tuple[Monomial, int], dict[tuple[Monomial, int], Fraction], dict[int, Fraction]]] = []
+    weights: dict[int, dict[int, Fraction]] = {}
+    for i in sorted(rows, key=lambda k: (len(rows[k]), k)):  # short rows first: they become the shared ones
+        left, combination = dict(rows[i]), {}
+        for pivot, row, made_of in echelon:
+            if pivot not in left:
+                continue
+            share = left[pivot] / row[pivot]
+            for key, c in row.items():
+                value = left.get(key, Fraction(0)) - share * c
+                left.pop(key, None)
+                if value:
+                    left[key] = value
+            for k, c in made_of.items():
+                combination[k] = combination.get(k, Fraction(0)) + share * c
+        if not left:
+            weights[i] = combination
+            continue
+        position = len(kept)
+        kept.append(i)
+        weights[i] = {position: Fraction(1)}
+        own = {k: -c for k, c in combination.items()}
+        own[position] = Fraction(1)
+        echelon.append((min(left), left, own))
+    factor = np.zeros((n_rows, len(kept)))
+    for i, combination in weights.items():
+        for k, c in combination.items():
+            factor[i, k] = float(c)
+    position_of = {i: k for k, i in enumerate(kept)}
+    shared: Terms = {}
+    for monomial, entries in part.items():
+        chosen = {(position_of[i], j): c for (i, j), c in entries.items() if i in position_of}
+        if chosen:
+            shared[monomial] = chosen
+    return factor, shared
+
+
+def assemble(plan: Plan, gains: Mapping[tuple[str, bool], ConstantLft]) -> ConstantLft:
+    """The LFT of a plan, from the 1 x 1 LFT of every variable (and of its inverse: True)."""
+    n_y, n_u = plan.core.shape
+    lft = ConstantLft((), np.zeros((0, 0)), np.zeros((0, n_u)), np.zeros((n_y, 0)), plan.core)
+    for step in reversed(plan.steps):
+        r = step.factor.shape[1] if step.rows else step.factor.shape[0]
+        gain = gains[step.variable, step.inverted].repeated(r)
+        lft = _after(lft, gain, step.factor) if step.rows else _before(lft, gain, step.factor)
+    return lft
+
+
+def _floats(matrix: NDArray[Any]) -> Array:
+    return np.asarray(matrix, dtype=np.float64)
+
+
+def _after(inner: ConstantLft, gain: ConstantLft, left: Array) -> ConstantLft:
+    """``[I, left gain] @ inner``: the last r outputs of inner go through the gain."""
+    n = left.shape[0]
+    n_w, r_w = inner.d21[:n], inner.d21[n:]
+    n_u, r_u = inner.d22[:n], inner.d22[n:]
+    old, new = len(inner.names), len(gain.names)
+    return ConstantLft(
+        inner.names + gain.names,
+        np.block([[inner.d11, np.zeros((old, new))], [gain.d12 @ r_w, gain.d11]]),
+        np.vstack([inner.d12, gain.d12 @ r_u]),
+        np.hstack([n_w + left @ gain.d22 @ r_w, left @ gain.d21]),
+        n_u + left @ gain.d22 @ r_u,
+    )
+
+
+def _before(inner: ConstantLft, gain: ConstantLft, right: Array) -> ConstantLft:
+    """``inner @ [I; gain right]``: the last r inputs of inner come through the gain."""
+    n = right.shape[1]
+    z_u, z_s = inner.d12[:, :n], inner.d12[:, n:]
+    y_u, y_s = inner.d22[:, :n], inner.d22[:, n:]
+    old, new = len(inner.names), len(gain.names)
+    return ConstantLft(
+        inner.names + gain.names,
+        np.block([[inner.d11, z_s @ gain.d21], [np.zeros((new, old)), gain.d11]]),
+        np.vstack([z_u + z_s @ gain.d22 @ right, gain.d12 @ right]),
+        np.hstack([inner.d21, y_s @ gain.d21]),
+        y_u + y_s @ gain.d22 @ right,
+    )

@@ -1,0 +1,457 @@
+r"""Uncertain models from matrices that are rational functions of named parameters.
+
+References
+----------
+Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Březina 2010,
+section 4.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+from itertools import product as vertices_of
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import SignalLike, StateSpaceModel
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
+from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
+from robustlab.uncertainty.laurent import Algebra, Laurent, number_arithmetic, parsed, walk
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.structured_reduction import reduction
+
+__all__ = ["as_range", "parametric"]
+
+Array = NDArray[np.float64]
+
+# The LFT must give every entry at random parameter values to this share of the largest value that it takes there.
+EXACT = 1e-9
+# Boxes that the search for a zero of a denominator may look at, and the vertices it tries first.
+MAX_BOXES = 4000
+MAX_VERTICES = 4096
+# So many of the smallest decompositions are assembled and reduced; the smallest result is taken.
+TRIED = 3
+
+
+def parametric(
+    A: Any,
+    B: Any,
+    C: Any,
+    D: Any,
+    parameters: Mapping[str, Any],
+    dt: float = 0.0,
+    inputs: Iterable[SignalLike] | None = None,
+    outputs: Iterable[SignalLike] | None = None,
+    states: Iterable[SignalLike] | None = None,
+) -> UncertainModel:
+    r"""The set of models whose matrices are rational functions of uncertain parameters, as an exact LFT of low order.
+
+    .. math:: \dot x = A(p) x + B(p) u, \qquad y = C(p) x + D(p) u, \qquad p_{low} \le p \le p_{high}
+
+    Every parameter that occurs becomes one real block of its name. How often it is repeated is found by a tree
+    decomposition that shares equal sub-expressions, followed by an n-dimensional Kalman reduction; a parameter that
+    does not occur gives no block.
+
+    Parameters
+    ----------
+    A, B, C, D
+        Lists of rows, shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u); an entry is a number or a text with
+        numbers, parameter names, ``+ - * / **`` and parentheses. Texts are read, never executed. ``A = B = C = []`` for
+        a gain.
+    parameters
+        Name -> ParameterRange, ``(nominal, relative tolerance)``, ``(nominal, low, high)``, or a number (exact).
+    dt, inputs, outputs, states
+        As in `StateSpaceModel`.
+
+    Returns
+    -------
+    UncertainModel
+        Checked against the expressions themselves at random parameter values and at vertices of the ranges.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, texts that are no rational function, unknown parameters, ranges that are none.
+    NoTrustworthyNumber
+        A denominator vanishes inside the ranges (the parameter values are named), or no zero can be excluded; the LFT
+        does not give the entries back.
+
+    Examples
+    --------
+    >>> model = parametric(
+    ...     [[0, 1], ["-k/m", "-c/m"]], [[0], ["1/m"]], [[1, 0]], [[0]],
+    ...     {"m": (3.0, 0.4), "c": (1.0, 0.2), "k": (2.0, 1.4, 3.0)},
+    ... )
+    >>> [(b.name, b.repeats) for b in model.blocks]
+    [('m', 1), ('c', 1), ('k', 1)]
+    >>> float(model.evaluate({"k": 1.0}).A[1, 0]) == -3.0 / 3.0
+    True
+    """
+    ranges, exact = _ranges(parameters)
+    algebra = Algebra(
+        (*ranges, *exact), {name: Fraction(repr(value)) for name, value in exact.items()},
+        frozenset(name for name, r in ranges.items() if not r.low <= 0 <= r.high),
+    )  # fmt: skip
+    table, shapes = _entries(A, B, C, D)
+    try:
+        expressions = [[parsed(entry, algebra, where) for where, entry in row] for row in table]
+        _check_denominators(expressions, algebra, ranges)
+        candidates = _candidates(expressions, algebra, ranges, shapes, (dt, inputs, outputs, states))
+        model = _first_exact(candidates, table, ranges, exact)
+    except OverflowError:
+        raise InputError("parametric", "numbers that overflow", "values and coefficients of a usual size") from None
+    return model
+
+
+def as_range(name: str, given: Any) -> ParameterRange | float:
+    """A parameter's range from what users write; a plain number, or a range without width, is an exact value.
+
+    Raises
+    ------
+    InputError
+        Not a range: NaN, ``low >= high``, a nominal value outside, a relative tolerance of the value 0.
+
+    Examples
+    --------
+    >>> as_range("tau", (1.0, 0.75, 1.5))
+    ParameterRange(nominal=1.0, radius=0.5, unit='', below=0.25)
+    """
+    where = f"parameter {name!r}"
+    if isinstance(given, ParameterRange):
+        if not (np.isfinite(given.nominal) and np.isfinite(given.radius) and given.radius >= 0):
+            raise InputError(where, f"{given.nominal} +- {given.radius}", "finite numbers, the radius not negative")
+        return given if given.radius > 0 else float(given.nominal)
+    numbers = list(given) if isinstance(given, (tuple, list, np.ndarray)) else [given]
+    if any(isinstance(v, bool) or not isinstance(v, (int, float, np.integer, np.floating)) for v in numbers):
+        expected = "a ParameterRange, (nominal, relative tolerance), (nominal, low, high) or a number"
+        raise InputError(where, f"{given!r}", expected)
+    values = [float(v) for v in numbers]
+    if not np.isfinite(values).all():
+        raise InputError(where, f"{given!r}", "finite numbers")
+    if len(values) == 1:
+        return values[0]
+    if len(values) == 3:
+        nominal, low, high = values
+        return nominal if low == nominal == high else ParameterRange.between(low, high, nominal)
+    if len(values) != 2:
+        raise InputError(where, f"{len(values)} numbers", "(nominal, relative tolerance) or (nominal, low, high)")
+    nominal, tolerance = values
+    if tolerance < 0 or (nominal == 0 and tolerance):
+        expected = "a share of the nominal value, 0.1 for 10 %, not negative"
+        raise InputError(
+            where, f"relative tolerance {tolerance:g} of {nominal:g}", expected, "give (nominal, low, high)"
+        )
+    return ParameterRange(nominal, abs(nominal) * tolerance) if tolerance else nominal
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def _ranges(parameters: Mapping[str, Any]) -> tuple[dict[str, ParameterRange], dict[str, float]]:
+    ranges: dict[str, ParameterRange] = {}
+    exact: dict[str, float] = {}
+    if not isinstance(parameters, Mapping):
+        raise InputError("parametric", f"parameters are a {type(parameters).__name__}", "a dictionary of ranges")
+    for name, given in parameters.items():
+        if not isinstance(name, str) or not name.isidentifier():
+            raise InputError(
+                "parametric", f"parameter name {name!r}", "letters, digits and _, not beginning with a digit"
+            )
+        value = as_range(name, given)
+        if isinstance(value, ParameterRange):
+            ranges[name] = value
+        else:
+            exact[name] = value
+    return ranges, exact
+
+
+Table = list[list[tuple[str, Any]]]
+
+
+def _entries(A: Any, B: Any, C: Any, D: Any) -> tuple[Table, tuple[int, int, int]]:
+    """``[A B; C D]`` with a place for every entry, and n_x, n_u, n_y."""
+    rows = {name: _rows(name, given) for name, given in zip("ABCD", (A, B, C, D), strict=True)}
+    n, n_y = len(rows["A"]), len(rows["D"])
+    n_u = len(rows["D"][0]) if n_y else (len(rows["B"][0]) if rows["B"] else 0)
+    if n == 0 and not rows["C"]:
+        rows["C"] = [[] for _ in range(n_y)]
+    for name, height, width in (("A", n, n), ("B", n, n_u), ("C", n_y, n), ("D", n_y, n_u)):
+        given = rows[name]
+        widths = {len(row) for row in given}
+        if len(given) != height or widths - {width}:
+            found = f"{name} is {len(given)} x {'/'.join(map(str, sorted(widths))) or 0}"
+            raise InputError("parametric", found, f"{height} x {width} to match A and D")
+    named = {
+        name: [[(f"{name}[{i},{j}]", entry) for j, entry in enumerate(row)] for i, row in enumerate(given)]
+        for name, given in rows.items()
+    }
+    above = [a + b for a, b in zip(named["A"], named["B"], strict=True)]
+    return above + [c + d for c, d in zip(named["C"], named["D"], strict=True)], (n, n_u, n_y)
+
+
+def _rows(name: str, given: Any) -> list[list[Any]]:
+    rows = given.tolist() if isinstance(given, np.ndarray) else given
+    if not isinstance(rows, (list, tuple)) or not all(isinstance(row, (list, tuple)) for row in rows):
+        raise InputError(
+            "parametric", f"{name} is {type(given).__name__}", "a list of rows", "write [[...]] for one row"
+        )
+    return [list(row) for row in rows]
+
+
+# --- denominators ----------------------------------------------------------------------------------------------------
+
+
+def _check_denominators(
+    expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
+) -> None:
+    """No denominator may vanish in the ranges; inner denominators first."""
+    checked: set[str] = set()
+
+    def check(expression: Laurent) -> None:
+        for name in sorted({v for m in expression.terms for v, e in m if e < 0} - checked):
+            checked.add(name)
+            if name in algebra.denominators:
+                check(algebra.denominators[name])
+                _exclude_zero(name, algebra, ranges)
+            elif ranges[name].low <= 0 <= ranges[name].high:
+                r = ranges[name]
+                found = f"a denominator vanishes at {name} = 0, inside its range {r.low:g} .. {r.high:g} {r.unit}"
+                raise NoTrustworthyNumber("parametric", found.rstrip())
+
+    for row in expressions:
+        for expression in row:
+            check(expression)
+
+
+def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRange]) -> None:
+    """Interval arithmetic over ever smaller boxes, after a look at the signs of the vertices."""
+    expression = algebra.denominators[name]
+    variables = sorted(_parameters_in(expression, algebra))
+    low = np.array([ranges[v].low for v in variables])
+    high = np.array([ranges[v].high for v in variables])
+    nominal = np.array([ranges[v].nominal for v in variables])
+
+    def value(point: Array) -> float:
+        box = {v: (x, x) for v, x in zip(variables, point.tolist(), strict=True)}
+        return _interval(expression, box, algebra)[0]
+
+    start = value(nominal)
+    corners = [np.array(c) for c in vertices_of(*zip(low, high, strict=True))] if len(variables) <= 12 else []
+    for corner in [nominal, *corners[:MAX_VERTICES]]:
+        if start * value(corner) <= 0:
+            inside, outside = nominal, corner
+            for _ in range(60):
+                middle = 0.5 * (inside + outside)
+                inside, outside = (middle, outside) if start * value(middle) > 0 else (inside, middle)
+            raise NoTrustworthyNumber("parametric", f"denominator {name} vanishes at {_point(variables, outside)}")
+    boxes = [(low, high)]
+    for _ in range(MAX_BOXES):
+        if not boxes:
+            return
+        lower, upper = boxes.pop()
+        bounds = _interval(expression, {v: (a, b) for v, a, b in zip(variables, lower, upper, strict=True)}, algebra)
+        if bounds[0] * bounds[1] > 0:
+            continue
+        k = int(np.argmax((upper - lower) / (high - low)))
+        cut = 0.5 * (lower[k] + upper[k])
+        left, right = upper.copy(), lower.copy()
+        left[k], right[k] = cut, cut
+        boxes += [(lower, left), (right, upper)]
+    lower, upper = min(boxes, key=lambda box: abs(value(0.5 * (box[0] + box[1]))))
+    near = _point(variables, 0.5 * (lower + upper))
+    raise NoTrustworthyNumber("parametric", f"a zero of the denominator {name} cannot be excluded near {near}")
+
+
+def _point(variables: Sequence[str], values: Array) -> str:
+    return ", ".join(f"{v} = {x:.6g}" for v, x in zip(variables, values.tolist(), strict=True))
+
+
+def _parameters_in(expression: Laurent, algebra: Algebra) -> set[str]:
+    found: set[str] = set()
+    for name in expression.variables:
+        inner = algebra.denominators.get(name)
+        found |= {name} if inner is None else _parameters_in(inner, algebra)
+    return found
+
+
+def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algebra: Algebra) -> tuple[float, float]:
+    """Bounds of an expression over a box; (-inf, inf) where one of its own denominators may vanish there."""
+    low = high = 0.0
+    powers: dict[tuple[str, int], tuple[float, float]] = {}
+    for monomial, c in expression.terms.items():
+        a = b = float(c)
+        for name, e in monomial:
+            if (name, e) not in powers:
+                base = box[name] if name in box else _interval(algebra.denominators[name], box, algebra)
+                powers[name, e] = _interval_power(base, e)
+            p, q = powers[name, e]
+            corners = (a * p, a * q, b * p, b * q)
+            a, b = min(corners), max(corners)
+        low, high = low + a, high + b
+    return (low, high) if np.isfinite([low, high]).all() else (-np.inf, np.inf)
+
+
+def _interval_power(base: tuple[float, float], e: int) -> tuple[float, float]:
+    low, high = base
+    if e < 0:
+        if low <= 0 <= high:
+            return -np.inf, np.inf
+        return _interval_power((1.0 / high, 1.0 / low), -e)
+    if e % 2 == 0 and low < 0 < high:
+        return 0.0, max(low**e, high**e)
+    return min(low**e, high**e), max(low**e, high**e)
+
+
+# --- the LFT ---------------------------------------------------------------------------------------------------------
+
+
+class _Signals(NamedTuple):
+    dt: float
+    inputs: Iterable[SignalLike] | None
+    outputs: Iterable[SignalLike] | None
+    states: Iterable[SignalLike] | None
+
+
+def _candidates(
+    expressions: Sequence[Sequence[Laurent]],
+    algebra: Algebra,
+    ranges: Mapping[str, ParameterRange],
+    shapes: tuple[int, int, int],
+    signals: tuple[Any, ...],
+) -> list[UncertainModel]:
+    """The LFTs of the best few decompositions, reduced and as they are, the smallest first."""
+    n, n_u, n_y = shapes
+    gains = _Gains(algebra, ranges)
+    found: list[UncertainModel] = []
+    for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[:TRIED]:
+        used = {(s.variable, s.inverted) for s in plan.steps}
+        lft = assemble(plan, {key: gains.of(*key) for key in used})
+        model = _as_model(lft, ranges, shapes, _Signals(*signals))
+        found += [reduction(model).model, model]
+        if found[0].delta_shape[0] == len(found[0].blocks):
+            break
+    return sorted(found, key=lambda model: sum(model.delta_shape))
+
+
+class _Gains:
+    """The 1 x 1 LFTs of parameters, of denominators, and of their inverses."""
+
+    def __init__(self, algebra: Algebra, ranges: Mapping[str, ParameterRange]) -> None:
+        self.algebra, self.ranges = algebra, ranges
+        self.made: dict[str, ConstantLft] = {}
+
+    def weight(self, name: str) -> int:
+        """Repetitions that one use of a variable costs."""
+        return len(self._base(name).names)
+
+    def of(self, name: str, inverted: bool) -> ConstantLft:
+        """The LFT of a variable or its inverse."""
+        return self._base(name).inverse() if inverted else self._base(name)
+
+    def _base(self, name: str) -> ConstantLft:
+        if name in self.made:
+            return self.made[name]
+        inner = self.algebra.denominators.get(name)
+        if inner is None:
+            r = self.ranges[name]
+            one = np.ones((1, 1))
+            made = ConstantLft((name,), np.zeros((1, 1)), one, r.radius * one, r.nominal * one)
+        else:
+            plan = plans([[inner]], self.weight, (1, 1))[0]
+            made = assemble(plan, {(s.variable, s.inverted): self.of(s.variable, s.inverted) for s in plan.steps})
+        self.made[name] = made
+        return made
+
+
+def _as_model(
+    lft: ConstantLft, ranges: Mapping[str, ParameterRange], shapes: tuple[int, int, int], signals: _Signals
+) -> UncertainModel:
+    """Channels grouped by parameter, in the order of the given ranges."""
+    n = shapes[0]
+    order = [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
+    blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
+    names = [f"{b.name}#{k + 1}" if b.repeats > 1 else b.name for b in blocks for k in range(b.repeats)]
+    d11, d12, d21 = lft.d11[np.ix_(order, order)], lft.d12[order], lft.d21[:, order]
+    plain = StateSpaceModel(
+        lft.d22[:n, :n], lft.d22[:n, n:], lft.d22[n:, :n], lft.d22[n:, n:], *signals, where="parametric"
+    )
+    model = StateSpaceModel(
+        plain.A,
+        np.hstack([d21[:n], plain.B]),
+        np.vstack([d12[:, :n], plain.C]),
+        np.block([[d11, d12[:, n:]], [d21[n:], plain.D]]),
+        plain.dt,
+        [*_free("w:", names, plain.input_names), *plain.inputs],
+        [*_free("z:", names, plain.output_names), *plain.outputs],
+        plain.states,
+        where="parametric",
+    )
+    return UncertainModel(model, blocks)
+
+
+def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[SignalLike]:
+    while any(f"{prefix}{name}" in taken for name in names):
+        prefix = f"{prefix[0]}{prefix}"
+    return [f"{prefix}{name}" for name in names]
+
+
+def _first_exact(
+    candidates: Sequence[UncertainModel],
+    table: Table,
+    ranges: Mapping[str, ParameterRange],
+    exact: Mapping[str, float],
+) -> UncertainModel:
+    """The first candidate that gives the texts back, computed in floats at random values and at vertices.
+
+    A reduction mixes entries of different units: where small ones drown, the LFT as it was decomposed is taken.
+    """
+    samples = _samples(table, ranges, exact)
+    misses: list[float] = []
+    for model in candidates:
+        misses.append(_missed(model, samples))
+        if misses[-1] <= EXACT:
+            return model
+    raise NoTrustworthyNumber("parametric", f"the LFT misses the expressions by {min(misses):.2g} of an entry's size")
+
+
+def _samples(
+    table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
+) -> list[tuple[dict[str, float], Array]]:
+    """Deltas and the entries that belong to them, by a second way through the texts."""
+    rng = np.random.default_rng(0)
+    k = len(ranges)
+    deltas = [np.zeros(k), np.ones(k), -np.ones(k), *rng.uniform(-1, 1, (4, k)), *rng.choice([-1.0, 1.0], (2, k))]
+    result: list[tuple[dict[str, float], Array]] = []
+    for delta in deltas:
+        by_name = dict(zip(ranges, delta.tolist(), strict=True))
+        values = {**exact, **{name: ranges[name].value(d) for name, d in by_name.items()}}
+        arithmetic = number_arithmetic(values)
+        try:
+            rows = [[walk(entry, arithmetic, tuple(values), where) for where, entry in row] for row in table]
+        except ZeroDivisionError:  # a factor that cancels, as in a/a at a = 0
+            continue
+        result.append((by_name, np.array(rows, dtype=float).reshape(len(table), len(table[0]) if table else 0)))
+    return result
+
+
+def _missed(model: UncertainModel, samples: Sequence[tuple[dict[str, float], Array]]) -> float:
+    """Largest miss of an entry over its largest value; an entry that is zero is judged by its row and column."""
+    if not samples or not samples[0][1].size:
+        return 0.0
+    known = {b.name for b in model.blocks}
+    size = np.max([np.abs(wanted) for _, wanted in samples], axis=0)
+    outer = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
+    size = np.maximum(size, 1e-6 * np.where(size > 0, 0.0, outer))
+    worst = 0.0
+    for delta, wanted in samples:
+        try:
+            member = model.evaluate({name: d for name, d in delta.items() if name in known})
+        except NoTrustworthyNumber:
+            return np.inf
+        off = np.abs(np.block([[member.A, member.B], [member.C, member.D]]) - wanted)
+        worst = max(worst, float((off / np.where(size > 0, size, 1.0)).max()))
+    return worst

@@ -1,0 +1,344 @@
+r"""n-dimensional Kalman reduction of LFTs, and the evidence that nothing changed.
+
+All scalar blocks together are seen from outside (states, full blocks, inputs, outputs) as
+
+.. math:: F(\Delta) = D + C \, \Delta \, (I - A \Delta)^{-1} B, \qquad
+          \Delta = \mathrm{diag}(\delta_1 I_{r_1}, \dots, \delta_k I_{r_k})
+
+The smallest subspaces :math:`V_i` with :math:`B_i \subset V_i` and :math:`A_{ij} V_j \subset V_i` hold all that can be
+reached; by duality, what they miss in the transposed system does not show. Both parts go without changing F, for any
+Delta, real, complex or dynamic. The one-variable reduction of each block alone misses a channel that only another
+unreachable channel feeds.
+
+References
+----------
+Beck, Doyle, "A necessary and sufficient minimality condition for uncertain systems", IEEE TAC 44 (1999); D'Andrea,
+Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.balancing import balancing_scale
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, block_slices, delta_matrix
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.reduction import CANCELLED, UNCHANGED, reduce_blocks
+
+__all__ = ["Reduction", "reduction"]
+
+Array = NDArray[np.float64]
+
+POINTS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """A reduced set, and the evidence that its input-output behaviour is that of the given one.
+
+    Attributes
+    ----------
+    model
+        The reduced set; a scalar block without any effect is gone.
+    before, after
+        Block name -> size (repetitions, or the larger side of a full block).
+    invariance
+        Largest part of what enters or leaves the kept channels through the dropped ones, relative to the largest
+        singular value of the (scaled) channel matrices: zero for an exact reduction. This is the algebraic certificate,
+        valid for every Delta at once.
+    difference
+        Largest difference of the two frequency responses at random complex Delta inside the set and random
+        frequencies, relative to each response's largest entry (or to a thousandth of the largest summand, where
+        the summands cancel).
+    points
+        How many (Delta, omega) were compared; none where nothing was removed.
+    status
+        CONVERGED where both are below 1e-9, INACCURATE otherwise (then ``model`` is the given one).
+    """
+
+    model: UncertainModel
+    before: dict[str, int]
+    after: dict[str, int]
+    invariance: float
+    difference: float
+    points: int
+    status: Status
+
+    def to_json(self) -> dict[str, object]:
+        """Sizes and evidence; the model as its own plain types."""
+        return {**vars(self), "model": self.model.to_json()}
+
+    def __str__(self) -> str:
+        changed = [f"{k} {v} -> {self.after.get(k, 0)}" for k, v in self.before.items() if self.after.get(k, 0) != v]
+        said = ", ".join(changed) or "nothing to remove"
+        return f"{said}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
+
+
+def reduction(uncertain: UncertainModel, tolerance: float = 1e-12, seed: int = 0) -> Reduction:
+    """Remove repetitions that cannot be reached or do not show: block by block, then all blocks jointly, until none.
+
+    Parameters
+    ----------
+    tolerance
+        Singular values below ``tolerance`` times the largest count as zero.
+    seed
+        Of the Deltas and frequencies at which both sets are compared.
+
+    Raises
+    ------
+    InputError
+        A tolerance that is not between 0 and 1.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.parametric import parametric
+    >>> gain = parametric([], [], [], [["k"]], {"k": (1.0, 0.1)})
+    >>> print(reduction(gain @ gain.inverse()))
+    k 1 -> 0; invariance 0.0e+00, difference 0.0e+00 (converged)
+    """
+    if not 0 < tolerance < 1:
+        raise InputError("reduction", f"tolerance {tolerance}", "a number between 0 and 1")
+    M, blocks, invariance = uncertain.M, uncertain.blocks, 0.0
+    while True:
+        M, blocks = reduce_blocks(M, blocks, tolerance)
+        step = _joint_step(M, blocks, tolerance)
+        if step is None:
+            break
+        M, blocks = step.M, step.blocks
+        invariance = max(invariance, step.invariance)
+    if blocks == uncertain.blocks:
+        sizes = _sizes(uncertain)
+        return Reduction(uncertain, sizes, sizes, 0.0, 0.0, 0, Status.CONVERGED)
+    small = UncertainModel(M, blocks, uncertain.operating_point)
+    difference = _difference(uncertain, small, seed)
+    proved = invariance <= 1e-9 and difference <= 1e-9
+    return Reduction(
+        small if proved else uncertain,
+        _sizes(uncertain),
+        _sizes(small if proved else uncertain),
+        invariance,
+        difference,
+        POINTS,
+        Status.CONVERGED if proved else Status.INACCURATE,
+    )
+
+
+def _sizes(model: UncertainModel) -> dict[str, int]:
+    return {b.name: max(b.rows, b.cols) for b in model.blocks}
+
+
+@dataclass(frozen=True)
+class _Step:
+    M: StateSpaceModel
+    blocks: tuple[Block, ...]
+    invariance: float
+
+
+def _joint_step(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float) -> _Step | None:
+    """One joint reduction of all scalar blocks; None where nothing goes."""
+    n = M.n_states
+    whole = _constant(M)
+    scalar = [b for b in blocks if not isinstance(b, FullBlock)]
+    if not scalar:
+        return None
+    slices = [s for b, s in zip(blocks, block_slices(blocks), strict=True) if not isinstance(b, FullBlock)]
+    cols = np.concatenate([np.arange(n + w.start, n + w.stop) for w, _ in slices])
+    rows = np.concatenate([np.arange(n + z.start, n + z.stop) for _, z in slices])
+    other_cols, other_rows = np.delete(np.arange(whole.shape[1]), cols), np.delete(np.arange(whole.shape[0]), rows)
+    a, b, c = whole[np.ix_(rows, cols)], whole[np.ix_(rows, other_cols)], whole[np.ix_(other_rows, cols)]
+    into, out = _powers(np.abs(b).max(axis=0, initial=0.0)), _powers(np.abs(c).max(axis=1, initial=0.0))
+    b, c = b / into, c / out[:, None]
+    scale = _channel_scale(a, b, c)
+    a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
+    sizes = [s.repeats for s in scalar]
+    # What the second step sees may be rounding of the first: it is judged by the size that b and c had before.
+    b_size, c_size = _norm(b), _norm(c)
+    reach, miss_1 = _invariant(a, b, sizes, tolerance, b_size)
+    v = _diagonal(reach)
+    a1, b1, c1 = v.T @ a @ v, v.T @ b, c @ v
+    show, miss_2 = _invariant(a1.T, c1.T, [part.shape[1] for part in reach], tolerance, c_size)
+    t = _diagonal(show)
+    a2, b2, c2 = t.T @ a1 @ t, t.T @ b1, c1 @ t
+    left = [part.shape[1] for part in show]
+    if left == sizes or not _same((a, b, c), sizes, (a2, b2, c2), left):
+        return None
+    return _Step(*_rebuilt(M, blocks, left, a2, b2 * into, c2 * out[:, None]), max(miss_1, miss_2))
+
+
+def _rebuilt(
+    M: StateSpaceModel, blocks: Sequence[Block], left: Sequence[int], a: Array, b: Array, c: Array
+) -> tuple[StateSpaceModel, tuple[Block, ...]]:
+    """The model with its scalar blocks' channels replaced, ``left`` of each, the full blocks' where they were."""
+    n = M.n_states
+    whole = _constant(M)
+    sizes = iter(left)
+    kept: list[Block] = []
+    keep_in, keep_out = list(range(n)), list(range(n))
+    new_in: list[int] = []
+    new_out: list[int] = []
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        if isinstance(block, FullBlock):
+            kept.append(block)
+            keep_in += range(n + w.start, n + w.stop)
+            keep_out += range(n + z.start, n + z.stop)
+            continue
+        size = next(sizes)
+        if size:
+            kept.append(dataclasses.replace(block, repeats=size))
+        new_in += range(len(keep_in), len(keep_in) + size)
+        new_out += range(len(keep_out), len(keep_out) + size)
+        keep_in += range(n + w.start, n + w.start + size)
+        keep_out += range(n + z.start, n + z.start + size)
+    q, p = sum(x.rows for x in blocks), sum(x.cols for x in blocks)
+    keep_in += range(n + q, whole.shape[1])
+    keep_out += range(n + p, whole.shape[0])
+    result = whole[keep_out][:, keep_in]
+    rest_in, rest_out = np.delete(np.arange(len(keep_in)), new_in), np.delete(np.arange(len(keep_out)), new_out)
+    channels_in, channels_out = np.array(new_in, dtype=int), np.array(new_out, dtype=int)
+    result[channels_out[:, None], channels_in] = a
+    result[channels_out[:, None], rest_in] = b
+    result[rest_out[:, None], channels_in] = c
+    model = StateSpaceModel(
+        result[:n, :n], result[:n, n:], result[n:, :n], result[n:, n:], M.dt,
+        [M.inputs[k - n] for k in keep_in[n:]], [M.outputs[k - n] for k in keep_out[n:]], M.states, where="reduction",
+    )  # fmt: skip
+    return model, tuple(kept)
+
+
+def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_size: float) -> tuple[list[Array], float]:
+    """Orthonormal bases V_i of the smallest subspaces with ``B_i in V_i``, ``A_ij V_j in V_i``, and what they miss."""
+    ends = np.cumsum([0, *sizes])
+    parts = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
+    bases = [np.zeros((size, 0)) for size in sizes]
+    fresh, size = b, b_size
+    while True:
+        found = []
+        for i, part in enumerate(parts):
+            new = _fresh_directions(fresh[part], bases[i], tolerance * size)
+            found.append(new)
+            bases[i] = np.hstack([bases[i], new])
+        if not any(new.shape[1] for new in found):
+            break
+        fresh, size = a @ _diagonal(found), _norm(a)
+    whole = _diagonal(bases)
+    norm = max(b_size, _norm(a)) or 1.0
+    missed = max(_norm(inside - whole @ (whole.T @ inside)) / norm for inside in (b, a @ whole))
+    return bases, missed
+
+
+def _fresh_directions(fresh: Array, basis: Array, limit: float) -> Array:
+    """Orthonormal basis of what ``fresh`` adds to ``basis``, singular values above the limit."""
+    rest = fresh - basis @ (basis.T @ fresh)
+    if not rest.size:
+        return np.zeros((len(basis), 0))
+    u, s, _ = np.linalg.svd(rest, full_matrices=False)
+    new = u[:, s > limit]
+    # Orthogonalised twice: the small directions of an SVD carry rounding of the large ones.
+    return np.linalg.qr(new - basis @ (basis.T @ new))[0] if new.shape[1] else new
+
+
+def _norm(matrix: Array) -> float:
+    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+
+def _diagonal(parts: Sequence[Array]) -> Array:
+    """Block-diagonal matrix; empty blocks count with their rows or columns."""
+    result = np.zeros((sum(p.shape[0] for p in parts), sum(p.shape[1] for p in parts)))
+    row = col = 0
+    for p in parts:
+        result[row : row + p.shape[0], col : col + p.shape[1]] = p
+        row, col = row + p.shape[0], col + p.shape[1]
+    return result
+
+
+def _channel_scale(a: Array, b: Array, c: Array) -> Array:
+    """Powers of two for the channels: what comes in and what goes out alike, the outside as one more channel."""
+    k = len(a)
+    square = np.zeros((k + 1, k + 1))
+    square[:k, :k] = np.abs(a)
+    square[:k, k], square[k, :k] = np.abs(b).sum(axis=1), np.abs(c).sum(axis=0)
+    scale = balancing_scale(square)
+    return scale[:k] / scale[k]
+
+
+def _same(
+    first: tuple[Array, Array, Array],
+    first_sizes: Sequence[int],
+    second: tuple[Array, Array, Array],
+    sizes: Sequence[int],
+) -> bool:
+    """Whether both give the same ``C Delta (I - A Delta)^-1 B`` at random complex deltas, to 1e-10 of the largest."""
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        deltas = np.sqrt(rng.random(len(sizes))) * np.exp(2j * np.pi * rng.random(len(sizes)))
+        maps, summands = [], 0.0
+        for (a, b, c), repeats in ((first, first_sizes), (second, sizes)):
+            d = np.repeat(deltas, repeats)
+            loop = np.eye(len(a)) - a * d
+            if loop.size and np.linalg.cond(loop) > 1 / UNCHANGED:
+                return False
+            inside = d[:, None] * np.linalg.solve(loop, b) if loop.size else np.zeros((0, b.shape[1]))
+            maps.append(c @ inside)
+            summands = max(summands, float((np.abs(c) @ np.abs(inside)).max(initial=0.0)))
+        allowed = max(UNCHANGED * float(np.abs(maps[0]).max(initial=0.0)), CANCELLED * summands)
+        if np.abs(maps[0] - maps[1]).max(initial=0.0) > allowed:
+            return False
+    return True
+
+
+def _difference(first: UncertainModel, second: UncertainModel, seed: int) -> float:
+    """Largest relative difference of the frequency responses at random Deltas and frequencies."""
+    rng = np.random.default_rng(seed)
+    poles = np.abs(first.M.poles())
+    poles = poles[poles > 0]
+    low, high = (float(poles.min()), float(poles.max())) if len(poles) else (1.0, 1.0)
+    known = {b.name for b in second.blocks}
+    worst = 0.0
+    for _ in range(POINTS):
+        omega = np.exp(rng.uniform(np.log(0.1 * low), np.log(10 * high)))
+        if first.dt:
+            omega = rng.uniform(0.0, np.pi) / first.dt
+        values = {b.name: _random_value(b, rng) for b in first.blocks}
+        a = first.response([omega], values)
+        b = second.response([omega], {name: v for name, v in values.items() if name in known})
+        size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * _summands(first, float(omega), values)) or 1.0
+        worst = max(worst, float(np.abs(a - b).max(initial=0.0)) / size)
+    return worst
+
+
+def _summands(model: UncertainModel, omega: float, values: dict[str, Any]) -> float:
+    """Largest entry of ``|M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|``: what is added up to the response."""
+    m = frequency_response(model.M, [omega])[0]
+    d = delta_matrix(model.blocks, values)
+    q, p = d.shape
+    inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(p) - m[:p, :q] @ d)) @ np.abs(m[:p, q:])
+    return float((np.abs(m[p:, q:]) + np.abs(m[p:, :q]) @ inside).max(initial=0.0))
+
+
+def _random_value(block: Block, rng: np.random.Generator) -> Any:
+    if isinstance(block, RealScalar):
+        return float(rng.uniform(-1.0, 1.0))
+    if isinstance(block, ComplexScalar):
+        return complex(np.sqrt(rng.random()) * np.exp(2j * np.pi * rng.random()))
+    matrix = rng.standard_normal((block.rows, block.cols)) + 1j * rng.standard_normal((block.rows, block.cols))
+    return matrix / np.linalg.norm(matrix, 2)
+
+
+def _constant(M: StateSpaceModel) -> Array:
+    return np.asarray(np.block([[M.A, M.B], [M.C, M.D]]), dtype=np.float64)
+
+
+def _powers(size: Array) -> Array:
+    """The power of two next to each size; one where the size is zero."""
+    return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))

@@ -1,0 +1,378 @@
+"""Every operation on sets, evaluated at a Delta, is the same operation on the two members, in the frequency domain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty import algebra
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.centring import centred
+from robustlab.uncertainty.lft import UncertainModel
+
+SETTINGS = settings(max_examples=20, deadline=None, derandomize=True)
+OMEGA = np.array([0.0, 0.7, 20.0])
+SHARED = RealScalar("k", 1, ParameterRange(1.0, 0.5, "N/m", below=0.25))
+seeds = st.integers(0, 100_000)
+few = st.integers(0, 2)
+
+
+def random_set(seed, n, n_y, n_u, own, dt=0.0, states=True):
+    """A set with the shared parameter k (repeated), a complex scalar and a full block of its own."""
+    rng = np.random.default_rng(seed)
+    blocks = [RealScalar("k", int(rng.integers(1, 3)), SHARED.parameter), ComplexScalar(f"c{own}")]
+    blocks += [FullBlock(f"f{own}", 1, 2)] if seed % 2 else []
+    blocks = [blocks[i] for i in rng.permutation(len(blocks))]
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    m = StateSpaceModel(
+        rng.standard_normal((n, n)) - 3 * np.eye(n),
+        rng.standard_normal((n, q + n_u)),
+        rng.standard_normal((p + n_y, n)),
+        0.15 * rng.standard_normal((p + n_y, q + n_u)),
+        dt,
+    )
+    return UncertainModel(m, blocks)
+
+
+def values_for(seed, *sets):
+    rng = np.random.default_rng(seed)
+    values = {}
+    for b in {b.name: b for s in sets for b in s.blocks}.values():
+        if isinstance(b, RealScalar):
+            values[b.name] = float(rng.uniform(-1, 1))
+        elif isinstance(b, ComplexScalar):
+            values[b.name] = complex(*rng.uniform(-0.7, 0.7, 2))
+        else:
+            part = rng.standard_normal((b.rows, b.cols)) + 1j * rng.standard_normal((b.rows, b.cols))
+            values[b.name] = part / np.linalg.norm(part, 2)
+    return values
+
+
+def at(model, values):
+    known = {b.name for b in model.blocks}
+    return model.response(OMEGA, {name: v for name, v in values.items() if name in known})
+
+
+def assert_same(found, wanted):
+    np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10 * max(1.0, np.abs(wanted).max(initial=0.0)))
+
+
+@SETTINGS
+@given(seeds, few, few, st.integers(1, 3), st.integers(1, 3), st.integers(1, 2), st.sampled_from([0.0, 0.1]))
+def test_product_sum_and_concatenation(seed, n1, n2, size, middle, width, dt):
+    f = random_set(seed, n1, middle, width, "1", dt)
+    g = random_set(seed + 1, n2, size, middle, "2", dt)
+    h = random_set(seed + 2, n2, middle, width, "3", dt)
+    values = values_for(seed, f, g, h)
+    F, G, H = (at(x, values) for x in (f, g, h))
+    assert_same(at(g @ f, values), G @ F)
+    assert_same(at(algebra.series(f, g), values), G @ F)
+    assert_same(at(f + h, values), F + H)
+    assert_same(at(f - h, values), F - H)
+    assert_same(at(-f, values), -F)
+    assert_same(at(2.5 * f, values), 2.5 * F)
+    gain = np.random.default_rng(seed).standard_normal((2, middle))
+    assert_same(at(gain @ f, values), gain @ F)
+    assert_same(at(f + np.ones((middle, width)), values), F + 1)
+    assert_same(at(np.ones((middle, width)) - f, values), 1 - F)
+    assert_same(at(algebra.beside(f, h), values), np.concatenate([F, H], axis=2))
+    assert_same(at(algebra.stacked(f, h), values), np.concatenate([F, H], axis=1))
+    for result in (g @ f, f + h, algebra.beside(f, h)):
+        names = [b.name for b in result.blocks]
+        assert len(set(names)) == len(names)
+        assert {b.name for s in (f, g) for b in s.blocks if s is f} <= set(names)
+
+
+@SETTINGS
+@given(seeds, few, few, st.integers(1, 2), st.integers(1, 2), st.sampled_from([1, -1]))
+def test_feedback_and_inverse(seed, n1, n2, n_y, n_u, sign):
+    g, h = random_set(seed, n1, n_y, n_u, "1"), random_set(seed + 1, n2, n_u, n_y, "2")
+    values = values_for(seed, g, h)
+    G, H = at(g, values), at(h, values)
+    loop = np.eye(n_y) - sign * G @ H
+    assume(np.linalg.cond(loop).max() < 1e3)
+    assert_same(at(g.feedback(h, sign), values), np.linalg.solve(loop, G))
+    if n_y == n_u:
+        assume(np.linalg.cond(g.nominal.D) < 1e3)
+        assume(np.linalg.cond(G).max() < 1e3)
+        assert_same(at(g.inverse(), values), np.linalg.inv(G))
+        assert g.inverse().inputs == g.outputs
+        if not any(isinstance(b, FullBlock) for b in g.blocks):  # a full block occurs once only
+            unit = at(g.inverse() @ g, values)
+            assert_same(unit, np.broadcast_to(np.eye(n_y), unit.shape))
+
+
+@SETTINGS
+@given(seeds, few, few, st.integers(0, 2), st.integers(0, 2), st.integers(0, 2), st.integers(0, 2))
+def test_star_product_and_both_lfts(seed, n1, n2, over, back, extra1, extra2):
+    f = random_set(seed, n1, extra1 + over, extra2 + back, "1")
+    g = random_set(seed + 1, n2, back + 1, over + 1, "2")
+    values = values_for(seed, f, g)
+    F, G = at(f, values), at(g, values)
+    f11, f12 = F[:, :extra1, :extra2], F[:, :extra1, extra2:]
+    f21, f22 = F[:, extra1:, :extra2], F[:, extra1:, extra2:]
+    g11, g12, g21, g22 = G[:, :back, :over], G[:, :back, over:], G[:, back:, :over], G[:, back:, over:]
+    # y1 = f21 u1 + f22 x, x = g11 y1 + g12 v
+    loop = np.eye(over) - f22 @ g11
+    assume(loop.size == 0 or np.linalg.cond(loop).max() < 1e3)
+    y_u, y_v = np.linalg.solve(loop, f21), np.linalg.solve(loop, f22 @ g12)
+    wanted = np.block([[f11 + f12 @ g11 @ y_u, f12 @ (g12 + g11 @ y_v)], [g21 @ y_u, g22 + g21 @ y_v]])
+    assert_same(at(algebra.star(f, g, over, back), values), wanted)
+    inner = random_set(seed + 2, n2, back, over, "3")
+    values = values_for(seed, f, g, inner)
+    F, G, K = (at(x, values) for x in (f, g, inner))
+    f11, f12, f21, f22 = F[:, :extra1, :extra2], F[:, :extra1, extra2:], F[:, extra1:, :extra2], F[:, extra1:, extra2:]
+    loop = np.eye(over) - f22 @ K
+    assume(loop.size == 0 or np.linalg.cond(loop).max() < 1e3)
+    assert_same(at(algebra.lower(f, inner), values), f11 + f12 @ K @ np.linalg.solve(loop, f21))
+    turned = UncertainModel(g.M, g.blocks)  # upper: the inner one closes the first channels
+    k = random_set(seed + 3, n1, over, back, "4")
+    values = values_for(seed, g, k)
+    G, K = at(turned, values), at(k, values)
+    g11, g12, g21, g22 = G[:, :back, :over], G[:, :back, over:], G[:, back:, :over], G[:, back:, over:]
+    loop = np.eye(back) - g11 @ K
+    assume(loop.size == 0 or np.linalg.cond(loop).max() < 1e3)
+    assert_same(at(algebra.upper(turned, k), values), g22 + g21 @ K @ np.linalg.solve(loop, g12))
+
+
+def gain_of(name, value=1.0, radius=0.5, **names):
+    """1 x 1: value + radius * delta."""
+    m = StateSpaceModel([], [], [], [[0.0, radius], [1.0, value]], inputs=["w", "u"], outputs=["z", "y"])
+    return UncertainModel(m, [RealScalar(name, 1, ParameterRange(value, radius, **names))])
+
+
+def test_the_same_name_is_the_same_parameter():
+    k = gain_of("k")
+    assert pytest.approx(0.0, abs=1e-15) == (k - k).evaluate({"k": 0.7}).D
+    assert (k + k).blocks[0].repeats == 1  # one repetition carries 2 k
+    square = k @ k
+    assert square.blocks[0].repeats == 2
+    assert pytest.approx(1.3**2) == square.evaluate({"k": 0.6}).D
+    same = k.inverse() @ k
+    assert [b.name for b in same.blocks] == ["k"]  # without effect, but still known
+    assert pytest.approx(1.0) == same.evaluate({"k": 0.4}).D
+    assert algebra.stacked(k, k, k).blocks[0].repeats == 1
+    assert algebra.beside(k, k).blocks[0].repeats == 1
+
+
+def test_clashing_blocks_are_refused_by_name():
+    k = gain_of("k")
+    other = UncertainModel(k.M, [ComplexScalar("k")])
+    with pytest.raises(InputError, match=r"'k'.*RealScalar in one operand and a ComplexScalar"):
+        k + other
+    with pytest.raises(InputError, match=r"'k'.*stands for"):
+        k + gain_of("k", 1.0, 0.4)
+    with pytest.raises(InputError, match=r"'k'.*stands for"):
+        k @ UncertainModel(k.M, [RealScalar("k")])
+    full = UncertainModel(StateSpaceModel([], [], [], np.ones((3, 3))), [FullBlock("d", 2, 2)])
+    with pytest.raises(InputError, match=r"'d'.*full block in several operands"):
+        full + full
+    small = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [FullBlock("d", 1, 1)])
+    twice = small @ small
+    assert twice.blocks == (ComplexScalar("d", 2),)
+    assert twice.response([1.0], {"d": 0.5j})[0, 0, 0] == pytest.approx((1 + 0.5j) ** 2)
+
+
+def test_signals_are_named():
+    f = UncertainModel(
+        StateSpaceModel([[-1.0]], [[1.0, 2.0]], [[1.0], [1.0]], np.zeros((2, 2)), inputs=["w", ("u", "V")],
+                        outputs=["z", ("y", "m")], states=["x"]), [RealScalar("k")])  # fmt: skip
+    both = algebra.stacked(f, f)
+    assert [s.name for s in both.outputs] == ["y", "y_2"]
+    assert [s.name for s in both.M.states] == ["x", "x_2"]
+    assert both.inputs == f.inputs
+    assert (np.eye(1) @ f).inputs == f.inputs
+    assert (2 * f).outputs == f.outputs
+    assert (f * 2).inputs == f.inputs
+    assert (f + 0.0).outputs == f.outputs
+    assert (0.0 + f).outputs == f.outputs
+    with pytest.raises(UnitMismatch, match=r"y \[m\] meets u \[V\]"):
+        f @ f
+    named = StateSpaceModel([], [], [], [[1.0]], inputs=["w:k"], outputs=["z:k"])
+    assert (named @ gain_of("k")).outputs == named.outputs  # a signal called like a channel
+
+
+def test_mixed_operands_and_edge_sizes():
+    k = gain_of("k")
+    lag = StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.0]])
+    assert (lag @ k).evaluate({"k": 1.0}).dc_gain() == pytest.approx(0.75)
+    assert (k @ lag).M.n_states == 1
+    assert (lag + k).evaluate({"k": -1.0}).dc_gain() == pytest.approx(1.0)
+    assert algebra.stacked(lag).blocks == ()
+    assert pytest.approx(11.0) == algebra.product([[1.0, 2.0]], [[3.0], [4.0]]).nominal.D
+    empty = StateSpaceModel([], [], [], np.zeros((1, 0)))
+    assert (k @ empty).evaluate({"k": 1.0}).D.shape == (1, 0)
+    nothing = UncertainModel(
+        StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0))), ()
+    )
+    assert algebra.inverse(nothing).delta_shape == (0, 0)
+    assert algebra.stacked(nothing, nothing).outputs == ()
+
+
+@pytest.mark.parametrize(
+    ("operation", "text"),
+    [
+        (lambda k: k @ np.ones((2, 1)), "2 outputs into 1 inputs"),
+        (lambda k: k + np.eye(2), "equal sizes"),
+        (lambda k: algebra.stacked(k, k) + 1.0, "numpy.eye"),
+        (lambda k: algebra.parallel(k, k, 2), "sign 2"),
+        (lambda k: algebra.feedback(k, k, 0), "sign 0"),
+        (lambda k: k.feedback(np.eye(2)), "2 x 2, expected 1 x 1"),
+        (lambda k: algebra.stacked(k, k).feedback(1.0), "the number 1.0"),
+        (lambda k: algebra.stacked(k, k).inverse(), "a square model"),
+        (lambda k: algebra.stacked(k, np.eye(2)), "2 inputs below 1"),
+        (lambda k: algebra.beside(k, np.eye(2)), "2 outputs beside 1"),
+        (lambda k: algebra.beside(), "no operand"),
+        (lambda k: algebra.star(k, k, 2), "2 signals over"),
+        (lambda k: algebra.lower(k, np.eye(2)), "closed into 1 x 1"),
+        (lambda k: algebra.upper(k, np.eye(2)), "closed into 1 x 1"),
+        (lambda k: k @ [[np.nan]], "NaN"),
+        (lambda k: k @ [[1j]], "complex"),
+        (lambda k: k @ StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1) @ _lag(), "sample times"),
+    ],
+)  # fmt: skip
+def test_operands_that_do_not_fit(operation, text):
+    with pytest.raises(InputError, match=text):
+        operation(gain_of("k"))
+
+
+def _lag():
+    return StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+
+
+def test_objects_that_are_no_operand():
+    for thing in ("text", None, True, object()):
+        with pytest.raises((InputError, TypeError)):
+            gain_of("k") @ thing
+
+
+def test_loops_that_are_not_well_posed_are_named():
+    k = gain_of("k", 1.0, 0.5, unit="N")
+    with pytest.raises(NoTrustworthyNumber, match="not well posed at Delta = 0"):
+        k.feedback(1.0, sign=1)
+    with pytest.raises(NoTrustworthyNumber, match="D is singular at Delta = 0"):
+        (k - 1.0).inverse()
+    loop = k.feedback(1.25, sign=1)  # I - 1.25 (1 + 0.5 delta) = 0 at delta = -0.4
+    with pytest.raises(NoTrustworthyNumber, match=r"ill-posed \(Delta: k = -0.4: 0.8 N\)"):
+        loop.evaluate({"k": -0.4})
+
+
+# --- dynamic blocks ---------------------------------------------------------------------------------------------------
+
+
+@SETTINGS
+@given(seeds, st.sampled_from(["z", "w"]), st.booleans())
+def test_weights_multiply_delta(seed, side, scalar):
+    rng = np.random.default_rng(seed)
+    blocks = [FullBlock("f", 2, 3), ComplexScalar("c", 2), RealScalar("r")]
+    m = StateSpaceModel(
+        rng.standard_normal((2, 2)) - 3 * np.eye(2), rng.standard_normal((2, 6)), rng.standard_normal((8, 2)),
+        0.15 * rng.standard_normal((8, 6)), states=["a", "b"],
+    )  # fmt: skip
+    model = UncertainModel(m, blocks)
+    shape = (1, 1) if scalar else ((2, 3) if side == "z" else (2, 4))
+    n = 1 + seed % 2
+    full = StateSpaceModel(-np.diag(1.0 + np.arange(n)), rng.standard_normal((n, shape[1])),
+                           rng.standard_normal((shape[0], n)), 0.3 * rng.standard_normal(shape))  # fmt: skip
+    lag = StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.5]], states=["a"])
+    weighted = model.weighted({"f": full, "c": lag}, side)
+    assert [b.name for b in weighted.blocks] == ["f", "c", "r"]
+    assert weighted.inputs == model.inputs
+    assert weighted.outputs == model.outputs
+    left = weighted.blocks[0]
+    delta = 0.3 * (rng.standard_normal((left.rows, left.cols)) + 1j * rng.standard_normal((left.rows, left.cols)))
+    values = {"f": delta, "c": 0.3 - 0.4j, "r": 0.7}
+    for k, omega in enumerate(OMEGA):
+        W, w = frequency_response(full, [omega])[0], frequency_response(lag, [omega])[0, 0, 0]
+        W = W[0, 0] if scalar else W
+        inner = delta * W if scalar else (delta @ W if side == "z" else W @ delta)
+        wanted = model.response([omega], {"f": inner, "c": values["c"] * w, "r": 0.7})[0]
+        assert_same(weighted.response(OMEGA, values)[k], wanted)
+
+
+@SETTINGS
+@given(seeds, st.integers(0, 2))
+def test_a_dynamic_delta_is_closed_in(seed, n):
+    rng = np.random.default_rng(seed)
+    blocks = [FullBlock("f", 2, 1), ComplexScalar("c", 2), RealScalar("r", 1, ParameterRange(1.0, 0.5, below=0.25))]
+    m = StateSpaceModel(rng.standard_normal((2, 2)) - 3 * np.eye(2), rng.standard_normal((2, 6)),
+                        rng.standard_normal((5, 2)), 0.15 * rng.standard_normal((5, 6)))  # fmt: skip
+    model = UncertainModel(m, blocks)
+    full = StateSpaceModel(-np.eye(n), rng.standard_normal((n, 1)), rng.standard_normal((2, n)), [[0.1], [-0.2]])
+    allpass = StateSpaceModel([[-3.0]], [[1.0]], [[-6.0]], [[1.0]])  # (s - 3) / (s + 3)
+    values = {"f": full, "c": allpass, "r": -0.8}
+    member = model.evaluate(values)
+    assert member.n_states == 2 + n + 2
+    F, c = frequency_response(full, OMEGA), frequency_response(allpass, OMEGA)[:, 0, 0]
+    wanted = [model.response([w], {"f": F[k], "c": c[k], "r": -0.8})[0] for k, w in enumerate(OMEGA)]
+    assert_same(frequency_response(member, OMEGA), np.array(wanted))
+    assert_same(model.response(OMEGA, values), np.array(wanted))
+    assert (member.inputs, member.outputs) == (model.inputs, model.outputs)
+
+
+def dynamic_gain():
+    return UncertainModel(StateSpaceModel([], [], [], [[0.5, 1.0], [1.0, 1.0]]), [ComplexScalar("c")])
+
+
+def test_dynamic_values_that_do_not_fit():
+    model = dynamic_gain()
+    lag = _lag()
+    with pytest.raises(InputError, match="a dynamic value for a real block"):
+        UncertainModel(model.M, [RealScalar("c")]).evaluate({"c": lag})
+    with pytest.raises(InputError, match="no such block"):
+        model.evaluate({"d": lag})
+    with pytest.raises(InputError, match="a model of 2 x 1, expected 1 x 1"):
+        model.evaluate({"c": algebra.stacked(lag, lag).nominal})
+    with pytest.raises(InputError, match="sample times"):
+        (dynamic_gain() @ lag).evaluate({"c": StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]], 0.1)})
+    with pytest.raises(NoTrustworthyNumber, match=r"ill-posed.*c = a model"):
+        model.evaluate({"c": StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[2.0]])})
+
+
+@pytest.mark.parametrize(
+    ("weights", "side", "text"),
+    [
+        ({"c": 0.2}, "x", "side 'x'"),
+        ({"d": 0.2}, "z", "no such block"),
+        ({"r": 0.2}, "z", "a real parameter"),
+        ({"c": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])}, "z", "unstable weight"),
+        ({"c": [[1.0, 2.0]]}, "z", "a weight of 1 x 2"),
+        ({"f": np.ones((2, 2))}, "z", "1 x 1 or n x 3"),
+        ({"f": np.ones((3, 1))}, "w", "1 x 1 or 2 x n"),
+        ({"c": StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]], 0.1)}, "z", "sample times"),
+        ({"c": "heavy"}, "z", "c"),
+    ],
+)
+def test_weights_that_do_not_fit(weights, side, text):
+    blocks = [FullBlock("f", 2, 3), ComplexScalar("c"), RealScalar("r")]
+    model = UncertainModel(StateSpaceModel([[-1.0]], np.ones((1, 5)), np.ones((6, 1)), np.zeros((6, 5))), blocks)
+    with pytest.raises(InputError, match=text):
+        model.weighted(weights, side)
+
+
+# --- centring -----------------------------------------------------------------------------------------------------
+
+
+@SETTINGS
+@given(seeds, st.floats(0.1, 1.5), few)
+def test_the_centred_set_has_the_same_members(seed, level, n):
+    model = random_set(seed, n, 1, 2, "1")
+    middle = centred(model, level)
+    values = values_for(seed, model)
+    span = next(b.parameter for b in middle.blocks if isinstance(b, RealScalar))
+    assert (span.below, span.low) == (None, pytest.approx(1.0 - 0.25 * level))
+    assert span.high == pytest.approx(1.0 + 0.5 * level)
+    inside = {name: level * v for name, v in values.items()}
+    inside["k"] = SHARED.parameter.delta(span.value(values["k"]))
+    assert_same(at(middle, values), at(model, inside))
+
+
+def test_levels_that_are_none():
+    for level in (0.0, -1.0, np.nan, True, "1"):
+        with pytest.raises(InputError, match="level"):
+            centred(gain_of("k"), level)
