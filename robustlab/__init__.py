@@ -22,6 +22,9 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.identification.discovery import discover as discover
     from robustlab.mu_analysis import mu as mu
     from robustlab.mu_analysis import robust_stability as robust_stability
+    from robustlab.mu_analysis.disk_margin import disk_margin as disk_margin
+    from robustlab.mu_analysis.small_gain import small_gain as small_gain
+    from robustlab.mu_analysis.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
     from robustlab.norms import hinf_norm as hinf_norm
     from robustlab.record import Record as Record
     from robustlab.result import Status as Status
@@ -42,8 +45,14 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.uncertainty.blocks import FullBlock as FullBlock
     from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
     from robustlab.uncertainty.blocks import RealScalar as RealScalar
+    from robustlab.uncertainty.coprime import coprime_margin as coprime_margin
     from robustlab.uncertainty.elementwise import elementwise as elementwise
+    from robustlab.uncertainty.gap_metric import gap as gap
+    from robustlab.uncertainty.gap_metric import nu_gap as nu_gap
     from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+    from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
+    from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
+    from robustlab.uncertainty.unstructured import unstructured as unstructured
     from robustlab.worst_case_analysis import sample as sample
     from robustlab.worst_case_analysis import worst_case as worst_case
 
@@ -68,11 +77,20 @@ _PUBLIC = {
     "ParameterRange": "uncertainty.blocks",
     "UncertainModel": "uncertainty.lft",
     "elementwise": "uncertainty.elementwise",
+    "unstructured": "uncertainty.unstructured",
+    "realise_delta": "uncertainty.realised_delta",
+    "perturbed_model": "uncertainty.realised_delta",
     # analysis
     "sample": "worst_case_analysis",
     "worst_case": "worst_case_analysis",
     "mu": "mu_analysis",
     "robust_stability": "mu_analysis",
+    "small_gain": "mu_analysis.small_gain",
+    "disk_margin": "mu_analysis.disk_margin",
+    "worst_case_disk_margin": "mu_analysis.worst_case_disk_margin",
+    "gap": "uncertainty.gap_metric",
+    "nu_gap": "uncertainty.gap_metric",
+    "coprime_margin": "uncertainty.coprime",
     "hinf_norm": "norms",
     "controllability": "structural",
     "observability": "structural",

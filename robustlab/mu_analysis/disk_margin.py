@@ -34,6 +34,7 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
 __all__ = [
+    "PLACES",
     "DiskMargin",
     "DiskMargins",
     "Place",
@@ -78,8 +79,8 @@ class DiskMargin:
         2``. Empty where a factor is infinite, or where only complex numbers at frequency zero are critical.
     pole
         The pole of the loop with these perturbations that lies next to the stability boundary at ``frequency``; None
-        where the loop is then ill-posed (``frequency`` inf, or no states), or where ``perturbation`` could not be made of real
-        coefficients.
+        where the loop is then ill-posed (``frequency`` inf, or no states), or where no perturbation with real
+        coefficients takes the critical values.
     status
         CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold.
     notes
