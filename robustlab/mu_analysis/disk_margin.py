@@ -25,13 +25,14 @@ import numpy as np
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.bounds import mu
-from robustlab.mu_analysis.small_gain import nearest_pole, signed, small_gain
+from robustlab.mu_analysis.certificate import singularity
+from robustlab.mu_analysis.small_gain import replayed_pole, signed, small_gain
 from robustlab.mu_analysis.stability import robust_stability
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = [
     "PLACES",
@@ -49,6 +50,8 @@ __all__ = [
 Place = Literal["input", "output", "both"]
 # Bounds of several loops that are farther apart than this get a closer search along the axis.
 CLOSE = 5e-4
+# I - M Delta is singular where its smallest singular value is below this share of its largest.
+SINGULAR = 1e-7
 PLACES: tuple[Place, ...] = ("input", "output", "both")
 
 
@@ -340,22 +343,26 @@ def _result(
     low, high, phase = gain_and_phase(bounds[0], skew)
     factor = {name: _factor(d, skew) for name, d in delta.items()}
     perturbation, pole, notes = {}, None, []
-    if frequency is not None and np.isfinite(frequency) and uncertain.M.n_states:
+    if frequency is not None:
+        loop = frequency_response(uncertain.delta_channels, [frequency])[0]
+        seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= SINGULAR
         try:
+            pole, on_axis = replayed_pole(uncertain, delta, frequency)
             made = realise_delta(uncertain.blocks, delta, frequency, uncertain.dt)
-        except InputError:  # complex values at an end of the axis
+        except InputError:
+            on_axis = True
             notes.append(
                 f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
                 "real: no such system takes them there"
             )
         else:
-            pole, on_axis = nearest_pole(perturbed_model(uncertain, made), frequency)
-            status = status if on_axis or status is not Status.CERTIFIED else Status.INACCURATE
             models = {name: factor_model(as_model(made[name]), skew) for name in delta}
             perturbation = {name: model for name, model in models.items() if model is not None}
             if len(perturbation) < len(models):
                 perturbation = {}
                 notes.append("a critical factor is infinite: no model of it is given")
+        if status is Status.CERTIFIED and not (seen and on_axis):
+            status = Status.INACCURATE
     return DiskMargin(
         bounds[0], bounds[1], (low, high), phase, skew, frequency, dict(delta), factor, perturbation, pole, status,
         tuple(notes),

@@ -200,8 +200,11 @@ class _Search:
             self.lower = self.nominal.lower
             return
         alone = robust_stability(UncertainModel(self.loop.delta_channels, self.blocks), omega=[1.0], seed=self.seed)
-        if alone.upper <= 1:
-            self._take(alone, {name: alone.delta[name] for name in alone.delta})
+        if alone.upper <= 1:  # a member on the stability boundary, if not beyond
+            self._take(alone, alone.delta)
+            if self.member is not None:
+                self.lower, self.upper, self.member, self.delta = 0.0, 0.0, None, alone.delta
+            return
         while self.upper > self.lower * (1 + accuracy) and time.monotonic() < self.until:
             before = self.lower, self.upper
             self._step(self._next(accuracy))
@@ -278,9 +281,14 @@ class _Search:
     def result(self, accuracy: float) -> WorstCaseDiskMargin:
         """The bounds as a result."""
         met = self.upper <= self.lower * (1 + accuracy) or self.upper == 0
-        notes = [] if met else [f"the bounds differ by {100 * (self.upper / max(self.lower, 1e-300) - 1):.3g} %"]
+        notes = []
         if self.upper == 0:
-            notes = ["a member of the set has an unstable loop"]
+            notes.append("a member of the set has a loop that is not stable")
+        elif not met:
+            apart = (
+                f"the bounds differ by {100 * (self.upper / self.lower - 1):.3g} %" if self.lower else "nothing proved"
+            )
+            notes.append(apart)
         if met:
             status = Status.CERTIFIED
         elif time.monotonic() >= self.until:

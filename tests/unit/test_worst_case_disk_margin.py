@@ -76,7 +76,7 @@ def test_a_set_with_an_unstable_member_has_no_margin():
     assert result.upper == result.lower == 0.0
     assert result.member is None
     assert not plant.close(rl.StateSpaceModel([], [], [], [[-1.0]])).evaluate(result.delta).is_stable()
-    assert "unstable" in result.notes[0]
+    assert "not stable" in result.notes[0]
 
 
 def test_without_uncertainty_it_is_the_disk_margin():
