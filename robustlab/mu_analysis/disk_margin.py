@@ -52,6 +52,7 @@ Place = Literal["input", "output", "both"]
 CLOSE = 5e-4
 # I - M Delta is singular where its smallest singular value is below this share of its largest.
 SINGULAR = 1e-7
+AT_END = 1e-12
 PLACES: tuple[Place, ...] = ("input", "output", "both")
 
 
@@ -309,9 +310,23 @@ def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, time_limi
         if found is not None and found[0] < upper:
             upper, frequency, values = found
     delta = {name: complex(value) for name, value in values.items()}
-    if frequency is not None and frequency < 1e-12 * np.abs(M.poles()).max(initial=0.0) and not _complex(delta):
-        frequency = 0.0
+    if frequency is not None:
+        frequency = _crossing(uncertain, delta, frequency)
     return _result(uncertain, (margin.lower, upper), frequency, delta, margin.status, skew)
+
+
+def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency: float) -> float:
+    """Where this Delta makes the loop singular: an end of the axis if it does so there, else ``frequency``.
+
+    A loop that is about to become ill-posed has a pole that runs off to infinity, and eigenvalues show another one.
+    """
+    M = uncertain.delta_channels
+    matrix = delta_matrix(uncertain.blocks, delta).astype(complex)
+    ends = np.array([0.0, np.pi / M.dt if M.is_discrete else np.inf])
+    for omega, response in zip(ends, frequency_response(M, ends), strict=True):
+        if singularity(response, matrix) <= AT_END:
+            return float(omega)
+    return frequency
 
 
 def _largest_on_the_axis(
@@ -367,10 +382,6 @@ def _result(
         bounds[0], bounds[1], (low, high), phase, skew, frequency, dict(delta), factor, perturbation, pole, status,
         tuple(notes),
     )  # fmt: skip
-
-
-def _complex(delta: Mapping[str, complex]) -> bool:
-    return any(abs(d.imag) > 1e-9 * abs(d) for d in delta.values())
 
 
 def _factor(delta: complex, skew: float) -> complex:
