@@ -44,6 +44,8 @@ __all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
 
 # The margin of the scaled set changes less than the size of the disks does: it is asked for more closely.
 MARGIN_ACCURACY = 2e-4
+# A pole this close to the stability boundary, beside the fastest one, does not count as stable.
+ON_THE_AXIS = 1e-9
 # Where the bounds no longer move, the search ends after this many margins.
 MAX_MARGINS = 25
 
@@ -272,11 +274,16 @@ class _Search:
         except InputError:  # complex values at an end of the axis: not a member with real coefficients
             return self.member or self.nominal
         try:
-            return disk_margin_of(
-                perturbed_model(self.loop, made), self.names, self.skew, time_limit=self.left(), seed=self.seed
-            )
-        except NoTrustworthyNumber:
+            model = perturbed_model(self.loop, made)
+        except NoTrustworthyNumber:  # ill-posed
             return None
+        try:
+            return disk_margin_of(model, self.names, self.skew, time_limit=self.left(), seed=self.seed)
+        except NoTrustworthyNumber:
+            speed = float(np.abs(model.poles()).max(initial=0.0))
+            if model.spectral_abscissa() > -ON_THE_AXIS * speed:
+                return None
+            return self.member or self.nominal  # stable, only without a number: no candidate
 
     def result(self, accuracy: float) -> WorstCaseDiskMargin:
         """The bounds as a result."""
