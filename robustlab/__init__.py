@@ -25,6 +25,9 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.mu_analysis import robust_stability as robust_stability
     from robustlab.mu_analysis import skew_mu as skew_mu
     from robustlab.mu_analysis import worst_case_gain as worst_case_gain
+    from robustlab.mu_analysis.disk_margin import disk_margin as disk_margin
+    from robustlab.mu_analysis.small_gain import small_gain as small_gain
+    from robustlab.mu_analysis.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
     from robustlab.norms import hinf_norm as hinf_norm
     from robustlab.record import Record as Record
     from robustlab.result import Status as Status
@@ -49,11 +52,17 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
     from robustlab.uncertainty.blocks import RealScalar as RealScalar
     from robustlab.uncertainty.centring import centred as centred
+    from robustlab.uncertainty.coprime import coprime_margin as coprime_margin
     from robustlab.uncertainty.elementwise import by_cause as by_cause
     from robustlab.uncertainty.elementwise import elementwise as elementwise
+    from robustlab.uncertainty.gap_metric import gap as gap
+    from robustlab.uncertainty.gap_metric import nu_gap as nu_gap
     from robustlab.uncertainty.lft import UncertainModel as UncertainModel
     from robustlab.uncertainty.parametric import parametric as parametric
+    from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
+    from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
     from robustlab.uncertainty.structured_reduction import reduction as reduction
+    from robustlab.uncertainty.unstructured import unstructured as unstructured
     from robustlab.uncertainty.well_posedness import well_posedness as well_posedness
     from robustlab.worst_case_analysis import sample as sample
     from robustlab.worst_case_analysis import sample_size as sample_size
@@ -89,6 +98,9 @@ _PUBLIC = {
     "star": "uncertainty.algebra",
     "beside": "uncertainty.algebra",
     "stacked": "uncertainty.algebra",
+    "unstructured": "uncertainty.unstructured",
+    "realise_delta": "uncertainty.realised_delta",
+    "perturbed_model": "uncertainty.realised_delta",
     # analysis
     "sample": "worst_case_analysis",
     "worst_case": "worst_case_analysis",
@@ -99,6 +111,12 @@ _PUBLIC = {
     "robust_stability": "mu_analysis",
     "robust_performance": "mu_analysis",
     "worst_case_gain": "mu_analysis",
+    "small_gain": "mu_analysis.small_gain",
+    "disk_margin": "mu_analysis.disk_margin",
+    "worst_case_disk_margin": "mu_analysis.worst_case_disk_margin",
+    "gap": "uncertainty.gap_metric",
+    "nu_gap": "uncertainty.gap_metric",
+    "coprime_margin": "uncertainty.coprime",
     "hinf_norm": "norms",
     "controllability": "structural",
     "observability": "structural",

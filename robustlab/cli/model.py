@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import JsonOption, assignments, emit, note, plant_settings, table
+from robustlab.cli.margins import gap, margins
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -216,6 +217,10 @@ def convert(
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     save(target, loaded.object, Provenance.now("model convert", inputs={source: file_sha256(source)}))
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
+
+
+app.command()(margins)
+app.command()(gap)
 
 
 # --- reading and printing --------------------------------------------------------------------------------------------

@@ -25,15 +25,17 @@ import numpy as np
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.bounds import mu
-from robustlab.mu_analysis.small_gain import nearest_pole, signed, small_gain
+from robustlab.mu_analysis.certificate import singularity
+from robustlab.mu_analysis.small_gain import replayed_pole, signed, small_gain
 from robustlab.mu_analysis.stability import robust_stability
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = [
+    "PLACES",
     "DiskMargin",
     "DiskMargins",
     "Place",
@@ -48,6 +50,9 @@ __all__ = [
 Place = Literal["input", "output", "both"]
 # Bounds of several loops that are farther apart than this get a closer search along the axis.
 CLOSE = 5e-4
+# I - M Delta is singular where its smallest singular value is below this share of its largest.
+SINGULAR = 1e-7
+AT_END = 1e-12
 PLACES: tuple[Place, ...] = ("input", "output", "both")
 
 
@@ -78,8 +83,8 @@ class DiskMargin:
         2``. Empty where a factor is infinite, or where only complex numbers at frequency zero are critical.
     pole
         The pole of the loop with these perturbations that lies next to the stability boundary at ``frequency``; None
-        where the loop is then ill-posed (``frequency`` inf, or no states), or where ``perturbation`` could not be made of real
-        coefficients.
+        where the loop is then ill-posed (``frequency`` inf, or no states), or where no perturbation with real
+        coefficients takes the critical values.
     status
         CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold.
     notes
@@ -305,9 +310,23 @@ def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, time_limi
         if found is not None and found[0] < upper:
             upper, frequency, values = found
     delta = {name: complex(value) for name, value in values.items()}
-    if frequency is not None and frequency < 1e-12 * np.abs(M.poles()).max(initial=0.0) and not _complex(delta):
-        frequency = 0.0
+    if frequency is not None:
+        frequency = _crossing(uncertain, delta, frequency)
     return _result(uncertain, (margin.lower, upper), frequency, delta, margin.status, skew)
+
+
+def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency: float) -> float:
+    """Where this Delta makes the loop singular: an end of the axis if it does so there, else ``frequency``.
+
+    A loop that is about to become ill-posed has a pole that runs off to infinity, and eigenvalues show another one.
+    """
+    M = uncertain.delta_channels
+    matrix = delta_matrix(uncertain.blocks, delta).astype(complex)
+    ends = np.array([0.0, np.pi / M.dt if M.is_discrete else np.inf])
+    for omega, response in zip(ends, frequency_response(M, ends), strict=True):
+        if singularity(response, matrix) <= AT_END:
+            return float(omega)
+    return frequency
 
 
 def _largest_on_the_axis(
@@ -339,30 +358,30 @@ def _result(
     low, high, phase = gain_and_phase(bounds[0], skew)
     factor = {name: _factor(d, skew) for name, d in delta.items()}
     perturbation, pole, notes = {}, None, []
-    if frequency is not None and np.isfinite(frequency) and uncertain.M.n_states:
+    if frequency is not None:
+        loop = frequency_response(uncertain.delta_channels, [frequency])[0]
+        seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= SINGULAR
         try:
+            pole, on_axis = replayed_pole(uncertain, delta, frequency)
             made = realise_delta(uncertain.blocks, delta, frequency, uncertain.dt)
-        except InputError:  # complex values at an end of the axis
+        except InputError:
+            on_axis = True
             notes.append(
                 f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
                 "real: no such system takes them there"
             )
         else:
-            pole, on_axis = nearest_pole(perturbed_model(uncertain, made), frequency)
-            status = status if on_axis or status is not Status.CERTIFIED else Status.INACCURATE
             models = {name: factor_model(as_model(made[name]), skew) for name in delta}
             perturbation = {name: model for name, model in models.items() if model is not None}
             if len(perturbation) < len(models):
                 perturbation = {}
                 notes.append("a critical factor is infinite: no model of it is given")
+        if status is Status.CERTIFIED and not (seen and on_axis):
+            status = Status.INACCURATE
     return DiskMargin(
         bounds[0], bounds[1], (low, high), phase, skew, frequency, dict(delta), factor, perturbation, pole, status,
         tuple(notes),
     )  # fmt: skip
-
-
-def _complex(delta: Mapping[str, complex]) -> bool:
-    return any(abs(d.imag) > 1e-9 * abs(d) for d in delta.values())
 
 
 def _factor(delta: complex, skew: float) -> complex:

@@ -41,7 +41,7 @@ from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
-__all__ = ["SmallGain", "nearest_pole", "peak_response", "signed", "small_gain"]
+__all__ = ["SmallGain", "peak_response", "replayed_pole", "signed", "small_gain"]
 
 # Relative width of the norm's bracket.
 RTOL = 1e-9
@@ -138,11 +138,8 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     delta = np.outer(vh[0].conj(), u[:, 0].conj()) / sigma[0]
     name = blocks[0].name
     delta.setflags(write=False)
-    pole, found = None, singularity(response, delta) <= SINGULAR
-    if np.isfinite(frequency) and M.n_states:
-        made = realise_delta(blocks, {name: delta}, frequency, closed.dt)
-        pole, on_axis = nearest_pole(perturbed_model(closed, made), frequency)
-        found = found and on_axis
+    pole, on_axis = replayed_pole(closed, {name: delta}, frequency)
+    found = singularity(response, delta) <= SINGULAR and on_axis
     status = norm.status if found else Status.INACCURATE
     stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
     upper = 1 / float(sigma[0])
@@ -159,18 +156,28 @@ def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np
     return norm.frequency, frequency_response(M, [norm.frequency])[0]
 
 
-def nearest_pole(model: StateSpaceModel, omega: float) -> tuple[complex, bool]:
-    """The pole next to the stability boundary's point at ``omega``, and whether it lies there up to rounding.
+def replayed_pole(closed: UncertainModel, delta: Mapping[str, Any], frequency: float) -> tuple[complex | None, bool]:
+    """The pole next to the stability boundary at ``frequency`` of the loop with Delta realised as stable systems.
 
-    Up to rounding means to 1e-6 of omega, or to 1e-9 of the fastest pole: eigenvalues are no more accurate than that
-    beside a fast one when they are repeated.
+    And whether it lies there up to rounding: to 1e-6 of the frequency, or to 1e-9 of the fastest pole (eigenvalues are
+    no more accurate than that where they are repeated). An ill-posed loop has no such pole: None, and True.
+
+    Raises
+    ------
+    InputError
+        A complex value at an end of the axis, which no real system takes there.
     """
-    poles = model.poles()
-    if not len(poles):
-        return complex(np.nan), False
-    at = np.exp(1j * omega * model.dt) if model.is_discrete else 1j * omega
+    if not np.isfinite(frequency) or not closed.M.n_states:
+        return None, True
+    made = realise_delta(closed.blocks, delta, frequency, closed.dt)
+    try:
+        poles = perturbed_model(closed, made).poles()
+    except NoTrustworthyNumber:  # singular in the direct term as well
+        return None, True
+    at = np.exp(1j * frequency * closed.dt) if closed.dt else 1j * frequency
     pole = complex(poles[np.abs(poles - at).argmin()])
-    return pole, bool(abs(pole - at) <= 1e-6 * abs(at) + 1e-9 * np.abs(poles).max())
+    fastest = max(np.abs(poles).max(), np.abs(closed.M.poles()).max())
+    return pole, bool(abs(pole - at) <= 1e-6 * abs(at) + 1e-9 * fastest)
 
 
 def signed(K: StateSpaceModel, sign: int) -> StateSpaceModel:

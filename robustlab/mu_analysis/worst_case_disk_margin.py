@@ -44,6 +44,8 @@ __all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
 
 # The margin of the scaled set changes less than the size of the disks does: it is asked for more closely.
 MARGIN_ACCURACY = 2e-4
+# A pole this close to the stability boundary, beside the fastest one, does not count as stable.
+ON_THE_AXIS = 1e-9
 # Where the bounds no longer move, the search ends after this many margins.
 MAX_MARGINS = 25
 
@@ -200,8 +202,11 @@ class _Search:
             self.lower = self.nominal.lower
             return
         alone = robust_stability(UncertainModel(self.loop.delta_channels, self.blocks), omega=[1.0], seed=self.seed)
-        if alone.upper <= 1:
-            self._take(alone, {name: alone.delta[name] for name in alone.delta})
+        if alone.upper <= 1:  # a member on the stability boundary, if not beyond
+            self._take(alone, alone.delta)
+            if self.member is not None:
+                self.lower, self.upper, self.member, self.delta = 0.0, 0.0, None, alone.delta
+            return
         while self.upper > self.lower * (1 + accuracy) and time.monotonic() < self.until:
             before = self.lower, self.upper
             self._step(self._next(accuracy))
@@ -269,18 +274,28 @@ class _Search:
         except InputError:  # complex values at an end of the axis: not a member with real coefficients
             return self.member or self.nominal
         try:
-            return disk_margin_of(
-                perturbed_model(self.loop, made), self.names, self.skew, time_limit=self.left(), seed=self.seed
-            )
-        except NoTrustworthyNumber:
+            model = perturbed_model(self.loop, made)
+        except NoTrustworthyNumber:  # ill-posed
             return None
+        try:
+            return disk_margin_of(model, self.names, self.skew, time_limit=self.left(), seed=self.seed)
+        except NoTrustworthyNumber:
+            speed = float(np.abs(model.poles()).max(initial=0.0))
+            if model.spectral_abscissa() > -ON_THE_AXIS * speed:
+                return None
+            return self.member or self.nominal  # stable, only without a number: no candidate
 
     def result(self, accuracy: float) -> WorstCaseDiskMargin:
         """The bounds as a result."""
         met = self.upper <= self.lower * (1 + accuracy) or self.upper == 0
-        notes = [] if met else [f"the bounds differ by {100 * (self.upper / max(self.lower, 1e-300) - 1):.3g} %"]
+        notes = []
         if self.upper == 0:
-            notes = ["a member of the set has an unstable loop"]
+            notes.append("a member of the set has a loop that is not stable")
+        elif not met:
+            apart = (
+                f"the bounds differ by {100 * (self.upper / self.lower - 1):.3g} %" if self.lower else "nothing proved"
+            )
+            notes.append(apart)
         if met:
             status = Status.CERTIFIED
         elif time.monotonic() >= self.until:

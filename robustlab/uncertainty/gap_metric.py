@@ -243,11 +243,13 @@ def _nu_gap(one: CoprimeFactors, two: CoprimeFactors, mapped: MappedModels) -> N
         text = "det(G2* G1) vanishes on the stability boundary"
         return NuGap(1.0, 1.0, frequency, chordal, 0, norm.status, text)
     # Where the models are 1 apart at some frequency, the winding number no longer matters.
+    if not sure and norm.lower >= 1 - AGREE:
+        return NuGap(chordal, 1.0, frequency, chordal, winding, norm.status, norm.reason)
     if winding != 0 and norm.lower < 1:
         status = norm.status if sure else Status.INACCURATE
         text = f"det(G2* G1) winds {winding} times around the origin: no controller is good for both"
         return NuGap(1.0, 1.0, frequency, chordal, winding, status, text if sure else _UNSURE)
-    status = norm.status if sure or norm.lower >= 1 - AGREE else Status.INACCURATE
+    status = norm.status if sure else Status.INACCURATE
     reason = norm.reason if status is norm.status else _UNSURE
     return NuGap(chordal, min(norm.upper, 1.0), frequency, chordal, winding, status, reason)
 

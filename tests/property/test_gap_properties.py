@@ -31,7 +31,7 @@ CASES = {
 
 
 @given(**CASES)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_they_are_metrics(seed, n, p, m, step):
     a, b, c = near(seed, n, p, m, step)
     for distance, slack in ((lambda x, y: nu_gap(x, y).value, 1e-8), (lambda x, y: gap(x, y).value, 1e-6)):
@@ -44,7 +44,7 @@ def test_they_are_metrics(seed, n, p, m, step):
 
 
 @given(**CASES, gain=st.floats(0.1, 3.0))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_the_margin_that_is_left(seed, n, p, m, step, gain):
     """Vinnicombe: arcsin b(P2, C) >= arcsin b(P1, C) - arcsin delta_nu(P1, P2)."""
     one, two, _ = near(seed, n, p, m, step)

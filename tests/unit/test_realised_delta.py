@@ -114,8 +114,8 @@ def uncertain(dt: float, seed: int = 3) -> rl.UncertainModel:
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.4])
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("omega", [0.1, 1.0, 6.0])
+@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("omega", [0.1, 6.0])
 def test_a_singularising_delta_puts_a_pole_on_the_stability_boundary(dt, seed, omega):
     model = uncertain(dt, seed)
     bounds = rl.mu(rl.frequency_response(model.delta_channels, [omega])[0], model.blocks)
