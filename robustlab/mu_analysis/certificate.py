@@ -31,8 +31,10 @@ EPS = float(np.finfo(float).eps)
 
 def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
     """Smallest beta of D and G by floating point, no proof; 0 where N(0) > 0, inf where D is not positive definite."""
-    square = _Inequality(*(part[None] for part in (M, Dw, Dz, G))).squares()[0]
-    return float(np.sqrt(max(square, 0.0)))
+    if not M.size:
+        return 0.0
+    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
+    return float(np.sqrt(max(inequality.squares()[0], 0.0)) * inequality.unit[0])
 
 
 def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:
@@ -41,7 +43,8 @@ def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray,
     The matrices are scaled by powers of two (exact); the rounding error of N is bounded entry by entry, and a Cholesky
     factorisation of N minus that bound has to succeed.
     """
-    return bool(_Inequality(*(part[None] for part in (M, Dw, Dz, G))).proves(np.array([beta]))[0])
+    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
+    return bool(inequality.proves(np.array([beta]) / inequality.unit)[0])
 
 
 def positive_definite(X: ComplexArray, error: float) -> bool:
@@ -70,18 +73,25 @@ def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: Com
             break
         beta = np.sqrt(np.maximum(squares[todo] + raised[todo], 0.0))
         proved = inequality.proves(beta, todo)
-        result[todo[proved]] = beta[proved]
+        result[todo[proved]] = beta[proved] * inequality.unit[todo[proved]]
         todo = todo[~proved]
         raised[todo] *= 4
     return result
 
 
 class _Inequality:
-    """``N(beta) = beta^2 D_w - supply`` of a stack, with D of unit size, and the bounds of its rounding errors."""
+    """``N(beta) = beta^2 D_w - supply`` of a stack, with the bounds of its rounding errors.
+
+    D has a diagonal of order one, M is of order one in ``unit``, a power of two; beta is in this unit too.
+    """
 
     def __init__(self, M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
+            largest = np.abs(M).max(axis=(1, 2), initial=0.0)
+            usual = (largest > 0) & np.isfinite(largest)
+            self.unit = np.exp2(np.rint(np.log2(np.where(usual, largest, 1.0))))
+            M, G = M / self.unit[:, None, None], G / self.unit[:, None, None]
             product = G @ M
             supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
             size = np.abs(M)

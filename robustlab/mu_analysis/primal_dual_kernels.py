@@ -602,6 +602,7 @@ def descend(x, t, tall, pattern, tol, goal, max_steps):
     Z, Y = blank(tall.shape[1]), blank(tall.shape[1])
     best_x, best_t = step_to(x, 0.0, x), np.inf
     steps, restarts, short, settled = 0, 0, True, False
+    last, left = np.inf, np.inf
     while steps < max_steps:
         if short:
             restarts += 1
@@ -617,13 +618,17 @@ def descend(x, t, tall, pattern, tol, goal, max_steps):
             best_t = reached
             best_x = step_to(x, 0.0, x)
         gap = inner(Z, point.F) + inner(Y, point.S)
-        settled = best_t <= max(goal, 0.0) or gap <= tol * t or (goal > 0 and t - 2 * gap > goal)
+        # A D far from I makes the gap lie: the steps of t have to die out too.
+        settled = best_t <= max(goal, 0.0) or (gap <= tol * t and left <= 3 * tol * t)
+        settled = settled or (goal > 0 and t - 2 * gap - left > goal)
         if settled:
             break
         move, length = advance(x, t, tall, pattern, point, Z, Y, gap)
         if not np.isfinite(move):
             break
         t += move
+        ratio = min(abs(move / last), 0.95)
+        left, last = abs(move) * ratio / (1 - ratio), move
         steps += 1
         short = length < 0.05
     return best_x, settled, steps
