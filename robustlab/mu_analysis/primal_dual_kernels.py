@@ -508,17 +508,26 @@ def allowance(x, tall, point, pattern):
         for e in range(pattern.first[i], pattern.first[i + 1]):
             if pattern.rows[e] == pattern.cols[e]:
                 scale[pattern.rows[e]] = 1 / np.sqrt(x[i])
-    plant, supply, smallest = 0.0, 0.0, 0.0
-    for i in range(n - q):
+    # Row sums of |M|^T |D_z| |M| + |G| |M| + |M|^T |G|^T: products with a vector of ones.
+    through, inward, rows = np.zeros(n), np.zeros(n), np.zeros(q)
+    for i in range(q, n):
         for j in range(q):
-            plant += (abs(tall[q + i, j]) * scale[j] / scale[q + i]) ** 2
+            through[i] += abs(tall[i, j]) * scale[j] / scale[i]
     for i in range(len(x)):
-        if pattern.owner[i] < 0:
-            for e in range(pattern.first[i], pattern.first[i + 1]):
-                supply += (x[i] * scale[pattern.rows[e]] * scale[pattern.cols[e]]) ** 2
-    for i in range(len(point.S)):
-        smallest = max(smallest, point.S[i, i].real * point.T[i, i].real)
-    return 1e-14 * q * smallest * (plant + np.sqrt(supply * plant))
+        for e in range(pattern.first[i], pattern.first[i + 1]):
+            row, col = pattern.rows[e], pattern.cols[e]
+            size = abs(pattern.coefficients[e] * x[i]) * scale[row] * scale[col]
+            if row >= q:
+                inward[row] += size * (through[col] if col >= q else 1.0)
+            elif col >= q:
+                rows[row] += size * through[col]
+    largest, smallest = 0.0, 0.0
+    for j in range(q):
+        for i in range(q, n):
+            rows[j] += abs(tall[i, j]) * scale[j] / scale[i] * inward[i]
+        largest = max(largest, rows[j])
+        smallest = max(smallest, point.S[j, j].real * point.T[j, j].real)
+    return 4e-15 * n * smallest * largest
 
 
 @nb.njit(**INSIDE)
