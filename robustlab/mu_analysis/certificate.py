@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from robustlab.mu_analysis.scalings import hermitian
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices
 
-__all__ = ["EPS", "certified_level", "certified_levels", "delta_norm", "level", "positive_definite", "project", "proves", "singularity"]
+__all__ = ["EPS", "certified_level", "certified_levels", "delta_norm", "has_structure", "level", "positive_definite", "project", "proves", "singularity"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -183,6 +183,24 @@ def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
         size = np.linalg.norm(delta[w, z], 2) if full else abs(delta[w.start, z.start])
         largest = max(largest, float(size))
     return largest
+
+
+def has_structure(blocks: Sequence[Block], Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> bool:
+    """Whether D and G commute with every Delta of these blocks, to the last bit: no number of theirs is rounded."""
+    rest = (Dw.copy(), Dz.copy(), G.copy())
+    for block, (w, z) in _with_slices(blocks):
+        d_w, d_z, g = Dw[w, w], Dz[z, z], G[w, z]
+        if isinstance(block, FullBlock):
+            d = d_w[0, 0].real
+            fits = (d_w == d * np.eye(block.rows)).all() and (d_z == d * np.eye(block.cols)).all() and not g.any()
+        else:
+            fits = (d_w == d_z).all() and (d_w == d_w.conj().T).all()
+            fits = fits and ((g == g.conj().T).all() if isinstance(block, RealScalar) else not g.any())
+        if not fits:
+            return False
+        for part, rows, cols in zip(rest, (w, z, w), (w, z, z), strict=True):
+            part[rows, cols] = 0
+    return not any(part.any() for part in rest)
 
 
 def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:
