@@ -1,7 +1,7 @@
 """mu upper bound: time per matrix and tightness, ours (certified) beside three peers, in one run.
 
-Peers: raw slycot.ab13md (no repeated and no rectangular blocks), dkpy's LMI by bisection (complex full blocks only; where
-it is installed), and the D-G inequality in cvxpy with Clarabel by bisection, which knows every kind of block and whose
+Peers: raw slycot.ab13md (no repeated and no rectangular blocks), dkpy's LMI by bisection (complex full blocks only;
+where it is installed), and the D-G inequality in cvxpy with Clarabel by bisection, which knows every kind of block and whose
 optimum is the measure of tightness. Slow peers get the first matrices of the batch only.
 """
 
@@ -136,7 +136,10 @@ def line(name: str, rows, slow: int, count: int) -> str:
     own_ms = 1e3 * (time.process_time() - started) / count
     own = np.array([b.beta for b in bounds])
     lower = rl.mu(M[:3], blocks).lower
-    proved = [has_structure(blocks, b.Dw, b.Dz, b.G) and proves(m, b.Dw, b.Dz, b.G, b.beta) for m, b in zip(M, bounds, strict=True)]
+    proved = [
+        has_structure(blocks, b.Dw, b.Dz, b.G) and proves(m, b.Dw, b.Dz, b.G, b.beta)
+        for m, b in zip(M, bounds, strict=True)
+    ]
     wrong = count - sum(proved) + int((own[:3] < lower * (1 - 1e-8)).sum())
     cells = [f"{name:20s}{own_ms:9.2f}"]
     for peer, some in ((ab13md(blocks), M if q <= 12 else M[:3] if q <= 24 else M[:1]), (dkpy_bound(blocks), M[:slow])):
@@ -162,7 +165,9 @@ def main(count: int = 20) -> None:
     names = ("robustlab", "numpy", "slycot", "cvxpy", "clarabel", "numba")
     print(f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()},")
     print(", ".join(f"{name} {version(name)}" for name in names if importlib.util.find_spec(name)))
-    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; CPU ms per random complex matrix, batch of {count},")
+    print(
+        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; CPU ms per random complex matrix, batch of {count},"
+    )
     print("one thread; time: ours / peer; bound: largest peer / ours, for the LMI largest ours / optimum (to 2e-4);")
     print("wrong: bounds of ours below a verified lower bound, or not proved by their D, G")
     print(

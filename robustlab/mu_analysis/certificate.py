@@ -22,7 +22,18 @@ from numpy.typing import NDArray
 from robustlab.mu_analysis.scalings import hermitian
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices
 
-__all__ = ["EPS", "certified_level", "certified_levels", "delta_norm", "has_structure", "level", "positive_definite", "project", "proves", "singularity"]
+__all__ = [
+    "EPS",
+    "certified_level",
+    "certified_levels",
+    "delta_norm",
+    "has_structure",
+    "level",
+    "positive_definite",
+    "project",
+    "proves",
+    "singularity",
+]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -223,9 +234,7 @@ def _power_of_two_scaled(
     M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
     """The same inequality with diagonals of D between 1/2 and 2: congruence by powers of two, free of rounding."""
-    w, z = (
-        np.exp2(np.round(-0.5 * np.log2(np.maximum(np.einsum("kii->ki", d).real, 1e-300)))) for d in (Dw, Dz)
-    )
+    w, z = (np.exp2(np.round(-0.5 * np.log2(np.maximum(np.einsum("kii->ki", d).real, 1e-300)))) for d in (Dw, Dz))
     return (
         M * w[:, None, :] / z[:, :, None],
         Dw * w[:, :, None] * w[:, None, :],

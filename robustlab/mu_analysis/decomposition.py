@@ -51,7 +51,9 @@ def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
     size = np.abs(M)
     largest = np.maximum.reduceat(np.maximum.reduceat(size, z, axis=0), w, axis=1)
     # Scaled by the largest entry of the block: the squares of a small coupling must not vanish.
-    unit = np.repeat(np.repeat(np.where(largest > 0, largest, 1.0), [b.cols for b in blocks], 0), [b.rows for b in blocks], 1)
+    unit = np.repeat(
+        np.repeat(np.where(largest > 0, largest, 1.0), [b.cols for b in blocks], 0), [b.rows for b in blocks], 1
+    )
     return largest * np.sqrt(np.add.reduceat(np.add.reduceat((size / unit) ** 2, z, axis=0), w, axis=1))
 
 

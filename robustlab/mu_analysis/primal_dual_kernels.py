@@ -1,8 +1,10 @@
 r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.primal_dual`, one matrix at a time.
 
-Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the loops
-are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out, the
-bound is that of `certificate.certified_level`.
+Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the
+loops are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out,
+the bound is that of `certificate.certified_level`.
+
+All of it is one file because numba's cache asks for changes in the file of the function that is called, no other.
 """
 
 from __future__ import annotations
@@ -342,7 +344,7 @@ def curvature(V, W, t, T, Y, pattern):
 
 @nb.njit(**INSIDE)
 def g_part(x, pattern):
-    """x with the parameters of D set to zero."""
+    """The parameters of G; zeros in place of those of D."""
     out = np.empty(len(x))
     for i in range(len(x)):
         out[i] = x[i] if pattern.owner[i] < 0 else 0.0
@@ -406,7 +408,7 @@ def newton_solve(H, scale, right):
 
 @nb.njit(**INSIDE)
 def longest(X, dX, bend, S, dS, blocks, top, halvings):
-    """Largest step up to ``top`` (by bisection) that keeps ``X + a dX + a^2 bend`` and ``S + a dS`` positive definite."""
+    """Largest step a up to ``top``, by bisection, with ``X + a dX + a^2 bend > 0`` and ``S + a dS > 0``."""
     L, whole = blank(len(X)), np.array([0, len(X)])
     low, high, a = 0.0, top, top
     for _ in range(3 * halvings):
@@ -459,7 +461,7 @@ def descent(point, dF, dS, barrier, blocks, linear, square):
 
 @nb.njit(**INSIDE)
 def centre(x, t, tall, pattern, Z, Y):
-    """Newton steps of x, in place, to the analytic centre at t; the Z, Y that come with it are feasible. Steps, or -1."""
+    """Newton steps of x, in place, to the analytic centre at t, where Z and Y become feasible. Their number, or -1."""
     q, blocks = tall.shape[1], pattern.blocks
     for count in range(30):
         point, barrier = evaluate(x, t, tall, pattern)
@@ -605,8 +607,8 @@ def advance(x, t, tall, pattern, point, Z, Y, gap):
 def descend(x, t, tall, pattern, tol, goal, max_steps):
     """Follow the central path down from x, t.
 
-    Returns the best x, whether its t is the optimum within ``tol`` (or its goal was reached, or shown out of reach), and
-    the number of Newton systems.
+    Returns the best x, whether its t is the optimum within ``tol`` (or its goal was reached, or shown out of reach),
+    and the number of Newton systems.
     """
     Z, Y = blank(tall.shape[1]), blank(tall.shape[1])
     best_x, best_t = step_to(x, 0.0, x), np.inf

@@ -73,9 +73,7 @@ def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[
     return result
 
 
-def _minimise(
-    M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None
-) -> list[UpperBound]:
+def _minimise(M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None) -> list[UpperBound]:
     """D and G by the primal-dual method; where that came to no end, the better ones of two methods."""
     from robustlab.mu_analysis import path_following, primal_dual
 
@@ -119,7 +117,6 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
     Couplings run from a lower to a higher depth only: with D of a depth much smaller than that of the depth before it
     they cost nothing.
     """
-    q, p = structure_size(blocks)
     floor = max((b.beta for b in parts), default=0.0)
     best: UpperBound | None = None
     for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):

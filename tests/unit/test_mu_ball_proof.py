@@ -68,7 +68,15 @@ def test_structure_is_checked_to_the_last_bit():
     blocks = as_blocks(rows)
     b = rl.mu(random_matrix(3, rows), rows)
     assert has_structure(blocks, b.D, b.D_z, b.G)
-    for name, row, col in (("D", 0, 1), ("D", 2, 2), ("D", 0, 3), ("D_z", 2, 2), ("D_z", 3, 3), ("G", 0, 1), ("G", 4, 3)):
+    for name, row, col in (
+        ("D", 0, 1),
+        ("D", 2, 2),
+        ("D", 0, 3),
+        ("D_z", 2, 2),
+        ("D_z", 3, 3),
+        ("G", 0, 1),
+        ("G", 4, 3),
+    ):
         changed = {key: getattr(b, key).copy() for key in ("D", "D_z", "G")}
         changed[name][row, col] += 1e-12
         assert not has_structure(blocks, changed["D"], changed["D_z"], changed["G"]), (name, row, col)
