@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.primal_dual`, one matrix at a time.
 
 Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the
@@ -9,13 +10,13 @@ All of it is one file because numba's cache asks for changes in the file of the 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
 
 # Sums may be taken in any order; NaN and infinity keep their meaning, as the tests for them need it.
-ENTRY = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+ENTRY: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
 # The others are called from compiled code only: without entrances from Python they compile in half the time. For the
 # same reason sums of arrays are written as loops; numba compiles a kernel of its own for each array expression.
 INSIDE = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
