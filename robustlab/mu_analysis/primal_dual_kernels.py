@@ -16,10 +16,15 @@ import numba as nb
 import numpy as np
 
 # Sums may be taken in any order; NaN and infinity keep their meaning, as the tests for them need it.
-ENTRY: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+ENTRY: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz"},
+}
 # The others are called from compiled code only: without entrances from Python they compile in half the time. For the
 # same reason sums of arrays are written as loops; numba compiles a kernel of its own for each array expression.
-INSIDE = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+INSIDE: dict[str, Any] = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 # Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
 SHORT_G = 1e-4
