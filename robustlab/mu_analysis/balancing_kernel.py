@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """Osborne's iteration, compiled. Importing this module imports numba."""
 
 from __future__ import annotations

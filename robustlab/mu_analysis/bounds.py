@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.mu_analysis.certificate import has_structure
+from robustlab.mu_analysis.decomposition import components
 from robustlab.mu_analysis.lower import lower_bound
 from robustlab.mu_analysis.upper import upper_bounds
 from robustlab.result import Status
@@ -59,7 +61,7 @@ class MuBounds:
         return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
 
 
-def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
+def mu(M: ArrayLike, blocks: Any, seed: int = 0, certify: bool = False) -> MuBounds:
     r"""Bounds of the structured singular value.
 
     .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}, \qquad \mu = 0 \text{ where no } \Delta
@@ -77,11 +79,18 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
         ``[r, c]`` full.
     seed
         Seed of the starting points of the lower bound.
+    certify
+        Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
 
     Raises
     ------
     InputError
-        NaN or Inf, or a shape that does not fit the blocks.
+        NaN or Inf, a shape that does not fit the blocks, or a parameter whose range is not symmetric: its delta does
+        not fill [-1, 1] times one number.
+    NoTrustworthyNumber
+        A lower bound above the upper one, or an upper bound that ball arithmetic does not confirm.
+    DependencyMissing
+        ``certify`` without python-flint.
 
     References
     ----------
@@ -94,6 +103,7 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
     (2.0, 2.0)
     """
     structure = as_blocks(blocks)
+    _refuse_asymmetric(structure)
     stack, single = matrix_stack(M, structure)
     # Scaling by powers of two is exact, and keeps the squares of the entries inside the range of floating point.
     scale = np.exp2(-_exponents(stack))
@@ -120,6 +130,8 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0) -> MuBounds:
         "G": _stacked([b.G for b in uppers], (q, p)) / size,
         "D_z": _stacked([b.Dz for b in uppers], (p, p)),
     }
+    if certify:
+        _confirm(stack / size, parts, structure)
     if single:
         parts = {key: value[0] for key, value in parts.items()}
         parts.update(lower=float(parts["lower"]), upper=float(parts["upper"]))
@@ -152,6 +164,31 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
     return (stack[None] if single else stack), single
 
 
+def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
+    for block in blocks:
+        scale = getattr(block, "parameter", None)
+        below = getattr(scale, "below", None)
+        if scale is not None and below is not None and below != scale.radius:
+            raise InputError(
+                f"mu: block {block.name!r}",
+                f"range {scale.nominal - below:g} .. {scale.nominal + scale.radius:g} around {scale.nominal:g}",
+                "a range that is symmetric around its nominal value",
+                "robust_stability takes such ranges; or give the block a symmetric range that holds this one",
+            )
+
+
+def _confirm(stack: ComplexArray, parts: dict[str, Any], blocks: Sequence[Block]) -> None:
+    """Prove each upper bound in ball arithmetic; a zero by the zero pattern of M where D shows it in the limit only."""
+    from robustlab.mu_analysis.ball_proof import certified_in_balls
+
+    for k, m in enumerate(stack):
+        D, D_z, G, beta = (parts[key][k] for key in ("D", "D_z", "G", "upper"))
+        if beta == 0 and not any(component.matrix.any() for component in components(m, blocks)):
+            continue
+        if not (has_structure(blocks, D, D_z, G) and certified_in_balls(m, D, G, beta, D_z)):
+            raise NoTrustworthyNumber(f"mu: matrix {k}", f"upper bound {beta:.12g} is not confirmed by ball arithmetic")
+
+
 def _exponents(stack: ComplexArray) -> NDArray[np.float64]:
     """Power of two of the largest entry of each matrix, shape (k,); 0 for a zero matrix."""
     largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
@@ -163,8 +200,6 @@ def _stacked(parts: list[ComplexArray], shape: tuple[int, int]) -> ComplexArray:
 
 
 def _contradiction(k: int, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> ArithmeticError:
-    from robustlab.errors import NoTrustworthyNumber
-
     return NoTrustworthyNumber(
         f"mu: matrix {k}", f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost"
     )

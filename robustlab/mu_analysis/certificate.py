@@ -27,6 +27,7 @@ __all__ = [
     "certified_level",
     "certified_levels",
     "delta_norm",
+    "has_structure",
     "level",
     "positive_definite",
     "project",
@@ -41,8 +42,10 @@ EPS = float(np.finfo(float).eps)
 
 def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
     """Smallest beta of D and G by floating point, no proof; 0 where N(0) > 0, inf where D is not positive definite."""
-    square = _Inequality(*(part[None] for part in (M, Dw, Dz, G))).squares()[0]
-    return float(np.sqrt(max(square, 0.0)))
+    if not M.size:
+        return 0.0
+    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
+    return float(np.sqrt(max(inequality.squares()[0], 0.0)) * inequality.unit[0])
 
 
 def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:
@@ -51,7 +54,8 @@ def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray,
     The matrices are scaled by powers of two (exact); the rounding error of N is bounded entry by entry, and a Cholesky
     factorisation of N minus that bound has to succeed.
     """
-    return bool(_Inequality(*(part[None] for part in (M, Dw, Dz, G))).proves(np.array([beta]))[0])
+    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
+    return bool(inequality.proves(np.array([beta]) / inequality.unit)[0])
 
 
 def positive_definite(X: ComplexArray, error: float) -> bool:
@@ -80,18 +84,25 @@ def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: Com
             break
         beta = np.sqrt(np.maximum(squares[todo] + raised[todo], 0.0))
         proved = inequality.proves(beta, todo)
-        result[todo[proved]] = beta[proved]
+        result[todo[proved]] = beta[proved] * inequality.unit[todo[proved]]
         todo = todo[~proved]
         raised[todo] *= 4
     return result
 
 
 class _Inequality:
-    """``N(beta) = beta^2 D_w - supply`` of a stack, with D of unit size, and the bounds of its rounding errors."""
+    """``N(beta) = beta^2 D_w - supply`` of a stack, with the bounds of its rounding errors.
+
+    D has a diagonal of order one, M is of order one in ``unit``, a power of two; beta is in this unit too.
+    """
 
     def __init__(self, M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
+            largest = np.abs(M).max(axis=(1, 2), initial=0.0)
+            usual = (largest > 0) & np.isfinite(largest)
+            self.unit = np.exp2(np.rint(np.log2(np.where(usual, largest, 1.0))))
+            M, G = M / self.unit[:, None, None], G / self.unit[:, None, None]
             product = G @ M
             supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
             size = np.abs(M)
@@ -183,6 +194,24 @@ def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
         size = np.linalg.norm(delta[w, z], 2) if full else abs(delta[w.start, z.start])
         largest = max(largest, float(size))
     return largest
+
+
+def has_structure(blocks: Sequence[Block], Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> bool:
+    """Whether D and G commute with every Delta of these blocks, to the last bit: no number of theirs is rounded."""
+    rest = (Dw.copy(), Dz.copy(), G.copy())
+    for block, (w, z) in _with_slices(blocks):
+        d_w, d_z, g = Dw[w, w], Dz[z, z], G[w, z]
+        if isinstance(block, FullBlock):
+            d = d_w[0, 0].real
+            fits = (d_w == d * np.eye(block.rows)).all() and (d_z == d * np.eye(block.cols)).all() and not g.any()
+        else:
+            fits = (d_w == d_z).all() and (d_w == d_w.conj().T).all()
+            fits = fits and ((g == g.conj().T).all() if isinstance(block, RealScalar) else not g.any())
+        if not fits:
+            return False
+        for part, rows, cols in zip(rest, (w, z, w), (w, z, z), strict=True):
+            part[rows, cols] = 0
+    return not any(part.any() for part in rest)
 
 
 def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:

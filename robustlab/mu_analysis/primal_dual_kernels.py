@@ -1,22 +1,30 @@
+# pyright: reportMissingParameterType=false
 r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.primal_dual`, one matrix at a time.
 
-Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the loops
-are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out, the
-bound is that of `certificate.certified_level`.
+Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the
+loops are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out,
+the bound is that of `certificate.certified_level`.
+
+All of it is one file because numba's cache asks for changes in the file of the function that is called, no other.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
 
 # Sums may be taken in any order; NaN and infinity keep their meaning, as the tests for them need it.
-ENTRY = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+ENTRY: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz"},
+}
 # The others are called from compiled code only: without entrances from Python they compile in half the time. For the
 # same reason sums of arrays are written as loops; numba compiles a kernel of its own for each array expression.
-INSIDE = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+INSIDE: dict[str, Any] = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 # Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
 SHORT_G = 1e-4
@@ -342,7 +350,7 @@ def curvature(V, W, t, T, Y, pattern):
 
 @nb.njit(**INSIDE)
 def g_part(x, pattern):
-    """X with the parameters of D set to zero."""
+    """The parameters of G; zeros in place of those of D."""
     out = np.empty(len(x))
     for i in range(len(x)):
         out[i] = x[i] if pattern.owner[i] < 0 else 0.0
@@ -406,7 +414,7 @@ def newton_solve(H, scale, right):
 
 @nb.njit(**INSIDE)
 def longest(X, dX, bend, S, dS, blocks, top, halvings):
-    """Largest step up to ``top`` (by bisection) that keeps ``X + a dX + a^2 bend`` and ``S + a dS`` positive definite."""
+    """Largest step a up to ``top``, by bisection, with ``X + a dX + a^2 bend > 0`` and ``S + a dS > 0``."""
     L, whole = blank(len(X)), np.array([0, len(X)])
     low, high, a = 0.0, top, top
     for _ in range(3 * halvings):
@@ -459,7 +467,7 @@ def descent(point, dF, dS, barrier, blocks, linear, square):
 
 @nb.njit(**INSIDE)
 def centre(x, t, tall, pattern, Z, Y):
-    """Newton steps of x, in place, to the analytic centre at t; the Z, Y that come with it are feasible. Steps, or -1."""
+    """Newton steps of x, in place, to the analytic centre at t, where Z and Y become feasible. Their number, or -1."""
     q, blocks = tall.shape[1], pattern.blocks
     for count in range(30):
         point, barrier = evaluate(x, t, tall, pattern)
@@ -508,17 +516,26 @@ def allowance(x, tall, point, pattern):
         for e in range(pattern.first[i], pattern.first[i + 1]):
             if pattern.rows[e] == pattern.cols[e]:
                 scale[pattern.rows[e]] = 1 / np.sqrt(x[i])
-    plant, supply, smallest = 0.0, 0.0, 0.0
-    for i in range(n - q):
+    # Row sums of |M|^T |D_z| |M| + |G| |M| + |M|^T |G|^T: products with a vector of ones.
+    through, inward, rows = np.zeros(n), np.zeros(n), np.zeros(q)
+    for i in range(q, n):
         for j in range(q):
-            plant += (abs(tall[q + i, j]) * scale[j] / scale[q + i]) ** 2
+            through[i] += abs(tall[i, j]) * scale[j] / scale[i]
     for i in range(len(x)):
-        if pattern.owner[i] < 0:
-            for e in range(pattern.first[i], pattern.first[i + 1]):
-                supply += (x[i] * scale[pattern.rows[e]] * scale[pattern.cols[e]]) ** 2
-    for i in range(len(point.S)):
-        smallest = max(smallest, point.S[i, i].real * point.T[i, i].real)
-    return 1e-14 * q * smallest * (plant + np.sqrt(supply * plant))
+        for e in range(pattern.first[i], pattern.first[i + 1]):
+            row, col = pattern.rows[e], pattern.cols[e]
+            size = abs(pattern.coefficients[e] * x[i]) * scale[row] * scale[col]
+            if row >= q:
+                inward[row] += size * (through[col] if col >= q else 1.0)
+            elif col >= q:
+                rows[row] += size * through[col]
+    largest, smallest = 0.0, 0.0
+    for j in range(q):
+        for i in range(q, n):
+            rows[j] += abs(tall[i, j]) * scale[j] / scale[i] * inward[i]
+        largest = max(largest, rows[j])
+        smallest = max(smallest, point.S[j, j].real * point.T[j, j].real)
+    return 4e-15 * n * smallest * largest
 
 
 @nb.njit(**INSIDE)
@@ -596,12 +613,13 @@ def advance(x, t, tall, pattern, point, Z, Y, gap):
 def descend(x, t, tall, pattern, tol, goal, max_steps):
     """Follow the central path down from x, t.
 
-    Returns the best x, whether its t is the optimum within ``tol`` (or its goal was reached, or shown out of reach), and
-    the number of Newton systems.
+    Returns the best x, whether its t is the optimum within ``tol`` (or its goal was reached, or shown out of reach),
+    and the number of Newton systems.
     """
     Z, Y = blank(tall.shape[1]), blank(tall.shape[1])
     best_x, best_t = step_to(x, 0.0, x), np.inf
     steps, restarts, short, settled = 0, 0, True, False
+    last, left = np.inf, np.inf
     while steps < max_steps:
         if short:
             restarts += 1
@@ -617,13 +635,17 @@ def descend(x, t, tall, pattern, tol, goal, max_steps):
             best_t = reached
             best_x = step_to(x, 0.0, x)
         gap = inner(Z, point.F) + inner(Y, point.S)
-        settled = best_t <= max(goal, 0.0) or gap <= tol * t or (goal > 0 and t - 2 * gap > goal)
+        # A D far from I makes the gap lie: the steps of t have to die out too.
+        settled = best_t <= max(goal, 0.0) or (gap <= tol * t and left <= 3 * tol * t)
+        settled = settled or (goal > 0 and t - 2 * gap - left > goal)
         if settled:
             break
         move, length = advance(x, t, tall, pattern, point, Z, Y, gap)
         if not np.isfinite(move):
             break
         t += move
+        ratio = min(abs(move / last), 0.95)
+        left, last = abs(move) * ratio / (1 - ratio), move
         steps += 1
         short = length < 0.05
     return best_x, settled, steps

@@ -117,7 +117,6 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
     Couplings run from a lower to a higher depth only: with D of a depth much smaller than that of the depth before it
     they cost nothing.
     """
-    q, p = structure_size(blocks)
     floor = max((b.beta for b in parts), default=0.0)
     best: UpperBound | None = None
     for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):

@@ -57,24 +57,39 @@ def feasible(M, blocks, beta):
 
 
 @pytest.mark.parametrize(
-    "rows", [[[-1, 0], [-1, 0], [1, 0]], [[-2, 0], [1, 0]], [[2, 0], [1, 2]], [[-2, 0], [-1, 0], [2, 1]]]
+    "rows",
+    [
+        [[-1, 0], [-1, 0], [1, 0]],
+        [[-1, 0]] * 6,
+        [[-2, 0], [1, 0]],
+        [[-2, 0], [-2, 0], [1, 0]],
+        [[-3, 0], [3, 0]],
+        [[2, 0], [1, 2]],
+        [[3, 0], [2, 0], [1, 0]],
+        [[2, 3], [3, 1], [-1, 0]],
+        [[2, 2], [2, 2], [-2, 0]],
+        [[-2, 0], [-1, 0], [2, 1]],
+    ],
 )
-def test_upper_bound_is_the_optimum_of_the_lmi(rows):
+@pytest.mark.parametrize("real", [False, True])
+def test_upper_bound_is_the_optimum_of_the_lmi(rows, real):
     blocks = as_blocks(rows)
     rng = np.random.default_rng(len(rows))
     q, p = structure_size(blocks)
-    M = rng.standard_normal((p, q)) + 1j * rng.standard_normal((p, q))
-    M /= np.linalg.norm(M, 2)
+    M = rng.standard_normal((p, q)) + (0 if real else 1j) * rng.standard_normal((p, q))
+    M = (M / np.linalg.norm(M, 2)).astype(complex)
     upper = rl.mu(M, blocks).upper
-    assert feasible(M, blocks, upper * 1.002)
-    assert not feasible(M, blocks, upper * 0.998)
+    assert feasible(M, blocks, upper * 1.001)
+    assert not feasible(M, blocks, upper * 0.999)
 
 
-def test_agrees_with_ab13md_beyond_the_order_it_is_used_for():
+@pytest.mark.parametrize("n", [5, 14])
+def test_agrees_with_ab13md(n):
     import slycot
 
-    rng = np.random.default_rng(5)
-    M = rng.standard_normal((14, 14)) + 1j * rng.standard_normal((14, 14))
-    own = rl.mu(M, [[-1, 0]] * 7 + [[1, 0]] * 7).upper
-    peer = slycot.ab13md(M, np.ones(14, dtype=int), np.array([1] * 7 + [2] * 7))[0]
+    rng = np.random.default_rng(n)
+    M = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
+    real = n // 2
+    own = rl.mu(M, [[-1, 0]] * real + [[1, 0]] * (n - real)).upper
+    peer = slycot.ab13md(M, np.ones(n, dtype=int), np.array([1] * real + [2] * (n - real)))[0]
     assert own == pytest.approx(peer, rel=1e-6)

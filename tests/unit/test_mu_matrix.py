@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import robustlab as rl
 from robustlab.mu_analysis.certificate import level, positive_definite, proves, singularity
+from robustlab.mu_analysis.upper import upper_bounds
+from robustlab.uncertainty.blocks import as_blocks
 
 
 def random_complex(seed: int, *shape: int) -> np.ndarray:
@@ -262,3 +266,43 @@ def test_result_becomes_plain_json():
     data = json.loads(json.dumps(plain(rl.mu(np.eye(2), [[1, 0], [-1, 0]])), allow_nan=False))
     assert data["type"] == "MuBounds"
     assert data["status"] == "certified"
+
+
+@pytest.mark.parametrize(
+    ("M", "rows"),
+    [
+        (np.eye(3) + np.diag([1.0, 1.0], 1), [[3, 0]]),  # a Jordan block: D has to become singular
+        (np.eye(3) + np.diag([1.0, 1.0], 1), [[-3, 0]]),
+        (np.diag([1.0, 1.0], 1) + 1e-9 * np.ones((3, 3)), [[-3, 0]]),
+        (random_complex(11, 4, 4).real, [[-2, 0], [-2, 0]]),
+        (np.outer(random_complex(12, 5), random_complex(13, 5)), [[-3, 0], [-2, 0]]),
+    ],
+)
+def test_degenerate_problems_keep_their_proof(M, rows):
+    bounds = rl.mu(M, rows)
+    assert proves(np.asarray(M, dtype=complex), bounds.D, bounds.D_z, bounds.G, bounds.upper)
+    assert bounds.lower <= bounds.upper <= np.linalg.norm(M, 2)
+
+
+@pytest.mark.parametrize("n", [1, 4])
+def test_any_number_of_matrices(n):
+    blocks = [[-1, 0]] * n
+    many = random_complex(14, 300, n, n)
+    upper = np.array([b.beta for b in upper_bounds(many, as_blocks(blocks))])
+    one = np.array([upper_bounds(m[None], as_blocks(blocks))[0].beta for m in many[:3]])
+    assert upper.shape == (300,)
+    assert upper[:3] == pytest.approx(one, rel=1e-9)
+    assert upper_bounds(many[:0], as_blocks(blocks)) == []
+
+
+def test_a_range_that_is_not_symmetric_is_refused():
+    @dataclasses.dataclass(frozen=True)
+    class Range:
+        nominal: float = 1.0
+        radius: float = 0.5
+        below: float = 0.25
+
+    block = rl.RealScalar("tau", 1, Range())
+    with pytest.raises(rl.InputError, match=r"block 'tau'.*range 0.75 .. 1.5 around 1") as caught:
+        rl.mu([[2.0]], [block])
+    assert "robust_stability" in str(caught.value)
