@@ -44,9 +44,12 @@ SINGULAR = 1e-11
 NEARBY = 1e-8
 # Candidates per matrix that are taken to rounding and verified.
 CHOSEN = 6
+# So many times the paths asked for begin where blocks are real; the most promising go on.
 WIDER = 3
-ROUNDS = 12
+# Candidates per matrix that go down along the singular set, and the rounds of that.
 DESCENDING = 2
+ROUNDS = 12
+# Structures of so few real blocks alone get scattered starts as well, so many.
 FEW = 5
 SCATTERED = 48
 # Numbers that one stack of paths may hold.
@@ -147,9 +150,7 @@ def _power_of_two(size: Array) -> Array:
 # --- candidates ------------------------------------------------------------------------------------------------------
 
 
-def _candidates(
-    M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
-) -> list[list[ComplexArray]]:
+def _candidates(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int) -> list[list[ComplexArray]]:
     """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
     if layout.real.any():
         x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
@@ -169,7 +170,8 @@ def _candidates(
         sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
         count = 2 * DESCENDING if few else DESCENDING
         best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
-        sharp[best] = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
+        lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
+        sharp, of = np.concatenate([sharp, lower]), np.concatenate([of, of[best]])
     found = [list(sharp[of == k]) for k in range(len(M))]
     if layout.real.all():
         for k in range(len(M)):
@@ -253,7 +255,7 @@ def _follow(
 ) -> tuple[ComplexArray, Array]:
     """Deltas (k, r, q, p) at the ends of minimum-norm paths from x, y (k, r, p), and their norms, inf where none is."""
     k, r = x.shape[:2]
-    delta, norm = minimum_norm_paths(_repeated(M, r), layout, _flat(x), _flat(y), steps)
+    delta, norm = minimum_norm_paths(_repeated(M, r), layout, _flat(x), _flat(y), steps, r)
     return delta.reshape(k, r, layout.q, layout.p), norm.reshape(k, r)
 
 

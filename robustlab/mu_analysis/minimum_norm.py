@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from robustlab.mu_analysis.delta_layout import DeltaLayout
 
-__all__ = ["descended", "first_steps", "minimum_norm_paths", "null_directions", "restored", "rows", "sharpened", "smallest_step", "unit_rows"]
+__all__ = [
+    "descended",
+    "first_steps",
+    "minimum_norm_paths",
+    "null_directions",
+    "restored",
+    "rows",
+    "sharpened",
+    "smallest_step",
+    "unit_rows",
+]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -36,7 +46,7 @@ HUGE = 1e9
 
 
 def minimum_norm_paths(
-    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int, per_matrix: int
 ) -> tuple[ComplexArray, Array]:
     """The smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf where none).
 
@@ -48,13 +58,16 @@ def minimum_norm_paths(
         Starting directions (k, p).
     steps
         Steps of each path, the restoring ones included.
+    per_matrix
+        How many neighbouring paths belong to one matrix: they differ in damping, and not from matrix to matrix.
     """
     k = len(M)
     best, best_norm = np.zeros((k, layout.q, layout.p), dtype=complex), np.full(k, np.inf)
     delta: ComplexArray | None = None
-    # Damping differs from path to path and from step to step, without chance: undamped steps can cycle.
-    phase = np.arange(k) * 0.754877666 % 1.0
-    averaging = np.arange(k) % 2 == 1
+    # Damping differs from path to path and from step to step, without chance: undamped steps can cycle. Every other
+    # path averages, which ends between the corners that steps jump to.
+    index = np.arange(k) % per_matrix
+    phase, averaging = index * 0.754877666 % 1.0, index % 2 == 1
     for step in range(steps):
         row = rows(M, x, y)
         if step >= steps - RESTORING and delta is not None:
@@ -206,6 +219,8 @@ def _limited(delta: ComplexArray) -> ComplexArray:
         return delta
     delta = np.where(np.isfinite(delta), delta, 0.0)
     return np.clip(delta.real, -HUGE, HUGE) + 1j * np.clip(delta.imag, -HUGE, HUGE)
+
+
 def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
     r"""The d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``.
 
@@ -271,5 +286,3 @@ def _dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np
     sine = np.clip(-side / np.maximum(total, 1e-300), -1 + 1e-12, 1 - 1e-12)
     smooth = np.where(total > 0, sine / np.sqrt(1 - sine**2), alpha)
     return np.where(kink >= 0, alpha, smooth), kink
-
-

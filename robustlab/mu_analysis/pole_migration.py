@@ -85,9 +85,9 @@ def smallest_destabilising(
 def _matrix_candidates(
     model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int
 ) -> tuple[list[ComplexArray], ComplexArray | None]:
-    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks; and D's.
+    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks.
 
-    Nothing else makes the loop ill-posed than a Delta that solves it for D.
+    The second is the one of D itself: it makes the loop ill-posed.
     """
     # At zero frequency M is real: its real Delta moves a real pole into the origin.
     ends = np.concatenate([frequency_response(model, np.array([0.0])), model.D.astype(complex)[None]])
@@ -184,8 +184,8 @@ def _on_the_axis(
     r"""Crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole.
 
     Eigenvalues are accurate to rounding of the largest one only: beside fast poles a slow one seems to cross long
-    before it does. At a crossing, ``M(j omega) Delta`` has an eigenvalue that is real; dividing by it ends there. Newton
-    steps in omega make it so.
+    before it does. At a crossing, ``M(j omega) Delta`` has an eigenvalue that is real; dividing by it ends there.
+    Newton steps in omega make it so.
     """
     if not np.isfinite(pole):
         return []
@@ -272,7 +272,9 @@ def _migrated(
     again = _scattered(model, layout, rng, size, random_starts)
     more, more_norm = _migrate(model, layout, again, _rightmost(model, again))
     pool = np.concatenate([found, more, again, *(g[None] for g in given)])
-    norm = np.concatenate([norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]])
+    norm = np.concatenate(
+        [norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]]
+    )
     chosen = pool[_distinct(pool, norm, CHOSEN + len(given))]
     lower = _descended(model, layout, chosen)
     return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
@@ -438,7 +440,7 @@ def _by_inverse_iteration(
 def _gradient(
     model: StateSpaceModel, deltas: ComplexArray, inverse: ComplexArray | None, u: ComplexArray, v: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
+    """Parts row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
     x, row = v @ model.C.T, u @ model.B
     if inverse is None:
         return row, x
