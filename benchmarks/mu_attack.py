@@ -3,10 +3,10 @@
 Per matrix: D, G prove the upper bound in 60-digit ball arithmetic (all leading minors positive); an exactly singular
 Delta lies within 1e-8 of the one returned (Newton's method in 60 digits); brute force (least squares from random
 starts, differential evolution, all vertices) finds no singular Delta inside the proved ball.
-Per model: no Delta inside
-the proved margin has an unstable pole (vertices, random points, differential evolution on the spectral abscissa), the
-critical Delta has a pole on or beyond the boundary in 60 digits, and D, G prove every sampled frequency of the
-intervals that they claim. Brute force at a 1 % smaller ball than the lower bound's tells how often that one can be beaten.
+Per model: no Delta inside the proved margin has an unstable pole (vertices, random points, differential evolution on
+the spectral abscissa), the critical Delta has a pole on or beyond the boundary in 60 digits, and D, G prove every
+sampled frequency of the intervals that they claim. Brute force at a 1 % smaller ball than the lower bound's tells how
+often that one can be beaten.
 
 ``python benchmarks/mu_attack.py [share]`` needs python-flint; a share of 0.2 runs every fifth case.
 """
@@ -512,7 +512,7 @@ def main(share: float = 1.0) -> None:
         rng = np.random.default_rng([k, 99])
         try:
             words = attack(subject, blocks, rng)
-        except Exception as error:  # whatever it is, it is told and the campaign goes on
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is told and the campaign goes on
             words = [f"WRONG: {type(error).__name__} {error}"]
         group = tally.setdefault(("matrix: " if attack is attack_matrix else "model: ") + name, Counter())
         group["cases"] += 1

@@ -237,7 +237,7 @@ def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
     total = np.abs(a[:, ~real]).sum(axis=1)
     alpha, kink = np.zeros(k), np.full(k, -1)
     if re.shape[1]:
-        alpha, kink = _dual_minimum(re, im, total)
+        alpha, kink = dual_minimum(re, im, total)
     value = np.abs(re + alpha[:, None] * im).sum(axis=1) + np.sqrt(1 + alpha**2) * total
     tau = 1 / np.maximum(value, 1e-300)
     inside = np.zeros(k)
@@ -263,7 +263,7 @@ def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
     return np.where(np.isfinite(d), d, 0.0)
 
 
-def _dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.intp]]:
+def dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.intp]]:
     """Minimiser alpha of the dual of `smallest_step`, and the index of the kink it sits at (-1: none)."""
     rows = np.arange(len(re))
     size = np.abs(re) + np.abs(im)
