@@ -30,8 +30,10 @@ PROTOTYPE = Path(__file__).resolve().parents[2] / "shared" / "prototypes" / "mu"
 
 def prototype_rows(blocks: Sequence[Block]) -> list[tuple[str, int, int]]:
     """Blocks as the prototype writes them."""
-    kinds = {RealScalar: "r", ComplexScalar: "c"}
-    return [(kinds.get(type(b), "f"), b.rows, b.cols) for b in blocks]
+    return [
+        ("r" if isinstance(b, RealScalar) else "c" if isinstance(b, ComplexScalar) else "f", b.rows, b.cols)
+        for b in blocks
+    ]
 
 
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:
@@ -82,7 +84,7 @@ def summary(ratio: np.ndarray) -> str:
 
 def compare_truth(prototype: Any, share: float) -> None:
     """Ours over what branch and bound (prototype, 20 s each, it searches as well) attains."""
-    import bnb
+    import bnb  # pyright: ignore[reportMissingImports]
 
     print("\npurely real, up to 12 columns: ours / best lower bound of branch and bound (proved to 1 % or 20 s)")
     for kind, n in (
@@ -146,7 +148,7 @@ def compare_models(prototype: Any, share: float) -> None:
 
 def prototype_axis(args: tuple[Any, ...]) -> float:
     """The prototype's lower bound of mu over the axis."""
-    import ssmu
+    import ssmu  # pyright: ignore[reportMissingImports]
 
     return float(ssmu.lower_axis(*args)[0])
 
@@ -163,7 +165,7 @@ def main(share: float = 1.0) -> None:
     prototype = None
     if PROTOTYPE.exists():
         sys.path.insert(0, str(PROTOTYPE))
-        import lower as prototype
+        import lower as prototype  # pyright: ignore[reportMissingImports]
     compare_matrices(prototype, share)
     if prototype is not None:
         compare_truth(prototype, share)

@@ -5,7 +5,8 @@ Let block i be ``s_i`` times as large. At the smallest singular Delta, the parts
 :math:`\mathrm{Re}(\varphi c_i)` of a block at its bound positive and that of a block inside it zero. By the envelope
 theorem
 
-.. math:: \frac{\partial \log m}{\partial \log s_i} = - \frac{\mathrm{Re}(\varphi c_i)}{\sum_j \mathrm{Re}(\varphi c_j)}.
+.. math:: \frac{\partial \log m}{\partial \log s_i}
+    = - \frac{\mathrm{Re}(\varphi c_i)}{\sum_j \mathrm{Re}(\varphi c_j)} .
 
 On the frequency axis the critical frequency moves along; there :math:`c_i` is the part of the pole's derivative, and
 ``phi = 1``: only the real part of the pole counts.

@@ -187,7 +187,7 @@ def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Com
     room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
     gains = layout.gains(row, x)
     total = parts.sum(axis=1)
-    columns = np.concatenate([total[:, None], np.where(layout.real, gains * room, 1j * parts)], axis=1)
+    columns: ComplexArray = np.concatenate([total[:, None], np.where(layout.real, gains * room, 1j * parts)], axis=1)
     a, b, c = (columns.real**2).sum(axis=1), (columns.real * columns.imag).sum(axis=1), (columns.imag**2).sum(axis=1)
     ridge = 1e-13 * (a + c) + 1e-300
     a, c = a + ridge, c + ridge

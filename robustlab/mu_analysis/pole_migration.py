@@ -107,15 +107,14 @@ def perturbed_state_matrix(model: StateSpaceModel, delta: ComplexArray) -> Compl
 
 def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
     """``A + B Delta (I - D Delta)^-1 C``, and ``(I - D Delta)^-1`` (None: the unit matrix)."""
-    if not delta.imag.any():
-        delta = delta.real
+    d: ComplexArray | Array = delta if delta.imag.any() else delta.real
     if not model.D.any():
-        return model.A + model.B @ delta @ model.C, None
+        return model.A + model.B @ d @ model.C, None
     try:
-        inverse = np.linalg.inv(np.eye(model.n_outputs) - model.D @ delta)
+        inverse = np.linalg.inv(np.eye(model.n_outputs) - model.D @ d)
     except np.linalg.LinAlgError:
         return np.full((*delta.shape[:-2], *model.A.shape), np.inf), None
-    return model.A + model.B @ delta @ (inverse @ model.C), inverse
+    return model.A + model.B @ d @ (inverse @ model.C), inverse
 
 
 # --- what counts -----------------------------------------------------------------------------------------------------
