@@ -43,8 +43,6 @@ Found = tuple[float, ComplexArray | None]
 SINGULAR = 1e-11
 # A Delta counts as attaining its bound where an exactly singular one lies within this share of its norm.
 NEARBY = 1e-8
-# Share of the loop below which an exact residual counts as none: null directions are known to rounding, squared.
-EXACT = 1e-28
 # Candidates per matrix that are taken to rounding and verified.
 CHOSEN = 6
 # So many times the paths asked for begin where blocks are real; the most promising go on.
@@ -147,10 +145,11 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
 
 
 def _within_reach(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray) -> bool:
-    """Whether a loop that is singular to rounding may be made exactly so by a change of Delta within ``NEARBY``.
+    """Whether a loop that is singular to rounding is so for a Delta within ``NEARBY``, or for M with other last bits.
 
     With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
-    jumps. A part off the line that is below rounding of the loop is told from none by exact arithmetic.
+    jumps. That part has to be told from rounding by exact arithmetic: it counts as none where it is less than what
+    every entry of M may change by in its last place.
     """
     if not layout.real.all() or not (M.imag.any() or delta.imag.any()):
         return True
@@ -161,7 +160,8 @@ def _within_reach(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: 
         return True
     reach = float(layout.sizes(delta[None]).max())
     residual = abs((_exact_residual(M, delta, x, y) * along).imag)
-    return bool(residual <= max(NEARBY * off, EXACT * size) * reach)
+    last_places = EPS * float(np.abs(y) @ np.abs(M) @ np.abs(delta) @ np.abs(x))
+    return bool(residual <= max(NEARBY * off * reach, last_places))
 
 
 def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray) -> complex:

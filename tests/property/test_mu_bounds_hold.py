@@ -101,7 +101,7 @@ def test_smallest_step_is_the_smallest(seed, n_real, n_complex):
     assert np.abs(d).max() <= dual * (1 + 1e-3)
 
 
-@pytest.mark.parametrize("eps", [1e-15, 1e-14, 1e-9, 1e-3])
+@pytest.mark.parametrize("eps", [1e-14, 1e-9, 1e-3])
 def test_real_mu_jumps_and_its_lower_bound_with_it(eps):
     # Im det(I - M Delta) = -a eps delta_2 (1 - a delta_1): only delta = (1 / a, 0) is singular, mu = a. For eps = 0 it
     # is larger by sqrt(2), and a Delta that attains that is singular to rounding still.
