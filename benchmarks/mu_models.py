@@ -50,7 +50,7 @@ def random_model(n_states: int, blocks: Sequence[Block], damping: tuple[float, f
     """Oscillators of a given range of damping over two decades of frequency, mixed by a random well-conditioned map."""
     rng = np.random.default_rng([seed, n_states])
     omega = 10 ** rng.uniform(-1, 1, n_states // 2)
-    zeta = 10 ** rng.uniform(*np.log10(damping), n_states // 2)
+    zeta = 10 ** rng.uniform(np.log10(damping[0]), np.log10(damping[1]), n_states // 2)
     A = np.zeros((n_states, n_states))
     for i, (w, z) in enumerate(zip(omega, zeta, strict=True)):
         A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[-z * w, w], [-w, -z * w]]

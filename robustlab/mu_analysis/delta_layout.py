@@ -69,7 +69,7 @@ class DeltaLayout:
         sizes = self.vector_sizes(row, self.of_w) * self.vector_sizes(x, self.of_z)
         return np.where(self.full, sizes, result)
 
-    def deltas(self, values: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
+    def deltas(self, values: Array | ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
         """Delta (k, q, p) from one number per block (k, n_blocks); full blocks point along row (k, q) and x (k, p)."""
         delta = np.zeros((len(values), self.q, self.p), dtype=complex)
         entries = values[:, self.entry_block]

@@ -19,6 +19,7 @@ real and complex uncertainties" (1990). Seiler, Packard, Balas, Automatica 46 (2
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,12 @@ SINGULAR = 1e-11
 NEARBY = 1e-8
 # Candidates per matrix that are taken to rounding and verified.
 CHOSEN = 6
+# So many times the paths asked for begin where blocks are real; the most promising go on.
 WIDER = 3
-ROUNDS = 12
+# Candidates per matrix that go down along the singular set, and the rounds of that.
 DESCENDING = 2
+ROUNDS = 12
+# Structures of so few real blocks alone get scattered starts as well, so many.
 FEW = 5
 SCATTERED = 48
 # Numbers that one stack of paths may hold.
@@ -128,16 +132,58 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     u, sigma, vh = np.linalg.svd(loop * scale_rows[:, None] * scale_cols)
     y, x, smallest = scale_rows * u[:, -1], scale_cols * np.conj(vh[-1]), sigma[-1]
     rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
-    if smallest <= rounding:
-        return True
-    row = (np.conj(y) @ M)[None] / smallest
     layout = delta_layout(blocks)
+    if smallest <= rounding:
+        return _within_reach(M, layout, delta, x, y)
+    row = (np.conj(y) @ M)[None] / smallest
     gains = layout.gains(row, x[None])
     real = layout.real
     with np.errstate(over="ignore", invalid="ignore"):
         step = smallest_step(gains, real)
         reached = (np.where(real, gains * step, np.abs(gains * step))).sum()
     return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= NEARBY * delta_norm(blocks, delta))
+
+
+def _within_reach(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray) -> bool:
+    """Whether a loop that is singular to rounding is so for a Delta within ``NEARBY``, or for M with other last bits.
+
+    With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
+    jumps. That part has to be told from rounding by exact arithmetic: it counts as none where it is less than what
+    every entry of M may change by in its last place.
+    """
+    if not layout.real.all() or not (M.imag.any() or delta.imag.any()):
+        return True
+    gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
+    along = np.exp(-0.5j * np.angle((gains**2).sum()))
+    size, off = float(np.abs(gains).sum()), float(np.abs((gains * along).imag).sum())
+    if off > 1e-6 * size:
+        return True
+    reach = float(layout.sizes(delta[None]).max())
+    residual = abs((_exact_residual(M, delta, x, y) * along).imag)
+    last_places = EPS * float(np.abs(y) @ np.abs(M) @ np.abs(delta) @ np.abs(x))
+    return bool(residual <= max(NEARBY * off * reach, last_places))
+
+
+def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray) -> complex:
+    """``y^* (I - M Delta) x`` of the very numbers given, rounded once; for a diagonal Delta."""
+    exact = [
+        [(Fraction(float(v.real)), Fraction(float(v.imag))) for v in row] for row in (*M, x, y, np.diagonal(delta))
+    ]
+    rows, x_exact, y_exact, d = exact[:-3], exact[-3], exact[-2], exact[-1]
+    moved = [_product(a, b) for a, b in zip(d, x_exact, strict=True)]
+    total = (Fraction(0), Fraction(0))
+    for row, own, (y_re, y_im) in zip(rows, x_exact, y_exact, strict=True):
+        loop = own
+        for entry, part in zip(row, moved, strict=True):
+            re, im = _product(entry, part)
+            loop = (loop[0] - re, loop[1] - im)
+        re, im = _product((y_re, -y_im), loop)
+        total = (total[0] + re, total[1] + im)
+    return complex(float(total[0]), float(total[1]))
+
+
+def _product(a: tuple[Fraction, Fraction], b: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
 
 
 def _power_of_two(size: Array) -> Array:
@@ -167,7 +213,8 @@ def _candidates(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, 
         sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
         count = 2 * DESCENDING if few else DESCENDING
         best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
-        sharp[best] = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
+        lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
+        sharp, of = np.concatenate([sharp, lower]), np.concatenate([of, of[best]])
     found = [list(sharp[of == k]) for k in range(len(M))]
     if layout.real.all():
         for k in range(len(M)):
@@ -217,7 +264,9 @@ def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int) -> 
     return found.reshape(k, SCATTERED, layout.q, layout.p), sizes.reshape(k, SCATTERED)
 
 
-def _starts(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int) -> tuple[ComplexArray, ...]:
+def _starts(
+    M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
+) -> tuple[ComplexArray, ComplexArray]:
     """Directions x, y (k, restarts, p); the same random ones for every matrix."""
     k = len(M)
     rng = np.random.default_rng(seed)
@@ -251,7 +300,7 @@ def _follow(
 ) -> tuple[ComplexArray, Array]:
     """Deltas (k, r, q, p) at the ends of minimum-norm paths from x, y (k, r, p), and their norms, inf where none is."""
     k, r = x.shape[:2]
-    delta, norm = minimum_norm_paths(_repeated(M, r), layout, _flat(x), _flat(y), steps)
+    delta, norm = minimum_norm_paths(_repeated(M, r), layout, _flat(x), _flat(y), steps, r)
     return delta.reshape(k, r, layout.q, layout.p), norm.reshape(k, r)
 
 

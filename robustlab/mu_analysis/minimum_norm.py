@@ -46,7 +46,7 @@ HUGE = 1e9
 
 
 def minimum_norm_paths(
-    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int, per_matrix: int
 ) -> tuple[ComplexArray, Array]:
     """The smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf where none).
 
@@ -58,13 +58,16 @@ def minimum_norm_paths(
         Starting directions (k, p).
     steps
         Steps of each path, the restoring ones included.
+    per_matrix
+        How many neighbouring paths belong to one matrix: they differ in damping, and not from matrix to matrix.
     """
     k = len(M)
     best, best_norm = np.zeros((k, layout.q, layout.p), dtype=complex), np.full(k, np.inf)
     delta: ComplexArray | None = None
-    # Damping differs from path to path and from step to step, without chance: undamped steps can cycle.
-    phase = np.arange(k) * 0.754877666 % 1.0
-    averaging = np.arange(k) % 2 == 1
+    # Damping differs from path to path and from step to step, without chance: undamped steps can cycle. Every other
+    # path averages, which ends between the corners that steps jump to.
+    index = np.arange(k) % per_matrix
+    phase, averaging = index * 0.754877666 % 1.0, index % 2 == 1
     for step in range(steps):
         row = rows(M, x, y)
         if step >= steps - RESTORING and delta is not None:
@@ -184,7 +187,7 @@ def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Com
     room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
     gains = layout.gains(row, x)
     total = parts.sum(axis=1)
-    columns = np.concatenate([total[:, None], np.where(layout.real, gains * room, 1j * parts)], axis=1)
+    columns: ComplexArray = np.concatenate([total[:, None], np.where(layout.real, gains * room, 1j * parts)], axis=1)
     a, b, c = (columns.real**2).sum(axis=1), (columns.real * columns.imag).sum(axis=1), (columns.imag**2).sum(axis=1)
     ridge = 1e-13 * (a + c) + 1e-300
     a, c = a + ridge, c + ridge
@@ -234,7 +237,7 @@ def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
     total = np.abs(a[:, ~real]).sum(axis=1)
     alpha, kink = np.zeros(k), np.full(k, -1)
     if re.shape[1]:
-        alpha, kink = _dual_minimum(re, im, total)
+        alpha, kink = dual_minimum(re, im, total)
     value = np.abs(re + alpha[:, None] * im).sum(axis=1) + np.sqrt(1 + alpha**2) * total
     tau = 1 / np.maximum(value, 1e-300)
     inside = np.zeros(k)
@@ -260,7 +263,7 @@ def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
     return np.where(np.isfinite(d), d, 0.0)
 
 
-def _dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.intp]]:
+def dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.intp]]:
     """Minimiser alpha of the dual of `smallest_step`, and the index of the kink it sits at (-1: none)."""
     rows = np.arange(len(re))
     size = np.abs(re) + np.abs(im)

@@ -85,9 +85,9 @@ def smallest_destabilising(
 def _matrix_candidates(
     model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int
 ) -> tuple[list[ComplexArray], ComplexArray | None]:
-    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks; and D's.
+    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks.
 
-    Nothing else makes the loop ill-posed than a Delta that solves it for D.
+    The second is the one of D itself: it makes the loop ill-posed.
     """
     # At zero frequency M is real: its real Delta moves a real pole into the origin.
     ends = np.concatenate([frequency_response(model, np.array([0.0])), model.D.astype(complex)[None]])
@@ -107,15 +107,14 @@ def perturbed_state_matrix(model: StateSpaceModel, delta: ComplexArray) -> Compl
 
 def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
     """``A + B Delta (I - D Delta)^-1 C``, and ``(I - D Delta)^-1`` (None: the unit matrix)."""
-    if not delta.imag.any():
-        delta = delta.real
+    d: ComplexArray | Array = delta if delta.imag.any() else delta.real
     if not model.D.any():
-        return model.A + model.B @ delta @ model.C, None
+        return model.A + model.B @ d @ model.C, None
     try:
-        inverse = np.linalg.inv(np.eye(model.n_outputs) - model.D @ delta)
+        inverse = np.linalg.inv(np.eye(model.n_outputs) - model.D @ d)
     except np.linalg.LinAlgError:
         return np.full((*delta.shape[:-2], *model.A.shape), np.inf), None
-    return model.A + model.B @ delta @ (inverse @ model.C), inverse
+    return model.A + model.B @ d @ (inverse @ model.C), inverse
 
 
 # --- what counts -----------------------------------------------------------------------------------------------------
@@ -184,8 +183,8 @@ def _on_the_axis(
     r"""Crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole.
 
     Eigenvalues are accurate to rounding of the largest one only: beside fast poles a slow one seems to cross long
-    before it does. At a crossing, ``M(j omega) Delta`` has an eigenvalue that is real; dividing by it ends there. Newton
-    steps in omega make it so.
+    before it does. At a crossing, ``M(j omega) Delta`` has an eigenvalue that is real; dividing by it ends there.
+    Newton steps in omega make it so.
     """
     if not np.isfinite(pole):
         return []
@@ -440,7 +439,7 @@ def _by_inverse_iteration(
 def _gradient(
     model: StateSpaceModel, deltas: ComplexArray, inverse: ComplexArray | None, u: ComplexArray, v: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
+    """Parts row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
     x, row = v @ model.C.T, u @ model.B
     if inverse is None:
         return row, x

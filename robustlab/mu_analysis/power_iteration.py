@@ -51,8 +51,7 @@ def _alignment(
     """Factors of ``z_i`` from ``w_i`` and of ``b_i`` from ``a_i``, per block (k, n_blocks), and the real q_i."""
     size_a, size_w = layout.vector_sizes(a, layout.of_z), layout.vector_sizes(w, layout.of_w)
     if layout.full.all():
-        factor = np.ones_like(size_a)
-        return factor * size_w / _positive(size_a), factor * size_a / _positive(size_w), q_real
+        return size_w / _positive(size_a) + 0j, size_a / _positive(size_w) + 0j, q_real
     inner = layout.gains(w, np.conj(a))
     phase = inner / _positive(np.abs(inner))
     q = np.where(layout.full, 1.0, phase)
