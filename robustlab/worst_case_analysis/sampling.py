@@ -17,7 +17,7 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import chunks, delta_stack, members, time_responses
 from robustlab.worst_case_analysis.excitation import excitation
 
-__all__ = ["Responses", "Samples", "sample", "vertex_signs"]
+__all__ = ["Responses", "Samples", "delta_of_sample", "sample", "vertex_signs"]
 
 Array = NDArray[np.float64]
 
@@ -184,17 +184,31 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
-    deltas = [
-        _random_delta(uncertain.blocks, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))))
-        for i in range(n)
-    ]
+    deltas = [delta_of_sample(uncertain.blocks, seed, i) for i in range(n)]
     reals = [b for b in uncertain.blocks if isinstance(b, RealScalar)]
     signs = vertex_signs(len(reals), vertices, seed)
     for i, row in enumerate(signs):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, 1)))
-        values = _random_delta(uncertain.blocks, rng, boundary=True)
+        values = delta_of_sample(uncertain.blocks, seed, i, boundary=True)
         deltas.append({**values, **{b.name: float(s) for b, s in zip(reals, row, strict=True)}})
     return Samples(uncertain, tuple(deltas), int(seed), len(signs))
+
+
+def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
+    """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
+
+    Parameters
+    ----------
+    boundary
+        Complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples inside).
+
+    Examples
+    --------
+    >>> block = RealScalar("pole")
+    >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
+    True
+    """
+    key = (index, 1) if boundary else (index,)
+    return _random_delta(blocks, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key)), boundary)
 
 
 def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:

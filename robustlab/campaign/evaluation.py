@@ -1,0 +1,199 @@
+"""The value of sample i: a pure function of uncertain model, settings and i.
+
+This is the one module of the room that knows metrics and searches. Samples are computed in tiles of fixed borders
+(sample i belongs to tile ``i // TILE``, a whole tile is computed even where it reaches beyond n), because a stack of
+members shares its scaling in the matrix exponential: with other neighbours the last digit of a value could change.
+So the answer depends neither on the number of workers nor on n nor on where an earlier run was interrupted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.campaign.rows import Rows, delta_width, encode_delta
+from robustlab.campaign.settings import CampaignSettings
+from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean, plain_text
+from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.ensemble import delta_stack
+from robustlab.worst_case_analysis.excitation import default_clock, excitation
+from robustlab.worst_case_analysis.metrics import Evaluation, HinfGain, Metric, PeakDeviation, SpectralAbscissa
+from robustlab.worst_case_analysis.sampling import delta_of_sample
+from robustlab.worst_case_analysis.search import METRICS, worst_case
+
+__all__ = ["TILE", "Evaluator"]
+
+TILE = 64
+# A value and its second path must agree to this share.
+AGREEMENT = 1e-6
+# The limit of a search is the limit of its sample, which whoever started the worker enforces: a search that looked at
+# its own clock would give an answer that depends on the machine.
+NO_LIMIT = 1e12
+
+
+class Evaluator:
+    """Computes the samples of one campaign.
+
+    Parameters
+    ----------
+    uncertain
+        The set of models.
+    settings
+        What to compute.
+
+    Raises
+    ------
+    UsageError, InputError, NoTrustworthyNumber
+        What the metric refuses: unknown names, complex blocks in time, an unstable nominal model.
+    """
+
+    def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
+        self.uncertain, self.settings = uncertain, settings
+        self.tile = 1 if settings.kind == "search" else TILE
+        self._judge = _metric(uncertain, settings)
+        self._reals = [block.name for block in uncertain.blocks if isinstance(block, RealScalar)]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values."""
+        return self._judge.unit
+
+    @property
+    def location(self) -> str:
+        """What the place is at which a value is attained, for example ``"t [s]"``."""
+        return self._judge.location
+
+    def delta(self, index: int) -> dict[str, Any]:
+        """Delta of a sample or a vertex: block name -> normalised value. A search finds its own: zero here."""
+        blocks, seed = self.uncertain.blocks, self.settings.seed
+        if self.settings.kind == "search":
+            return {block.name: _zero(block) for block in blocks}
+        if self.settings.kind == "samples":
+            return delta_of_sample(blocks, seed, index)
+        signs = self._signs(index)
+        values = delta_of_sample(blocks, seed, index, boundary=True)
+        return {**values, **dict(zip(self._reals, signs, strict=True))}
+
+    def _signs(self, index: int) -> list[float]:
+        """Vertex of the real deltas: the binary digits of the index, or random where not all of them are asked for."""
+        k = len(self._reals)
+        if 2**k <= self.settings.n:
+            return [float(2 * (index >> (k - 1 - j) & 1) - 1) for j in range(k)]
+        rng = np.random.default_rng(np.random.SeedSequence(self.settings.seed, spawn_key=(index, 2)))
+        return (2.0 * rng.integers(0, 2, k) - 1.0).tolist()
+
+    def rows(self, first: int, last: int) -> Rows:
+        """Samples ``first .. last - 1``, both multiples of the tile; a tile that raises is computed sample by sample."""
+        parts = [self._tile(start) for start in range(first, last, self.tile)]
+        return parts[0].followed_by(parts[1:])
+
+    def alone(self, index: int) -> Rows:
+        """One sample on its own, its exception caught; this is what a failed tile is made of."""
+        return self._guarded(index)
+
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
+        """The metric at one Delta through the second path, with which a worst sample is checked."""
+        return self._judge.evaluate(delta)
+
+    def agrees(self, value: float, again: Evaluation) -> bool:
+        """Whether a value and its re-evaluation are the same number."""
+        if not (np.isfinite(value) and np.isfinite(again.value)):
+            return value == again.value and again.accurate
+        size = max(abs(value), abs(again.value))
+        if isinstance(self._judge, SpectralAbscissa):  # poles are as accurate as the largest of them
+            size = max(size, float(np.abs(self.uncertain.nominal.poles()).max(initial=0.0)))
+        # The second path of the gain may find a higher peak between grid points: that is no disagreement.
+        above = again.value - value if not isinstance(self._judge, HinfGain) else 0.0
+        return again.accurate and max(value - again.value, above) <= AGREEMENT * size
+
+    def _tile(self, first: int) -> Rows:
+        if self.tile == 1:
+            return self._guarded(first)
+        started = time.perf_counter()
+        deltas = [self.delta(index) for index in range(first, first + self.tile)]
+        try:
+            values = self._values(deltas)
+        except Exception:  # noqa: BLE001  one sample spoils the stack; which one, and how, is found out below
+            values = np.full(len(deltas), np.nan)
+        if np.isnan(values).any():
+            parts = [self._guarded(index) for index in range(first, first + self.tile)]
+            return parts[0].followed_by(parts[1:])
+        seconds = np.full(len(deltas), (time.perf_counter() - started) / len(deltas))
+        return Rows(first, values, np.stack([encode_delta(self.uncertain.blocks, d) for d in deltas]), seconds)
+
+    def _guarded(self, index: int) -> Rows:
+        """One sample; what it raises becomes the reason why it is lost."""
+        started = time.perf_counter()
+        delta, value, reason = self.delta(index), np.nan, ""
+        try:
+            value, delta = self._search(index) if self.settings.kind == "search" else self._single(delta)
+        except Exception as error:  # noqa: BLE001  whatever a sample raises concerns this sample alone
+            reason = plain_text(f"{type(error).__name__}: {error}")[:500]
+        if not reason and np.isnan(value):
+            reason = "the metric is not a number"
+        seconds = np.array([time.perf_counter() - started])
+        numbers = encode_delta(self.uncertain.blocks, delta)[None]
+        return Rows(index, np.array([value]), numbers, seconds, {index: reason} if reason else {})
+
+    def _single(self, delta: dict[str, Any]) -> tuple[float, dict[str, Any]]:
+        return float(self._values([delta])[0]), delta
+
+    def _values(self, deltas: list[dict[str, Any]]) -> NDArray[np.float64]:
+        return np.asarray(self._judge.values(delta_stack(self._judge.uncertain.blocks, deltas)), dtype=np.float64)
+
+    def _search(self, index: int) -> tuple[float, dict[str, Any]]:
+        s = self.settings
+        own = np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)
+        options: dict[str, Any] = {"output": s.output, "input": s.input, "n": s.starts, "hold": s.hold}
+        if s.metric == "peak-deviation":
+            options |= {"t": _clock(self.uncertain, s), "u": s.u}
+        found = worst_case(self.uncertain, s.metric, seed=int(own[0]), time_limit=NO_LIMIT, **options)  # pyright: ignore[reportArgumentType]
+        if not found.status.trustworthy:
+            raise NoTrustworthyNumber(
+                "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"
+            )
+        return found.value, dict(found.delta)
+
+    def blank(self, index: int, reason: str, seconds: float) -> Rows:
+        """The row of a sample that never came back: its Delta and why."""
+        numbers = encode_delta(self.uncertain.blocks, self.delta(index))[None]
+        return Rows(index, np.array([np.nan]), numbers, np.array([seconds]), {index: reason})
+
+    @property
+    def width(self) -> int:
+        """Numbers per Delta."""
+        return delta_width(self.uncertain.blocks)
+
+
+def _metric(uncertain: UncertainModel, settings: CampaignSettings) -> Metric:
+    name, output = settings.metric, settings.output
+    if name not in METRICS:
+        raise UsageError("campaign", f"metric {name!r}", f"one of {', '.join(METRICS)}", did_you_mean(name, METRICS))
+    if name == "spectral-abscissa":
+        return SpectralAbscissa(uncertain)
+    if name == "hinf":
+        return HinfGain(uncertain, settings.input, output)
+    outputs = [signal.name for signal in uncertain.outputs]
+    if output is None and len(outputs) != 1:
+        expected = f"output: one of {', '.join(outputs)}"
+        raise UsageError("campaign", f"{len(outputs)} outputs and none named", expected, f"--output {outputs[0]}")
+    u: Any = {settings.input: 1.0} if settings.u is None and settings.input is not None else settings.u
+    drive = excitation(uncertain.inputs, uncertain.dt, _clock(uncertain, settings), u, "campaign")
+    return PeakDeviation(uncertain, output or outputs[0], drive, settings.hold)
+
+
+def _clock(uncertain: UncertainModel, settings: CampaignSettings) -> NDArray[np.float64]:
+    if settings.t_end is None:
+        return default_clock(uncertain.nominal, "campaign")
+    if uncertain.dt:
+        return uncertain.dt * np.arange(max(2, round(settings.t_end / uncertain.dt) + 1))
+    return np.linspace(0.0, settings.t_end, settings.points)
+
+
+def _zero(block: Any) -> Any:
+    return 0.0 if hasattr(block, "repeats") else np.zeros((block.rows, block.cols))
