@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.rows import Rows
@@ -20,7 +20,7 @@ from robustlab.campaign.store import Store
 from robustlab.campaign.work import Failure, Outcome, Piece, Workers
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["MAX_LOST_SHARE", "compute_missing", "evaluate_again"]
+__all__ = ["MAX_LOST_SHARE", "Again", "compute_missing", "evaluate_again"]
 
 MAX_LOST_SHARE = 0.01
 MAX_ATTEMPTS = 2
@@ -72,6 +72,9 @@ class _Queue:
             for part in ((first, head, True), (head, tail, False), (tail, last, True)):
                 if part[0] < part[1]:
                     yield part
+
+    def __bool__(self) -> bool:
+        return bool(self._again or self._gaps)
 
     def next(self) -> Piece | None:
         """The next piece, or None where all are done or under way."""
@@ -134,7 +137,7 @@ def compute_missing(
                 continue  # a sample beyond n, from the last tile narrowed down
             workers.start(piece)
             under_way += 1
-        if not under_way:
+        if not under_way and not todo:
             return
         for outcome in workers.wait(POLL_SECONDS):
             under_way -= 1
@@ -181,12 +184,16 @@ def _stop_if_too_many(store: Store, lost: int, n: int) -> None:
     )
 
 
-def evaluate_again(workers: Workers, numbers: tuple[float, ...], limit: float) -> dict[str, Any]:
-    """The metric at one Delta through its second path, in a worker: value, where it is attained, whether accurate.
+class Again(NamedTuple):
+    """A metric through its second path: value (NaN where no worker lived to tell), where attained, all digits there."""
 
-    A worker that dies or hangs over it leaves no value, and the reason.
-    """
-    reason = ""
+    value: float
+    at: float
+    accurate: bool
+
+
+def evaluate_again(workers: Workers, numbers: tuple[float, ...], limit: float) -> Again:
+    """The metric at one Delta through its second path, in a worker, which it may crash or hang."""
     for attempt in range(MAX_ATTEMPTS):
         while not workers.idle():
             workers.wait(POLL_SECONDS)
@@ -196,6 +203,5 @@ def evaluate_again(workers: Workers, numbers: tuple[float, ...], limit: float) -
             outcomes = workers.wait(POLL_SECONDS)
         answer = outcomes[0].answer
         if not isinstance(answer, Failure):
-            return {**json.loads(answer), "reason": ""}
-        reason = answer.reason
-    return {"value": math.nan, "at": math.nan, "accurate": False, "reason": reason}
+            return Again(**json.loads(answer))
+    return Again(math.nan, math.nan, False)

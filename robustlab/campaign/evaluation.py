@@ -100,16 +100,16 @@ class Evaluator:
         """The metric at one Delta through the second path, with which a worst sample is checked."""
         return self._judge.evaluate(delta)
 
-    def agrees(self, value: float, again: Evaluation) -> bool:
+    def agrees(self, value: float, again: float, accurate: bool) -> bool:
         """Whether a value and its re-evaluation are the same number."""
-        if not (np.isfinite(value) and np.isfinite(again.value)):
-            return value == again.value and again.accurate
-        size = max(abs(value), abs(again.value))
+        if not (np.isfinite(value) and np.isfinite(again)):
+            return value == again and accurate
+        size = max(abs(value), abs(again))
         if isinstance(self._judge, SpectralAbscissa):  # poles are as accurate as the largest of them
             size = max(size, float(np.abs(self.uncertain.nominal.poles()).max(initial=0.0)))
         # The second path of the gain may find a higher peak between grid points: that is no disagreement.
-        above = again.value - value if not isinstance(self._judge, HinfGain) else 0.0
-        return again.accurate and max(value - again.value, above) <= AGREEMENT * size
+        above = 0.0 if isinstance(self._judge, HinfGain) else again - value
+        return accurate and max(value - again, above) <= AGREEMENT * size
 
     def _tile(self, first: int) -> Rows:
         if self.tile == 1:

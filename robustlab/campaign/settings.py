@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from robustlab.errors import InputError, UsageError, did_you_mean
-from robustlab.files.tree import Tree, content_sha256
+from robustlab.files.tree import Tree, canonical, content_sha256
 from robustlab.files.wire import receive, send_tree
 from robustlab.provenance import robustlab_version
 from robustlab.storage.problems import Problems
@@ -219,4 +219,6 @@ def _tree(uncertain: UncertainModel) -> Tree:
         raise InputError("campaign", type(uncertain).__name__, "an UncertainModel")
     tree = Tree(file="campaign")
     encode_uncertain(tree, uncertain)
+    for _, item in tree.walk():
+        item.attrs.update({name: canonical(value, tree.file) for name, value in item.attrs.items()})
     return tree

@@ -6,7 +6,6 @@ Only the process that holds the lock writes; anyone may read meanwhile.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
@@ -92,6 +91,25 @@ class Store:
         return path.is_file() and path.stat().st_size > 0
 
     @classmethod
+    def delete(cls, path: Path) -> None:
+        """Delete a store and what SQLite lays beside it; a damaged one too, but never a file of another kind.
+
+        Raises
+        ------
+        InputError
+            The file is no campaign.
+        EnvironmentFault
+            It cannot be deleted.
+        """
+        if cls.is_there(path):
+            _check_file(path)
+        try:
+            for suffix in ("", "-wal", "-shm", "-journal"):
+                path.with_name(path.name + suffix).unlink(missing_ok=True)
+        except OSError as error:
+            raise EnvironmentFault(str(path), f"cannot be replaced ({error.strerror or error})") from None
+
+    @classmethod
     def create(cls, path: Path, identity: Identity, model: bytes) -> Store:
         """A new store for a campaign; everything or nothing of it is on disk.
 
@@ -146,10 +164,7 @@ class Store:
         self._db.execute("PRAGMA synchronous=FULL")
 
     def _check(self) -> None:
-        (application,) = self._db.execute("PRAGMA application_id").fetchone()
         (version,) = self._db.execute("PRAGMA user_version").fetchone()
-        if application != APPLICATION_ID:
-            raise InputError(self.where, "an SQLite file, but no campaign of robustlab", "a campaign store", NEW)
         if version > FORMAT_VERSION:
             found = f"written by store version {version}, this robustlab reads <= {FORMAT_VERSION}; upgrade"
             raise InputError(self.where, found, None, "pip install --upgrade robustlab")
@@ -263,6 +278,12 @@ class Store:
         """The sample with the largest value; the first of them where several have it."""
         return next(self._samples("WHERE status = ? ORDER BY value DESC, idx LIMIT 1", (DONE,)), None)
 
+    def unbounded(self) -> int:
+        """How many samples have an infinite value."""
+        with _named(self.path):
+            found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND value = ?", (DONE, np.inf))
+            return int(found.fetchone()[0])
+
     def sorted_values(self) -> Iterator[float]:
         """Values in ascending order, streamed; SQLite sorts on disk where they are many."""
         with _named(self.path):
@@ -301,6 +322,8 @@ def _check_file(path: Path) -> None:
     head = require_file(path)
     if not head.startswith(MAGIC):
         raise InputError(str(path), f"not a campaign store (first bytes {head[:4].hex(' ')})", "an SQLite file", NEW)
+    if head[68:72] != APPLICATION_ID.to_bytes(4, "big"):  # where SQLite's header has the application's number
+        raise InputError(str(path), "an SQLite file, but no campaign of robustlab", "a campaign store", NEW)
 
 
 @contextmanager
@@ -331,9 +354,3 @@ def _disk_is_full(path: Path) -> bool:
 
 def _damaged(where: str, what: str) -> InputError:
     return InputError(where, f"damaged campaign store: {what}", None, "copy it again from a backup, or start with --restart")
-
-
-def write_error(path: Path, error: OSError) -> EnvironmentFault:
-    """An error of the operating system about the store or its lock."""
-    reasons = {errno.ENOENT: "no such folder", errno.EROFS: "read-only file system", errno.EACCES: "no permission to write"}
-    return EnvironmentFault(str(path), reasons.get(error.errno or 0, error.strerror or str(error)))
