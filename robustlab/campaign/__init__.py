@@ -4,7 +4,7 @@ Each sample is stored as it comes; a run that was interrupted or killed goes on 
 """
 
 from robustlab.campaign.result import CampaignResult
-from robustlab.campaign.runs import Replay, read_campaign, replay_sample, resume_campaign, run_campaign
+from robustlab.campaign.runs import Replay, read_campaign, replay_sample, resume_campaign, run_campaign, saved_samples
 from robustlab.campaign.settings import CampaignSettings
 
 __all__ = [
@@ -15,4 +15,5 @@ __all__ = [
     "replay_sample",
     "resume_campaign",
     "run_campaign",
+    "saved_samples",
 ]

@@ -180,7 +180,9 @@ class ClusterWorkers:
                     continue
                 found = f"cannot run robustlab ({type(theirs).__name__}: {theirs})"
                 raise EnvironmentFault(f"worker {worker}", found, None, "pip install robustlab on every machine")
-            other = [f"{name} {theirs.get(name)} instead of {ours[name]}" for name in ours if theirs.get(name) != ours[name]]
+            other = [
+                f"{name} {theirs.get(name)} instead of {ours[name]}" for name in ours if theirs.get(name) != ours[name]
+            ]
             if other:
                 hint = "install the same versions on every machine"
                 raise EnvironmentFault(f"worker {worker}", f"runs other code: {', '.join(other)}", None, hint)

@@ -164,7 +164,8 @@ def _rows_of(outcome: Outcome, todo: _Queue, evaluator: Evaluator) -> Rows | Non
     rows = Rows.from_bytes(answer)
     if (rows.first, len(rows), rows.deltas.shape[1]) != (piece.first, len(piece), evaluator.width):
         raise NoTrustworthyNumber(
-            "campaign", f"a worker answered with samples {rows.first} .. {rows.first + len(rows) - 1}",
+            "campaign",
+            f"a worker answered with samples {rows.first} .. {rows.first + len(rows) - 1}",
             f"{piece.first} .. {piece.last - 1}",
         )
     return rows

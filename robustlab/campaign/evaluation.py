@@ -88,7 +88,7 @@ class Evaluator:
         return (2.0 * rng.integers(0, 2, k) - 1.0).tolist()
 
     def rows(self, first: int, last: int) -> Rows:
-        """Samples ``first .. last - 1``, both multiples of the tile; a tile that raises is computed sample by sample."""
+        """Samples ``first .. last - 1``, both multiples of the tile; one that raises is computed sample by sample."""
         parts = [self._tile(start) for start in range(first, last, self.tile)]
         return parts[0].followed_by(parts[1:])
 
@@ -192,7 +192,7 @@ def _clock(uncertain: UncertainModel, settings: CampaignSettings) -> NDArray[np.
         return default_clock(uncertain.nominal, "campaign")
     if uncertain.dt:
         return uncertain.dt * np.arange(max(2, round(settings.t_end / uncertain.dt) + 1))
-    return np.linspace(0.0, settings.t_end, settings.points)
+    return np.linspace(0.0, settings.t_end, settings.points, dtype=np.float64)
 
 
 def _zero(block: Any) -> Any:

@@ -43,7 +43,9 @@ def locked(path: Path) -> Iterator[None]:
 def owner_text() -> str:
     """Who this process is, as the store keeps it while it writes."""
     command = " ".join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])[:300]
-    return json.dumps({"pid": os.getpid(), "command": command, "since": datetime.now(UTC).isoformat(timespec="seconds")})
+    return json.dumps(
+        {"pid": os.getpid(), "command": command, "since": datetime.now(UTC).isoformat(timespec="seconds")}
+    )
 
 
 def _owner(path: Path) -> str:

@@ -100,7 +100,7 @@ def encode_delta(blocks: Sequence[Block], values: Mapping[str, Any]) -> NDArray[
             numbers.append(float(values[block.name]))
             continue
         entries = np.asarray(values[block.name], dtype=complex).ravel()
-        numbers += [*entries.real.tolist(), *entries.imag.tolist()]
+        numbers += [*np.real(entries).tolist(), *np.imag(entries).tolist()]
     return np.array(numbers, dtype=np.float64)
 
 

@@ -31,7 +31,7 @@ from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["Replay", "read_campaign", "replay_sample", "resume_campaign", "run_campaign"]
+__all__ = ["Replay", "read_campaign", "replay_sample", "resume_campaign", "run_campaign", "saved_samples"]
 
 TIME_LIMIT = 60.0
 Existing = Literal["resume", "restart", "fork"]
@@ -130,6 +130,15 @@ def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResu
     opened = Store.open(Path(store))
     try:
         return result_of(opened, _evaluator(opened), limit)
+    finally:
+        opened.close()
+
+
+def saved_samples(store: str | Path) -> tuple[int, int]:
+    """How many samples a store holds, and of how many."""
+    opened = Store.open(Path(store))
+    try:
+        return sum(opened.counts()), opened.identity.settings.n
     finally:
         opened.close()
 
@@ -257,6 +266,10 @@ def _work(
             try:
                 compute_missing(store, evaluator, crew, time_limit, progress)
                 _note_end(store, evaluator, crew, time_limit)
+            except EnvironmentFault as fault:
+                go_on = f"robustlab campaign resume {store.where}"
+                hint = f"{fault.hint}; then {go_on}" if fault.hint else f"mend it, then {go_on}"
+                raise type(fault)(fault.where, fault.found, fault.expected, hint, fault.more) from fault
             finally:
                 crew.close()
         finished = True

@@ -13,6 +13,7 @@ import sqlite3
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,7 +54,8 @@ _MACHINE = {
 }
 
 
-class Sample(NamedTuple):
+@dataclass(frozen=True)
+class Sample:
     """A row: index, status (DONE or LOST), value (NaN where lost), Delta as numbers, seconds, reason."""
 
     index: int
@@ -353,4 +355,6 @@ def _disk_is_full(path: Path) -> bool:
 
 
 def _damaged(where: str, what: str) -> InputError:
-    return InputError(where, f"damaged campaign store: {what}", None, "copy it again from a backup, or start with --restart")
+    return InputError(
+        where, f"damaged campaign store: {what}", None, "copy it again from a backup, or start with --restart"
+    )
