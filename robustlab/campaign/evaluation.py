@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from robustlab.campaign.rows import Rows, delta_width, encode_delta
 from robustlab.campaign.settings import CampaignSettings
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean, plain_text
+from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import delta_stack
@@ -191,8 +192,9 @@ def _clock(uncertain: UncertainModel, settings: CampaignSettings) -> NDArray[np.
     if settings.t_end is None:
         return default_clock(uncertain.nominal, "campaign")
     if uncertain.dt:
-        return uncertain.dt * np.arange(max(2, round(settings.t_end / uncertain.dt) + 1))
-    return np.linspace(0.0, settings.t_end, settings.points, dtype=np.float64)
+        count = max(2, round(settings.t_end / uncertain.dt) + 1)
+        return real_array("t", uncertain.dt * np.arange(count), 1)
+    return real_array("t", np.linspace(0.0, settings.t_end, settings.points), 1)
 
 
 def _zero(block: Any) -> Any:
