@@ -40,9 +40,13 @@ class _Process:
         self._complaints: IO[Any] = tempfile.TemporaryFile()  # noqa: SIM115  closed with the process
         # -P: the folder the user happens to be in must not lend modules to the worker.
         command = [sys.executable, "-P", "-m", "robustlab.campaign.worker_process"]
-        self._process = subprocess.Popen(  # noqa: S603  our own interpreter with our own module
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, env=_environment()
-        )
+        try:
+            self._process = subprocess.Popen(  # noqa: S603  our own interpreter with our own module
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, env=_environment()
+            )
+        except OSError:
+            self._complaints.close()
+            raise
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 

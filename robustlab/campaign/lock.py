@@ -26,6 +26,9 @@ def locked(path: Path) -> Iterator[None]:
     """
     from filelock import FileLock, Timeout
 
+    folder = path.absolute().parent
+    if not folder.is_dir():  # the lock would make it
+        raise EnvironmentFault(str(path), f"no such folder {folder}", "a folder that can be written")
     lock = FileLock(f"{path}.lock", timeout=0)
     try:
         lock.acquire()

@@ -304,7 +304,11 @@ def _note_end(store: Store, evaluator: Evaluator, crew: Workers, time_limit: flo
 
 
 def _evaluator(store: Store) -> Evaluator:
-    return Evaluator(model_from_bytes(store.model, store.where), store.identity.settings)
+    identity = store.identity
+    uncertain = model_from_bytes(store.model, store.where)
+    if Identity.of(uncertain, identity.settings).model != identity.model:
+        raise InputError(store.where, "damaged campaign store: its model does not match its hash")
+    return Evaluator(uncertain, identity.settings)
 
 
 def _same_campaign(store: Store, identity: Identity) -> None:

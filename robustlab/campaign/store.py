@@ -211,7 +211,10 @@ class Store:
     @property
     def model(self) -> bytes:
         """The uncertain model, see `robustlab.campaign.settings.model_to_bytes`."""
-        return bytes(self.get("model"))
+        content = self.get("model")
+        if not isinstance(content, bytes):
+            raise _damaged(self.where, "it holds no model")
+        return content
 
     def facts(self) -> dict[str, Any]:
         """What was noted when the campaign ended: digest, check of the worst sample; empty before."""
