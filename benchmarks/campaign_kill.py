@@ -28,22 +28,22 @@ from robustlab.campaign import CampaignResult, CampaignSettings, run_campaign
 SPY = '''\
 """Log every piece of work that a worker begins."""
 import os
+import sys
 import time
 
-from robustlab.campaign import work
+if "robustlab.campaign.worker_process" in sys.orig_argv:
+    from robustlab.campaign import work
 
-_perform = work.perform
+    original = work.perform
 
+    def perform(evaluator, request):
+        if request["delta"] is None:
+            with open(os.environ["PIECES_LOG"], "a", encoding="utf-8") as log:
+                log.write(f"{request['first']} {request['last']}\\n")
+            time.sleep(float(os.environ["PIECE_DELAY"]))
+        return original(evaluator, request)
 
-def perform(evaluator, request):
-    if request["delta"] is None:
-        with open(os.environ["PIECES_LOG"], "a", encoding="utf-8") as log:
-            log.write(f"{request['first']} {request['last']}\\n")
-        time.sleep(float(os.environ["PIECE_DELAY"]))
-    return _perform(evaluator, request)
-
-
-work.perform = perform
+    work.perform = perform
 '''
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -113,16 +113,14 @@ def measure(folder: Path, samples: int, kills: int, workers: int = 2, seed: int 
         time.sleep(0.2 * rng.random())
         assert process.poll() is None, f"it ended before kill {number + 1} of {kills}"
         crew = _children(process.pid)
-        # A worker dies alone three times of ten; the first kill is always the main process.
-        victim = "main" if number == 0 else rng.choice(["main", "main", "main", "all", "all", "all", "all", "worker"])
-        victim = "worker" if number % 3 == 2 else victim
+        victim = ("main", "all", "worker")[number % 3]
         outcome.kills.append(f"{victim} at {_saved(store)}")
         if victim == "worker":
             _kill(rng.choice(crew))
             continue
         for pid in [process.pid, *(crew if victim == "all" else [])]:
             _kill(pid)
-        process.wait()
+        process.communicate()
         process = None
         _wait_for_end(crew)
         open_pieces = [p for p in _pieces(log) if not _is_stored(store, p, samples)]
