@@ -248,6 +248,32 @@ class WorstCaseStep(StepBase):
         return self
 
 
+class CampaignStep(StepBase):
+    """A metric of many members, computed in worker processes and stored one by one; an interrupted run goes on."""
+
+    do: Literal["campaign"]
+    of: ToUncertain
+    metric: Literal["peak-deviation", "hinf", "spectral-abscissa"] = "peak-deviation"
+    draw: Literal["samples", "vertices", "search"] = Field(
+        "samples", description="Random members, vertices of Delta, or whole worst-case searches from own starts."
+    )
+    n: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
+    output: str | None = None
+    input: dict[str, float] = Field({}, description="Amplitude of the step on each input (peak-deviation only).")
+    t_end: Positive | None = None
+    points: Points = 401
+    seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
+    limit: float | None = Field(None, description="Count how often the metric lies above it.")
+    workers: Annotated[int, Field(ge=1, le=1024)] | None = Field(None, description="One per processor where left out.")
+    time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
+
+    @model_validator(mode="after")
+    def _needs_a_response(self) -> Self:
+        if self.metric == "peak-deviation" and (not self.input or self.t_end is None):
+            raise PydanticCustomError("needs_response", "peak-deviation needs input and t_end")
+        return self
+
+
 class HinfNormStep(StepBase):
     """H-infinity norm of a model."""
 
@@ -427,6 +453,7 @@ Step = Annotated[
     | ElementwiseStep
     | SampleStep
     | WorstCaseStep
+    | CampaignStep
     | HinfNormStep
     | RobustStabilityStep
     | MixsynStep
