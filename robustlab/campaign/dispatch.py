@@ -144,7 +144,7 @@ def compute_missing(
             rows = _rows_of(outcome, todo, evaluator)
             if rows is None:
                 continue
-            if not outcome.piece.alone:
+            if not outcome.piece.alone or not pace.seconds:
                 pace.learn(len(rows), outcome.seconds)
             rows = rows.up_to(n)
             store.save(rows)

@@ -1,7 +1,7 @@
 """The value of sample i: a pure function of uncertain model, settings and i.
 
 This is the one module of the room that knows metrics and searches. Samples are computed in tiles of fixed borders
-(sample i belongs to tile ``i // TILE``, a whole tile is computed even where it reaches beyond n), because a stack of
+(sample i belongs to tile ``i // tile``, a whole tile is computed even where it reaches beyond n), because a stack of
 members shares its scaling in the matrix exponential: with other neighbours the last digit of a value could change.
 So the answer depends neither on the number of workers nor on n nor on where an earlier run was interrupted.
 """
@@ -30,6 +30,8 @@ from robustlab.worst_case_analysis.search import METRICS, worst_case
 __all__ = ["TILE", "Evaluator"]
 
 TILE = 64
+# Operations in a tile, roughly: a tile of a large model is smaller, so that its time limit stays near that of a sample.
+TILE_WORK = 2e9
 # A value and its second path must agree to this share.
 AGREEMENT = 1e-6
 # The limit of a search is the limit of its sample, which whoever started the worker enforces: a search that looked at
@@ -55,8 +57,8 @@ class Evaluator:
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings
-        self.tile = 1 if settings.kind == "search" else TILE
         self._judge = _metric(uncertain, settings)
+        self.tile = _tile_size(self._judge.uncertain.M.n_states, settings)
         self._reals = [block.name for block in uncertain.blocks if isinstance(block, RealScalar)]
 
     @property
@@ -186,6 +188,14 @@ def _metric(uncertain: UncertainModel, settings: CampaignSettings) -> Metric:
     u: Any = {settings.input: 1.0} if settings.u is None and settings.input is not None else settings.u
     drive = excitation(uncertain.inputs, uncertain.dt, _clock(uncertain, settings), u, "campaign")
     return PeakDeviation(uncertain, output or outputs[0], drive, settings.hold)
+
+
+def _tile_size(n_states: int, settings: CampaignSettings) -> int:
+    """Samples per tile; it depends on the campaign alone, and never on how fast a machine is."""
+    if settings.kind == "search":
+        return 1
+    work = (n_states + 1) ** 2 * (settings.points + 100 + 30 * n_states)
+    return max(1, min(TILE, int(TILE_WORK / work)))
 
 
 def _clock(uncertain: UncertainModel, settings: CampaignSettings) -> NDArray[np.float64]:

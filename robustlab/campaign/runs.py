@@ -88,6 +88,7 @@ def run_campaign(
     EnvironmentFault
         The store cannot be written or is locked by another process; workers cannot be started or reached.
     """
+    _check_means(workers, time_limit)
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
     if existing == "fork" and Store.is_there(path):
@@ -115,6 +116,7 @@ def resume_campaign(
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
     """Go on with a campaign from its store alone, which holds model and settings; see `run_campaign`."""
+    _check_means(workers, time_limit)
     path = Path(store)
     Store.open(path).close()  # says what is wrong with the file before a lock is laid beside it
     with locked(path):
@@ -241,6 +243,13 @@ def replay_sample(store: str | Path, index: int) -> Replay:
 # --- parts -----------------------------------------------------------------------------------------------------------
 
 
+def _check_means(workers: int | None, time_limit: float) -> None:
+    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
+        raise InputError("campaign", f"{workers!r} workers", "a whole number, at least 1")
+    if not time_limit > 0:
+        raise InputError("campaign", f"a time limit of {time_limit:g} s per sample", "a positive number")
+
+
 def _work(
     store: Store,
     evaluator: Evaluator,
@@ -254,8 +263,6 @@ def _work(
     """Fill an open, locked store, check its worst sample, read it, close it."""
     finished = False
     try:
-        if not time_limit > 0:
-            raise InputError("campaign", f"a time limit of {time_limit:g} s per sample", "a positive number")
         if retry_lost:
             store.forget_lost()
         n, before = evaluator.settings.n, sum(store.counts())
@@ -285,8 +292,6 @@ def _hire(payload: Payload, workers: int | None, cluster: str | None, samples: i
         return ClusterWorkers(payload, cluster)
     from robustlab.campaign.local_workers import LocalWorkers
 
-    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise InputError("campaign", f"{workers!r} workers", "a whole number, at least 1")
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return LocalWorkers(payload, min(workers or processors, max(1, samples)))
 

@@ -249,7 +249,12 @@ class Store:
     def forget_lost(self) -> int:
         """Delete the rows of lost samples, so that they are computed again; how many there were."""
         with _named(self.path):
-            return self._db.execute("DELETE FROM sample WHERE status = ?", (LOST,)).rowcount
+            self._db.execute("BEGIN IMMEDIATE")
+            count = self._db.execute("DELETE FROM sample WHERE status = ?", (LOST,)).rowcount
+            if count:  # what was noted at its end holds no more
+                self._db.execute("DELETE FROM campaign WHERE name = 'finished'")
+            self._db.execute("COMMIT")
+        return count
 
     def missing(self, n: int) -> list[tuple[int, int]]:
         """Gaps ``(first, last)`` in 0 .. n - 1, each without its last index; a few, however many samples there are."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import faulthandler
 import json
-import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,8 @@ from robustlab.campaign.settings import Identity, model_from_bytes
 
 __all__ = ["Failure", "Outcome", "Payload", "Piece", "Workers", "evaluator_of", "perform"]
 
+# Limits beyond this (in s) are no limits, and more than the system's clock can be asked to wait for.
+LONGEST = 1e7
 # A worker that nobody stopped (its parent was killed while it hung) ends itself so many seconds after its limit.
 GRACE = 5.0
 
@@ -56,7 +57,7 @@ class Piece:
         return {
             "first": self.first,
             "last": self.last,
-            "limit": self.limit if math.isfinite(self.limit) else None,
+            "limit": self.limit if self.limit < LONGEST else None,
             "alone": self.alone,
             "delta": None if self.delta is None else list(self.delta),
         }

@@ -44,7 +44,16 @@ def cluster(tmp_path):
             assert time.monotonic() < until, (tmp_path / "log.txt").read_text(encoding="utf-8")
             time.sleep(0.05)
         for _ in range(2):
-            words = ("--nthreads", 1, "--no-dashboard", "--no-nanny", "--memory-limit", 0, "--local-directory", tmp_path)
+            words = (
+                "--nthreads",
+                1,
+                "--no-dashboard",
+                "--no-nanny",
+                "--memory-limit",
+                0,
+                "--local-directory",
+                tmp_path,
+            )
             running.append(launch(tmp_path, "distributed.cli.dask_worker", *options, *words))
         yield json.loads(file.read_text(encoding="utf-8"))["address"], running[1]
     finally:
@@ -88,6 +97,6 @@ def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
 def test_nobody_at_the_address(tmp_path, monkeypatch):
     motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35)).uncertain(outputs=["omega"])
     monkeypatch.setattr(cluster_workers, "CONNECT_SECONDS", 0.3)
-    with pytest.raises(EnvironmentFault, match="--cluster tcp://127.0.0.1:9: no Dask scheduler answers") as caught:
+    with pytest.raises(EnvironmentFault, match=r"--cluster tcp://127\.0\.0\.1:9: no Dask scheduler answers") as caught:
         run_campaign(motor, CampaignSettings("hinf", 10), tmp_path / "s.sqlite", cluster="tcp://127.0.0.1:9")
     assert "dask scheduler" in str(caught.value)

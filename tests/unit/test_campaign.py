@@ -251,7 +251,7 @@ def test_a_metric_that_is_not_a_number_is_a_lost_sample(motor, monkeypatch):
 def test_an_answer_about_other_samples_is_no_answer(tmp_path, motor):
     store, evaluator = new_store(tmp_path / "s.sqlite", motor, settings_of(300)), Evaluator(motor, settings_of(300))
     wrong = evaluator.rows(TILE, 2 * TILE).to_bytes()
-    with pytest.raises(NoTrustworthyNumber, match="answered with samples 64 .. 127"):
+    with pytest.raises(NoTrustworthyNumber, match=r"answered with samples 64 \.\. 127"):
         compute_missing(store, evaluator, InlineWorkers(evaluator, fault=lambda _: wrong), 10.0, lambda _: None)
     store.close()
 
@@ -263,7 +263,9 @@ def test_an_answer_about_other_samples_is_no_answer(tmp_path, motor):
 @given(st.integers(0, 2**40), st.lists(st.floats(allow_nan=False), min_size=1, max_size=5), st.integers(0, 3))
 def test_rows_survive_the_wire(first, values, width):
     k = len(values)
-    rows = Rows(first, np.array(values), np.arange(k * width, dtype=float).reshape(k, width), np.ones(k), {first: "é\n"})
+    rows = Rows(
+        first, np.array(values), np.arange(k * width, dtype=float).reshape(k, width), np.ones(k), {first: "é\n"}
+    )
     back = Rows.from_bytes(rows.to_bytes())
     assert (back.first, back.lost, back.deltas.shape) == (first, {first: "é\n"}, (k, width))
     np.testing.assert_array_equal(back.values, rows.values)
@@ -315,7 +317,9 @@ def test_gaps_are_found(tmp_path, motor):
 
 def test_a_transaction_that_fails_leaves_nothing(tmp_path, motor):
     store = new_store(tmp_path / "s.sqlite", motor, settings_of(300))
-    store._db.execute("CREATE TRIGGER full BEFORE INSERT ON sample WHEN NEW.idx = 5 BEGIN SELECT RAISE(ABORT, 'no'); END")
+    store._db.execute(
+        "CREATE TRIGGER full BEFORE INSERT ON sample WHEN NEW.idx = 5 BEGIN SELECT RAISE(ABORT, 'no'); END"
+    )
     with pytest.raises(InputError):
         store.save(Rows(0, np.zeros(10), np.zeros((10, 2)), np.zeros(10)))
     assert store.counts() == (0, 0)
@@ -361,7 +365,7 @@ def test_what_the_metric_refuses_is_said_before_any_worker_starts(motor, asked, 
 def store_of(path, model, values, lost=0):
     n = len(values) + lost
     store = new_store(path, model, settings_of(n))
-    reasons = {i: "gone" for i in range(len(values), n)}
+    reasons = dict.fromkeys(range(len(values), n), "gone")
     everything = np.concatenate([values, np.full(lost, np.nan)])
     store.save(Rows(0, everything, np.zeros((n, 2)), np.ones(n), reasons))
     return store
@@ -484,3 +488,14 @@ def test_a_hung_worker_is_killed_at_its_limit_and_replaced(motor):
     finally:
         crew.close()
     assert crew.pids == []
+
+
+def test_tiles_of_large_models_are_smaller(motor):
+    rng = np.random.default_rng(0)
+    n = 300
+    A = rng.standard_normal((n, n)) / 20 - 3 * np.eye(n)
+    M = rl.StateSpaceModel(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n)), np.zeros((2, 2)))
+    large = rl.UncertainModel(M, [rl.RealScalar("k")])
+    assert Evaluator(motor, settings_of(10)).tile == TILE
+    assert 1 <= Evaluator(large, CampaignSettings("spectral-abscissa", 10)).tile < TILE / 4
+    assert Evaluator(motor, CampaignSettings("hinf", 10, kind="search")).tile == 1

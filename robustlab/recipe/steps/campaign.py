@@ -76,7 +76,9 @@ def _facts(result: Any) -> tuple[Fact, ...]:
         bound = f" (at most {quantity(q.upper, result.unit)} with 95 % confidence)" if math.isfinite(q.upper) else ""
         facts.append(Fact(f"{100 * q.share:g} % of the members stay below", f"{quantity(q.value, result.unit)}{bound}"))
     if math.isfinite(result.unseen):
-        facts.append(Fact("Members worse than all of these", f"at most {100 * result.unseen:.3g} % with 95 % confidence"))
+        facts.append(
+            Fact("Members worse than all of these", f"at most {100 * result.unseen:.3g} % with 95 % confidence")
+        )
     if result.exceedance is not None:
         e = result.exceedance
         share = f"{e.above} of {e.of}; probability {e.lower:.3g} … {e.upper:.3g} (95 % on each side)"
@@ -91,7 +93,9 @@ def _notes(result: Any) -> tuple[str, ...]:
         notes.insert(0, f"{result.unbounded} of the members have no bounded value.")
     if result.lost:
         first = result.lost_samples[0]
-        text = f"{result.lost} were lost, the first one number {first.index}: {first.reason}. Bounds count them as worst."
+        text = (
+            f"{result.lost} were lost, the first one number {first.index}: {first.reason}. Bounds count them as worst."
+        )
         notes.insert(0, text)
     return tuple(notes)
 
