@@ -67,7 +67,15 @@ class Outcome:
         return sum(min(last, self.samples) - first for first, last in self.pieces) - self.samples
 
 
-def measure(folder: Path, samples: int, kills: int, workers: int = 2, seed: int = 1, delay: float = 0.0) -> Outcome:
+def measure(
+    folder: Path,
+    samples: int,
+    kills: int,
+    workers: int = 2,
+    seed: int = 1,
+    delay: float = 0.0,
+    unbroken_workers: int | None = None,
+) -> Outcome:
     """Run both campaigns in ``folder``.
 
     Parameters
@@ -78,12 +86,14 @@ def measure(folder: Path, samples: int, kills: int, workers: int = 2, seed: int 
         Of the moments and the victims.
     delay
         Seconds by which every piece of the killed run is held up, so that a small campaign lives long enough.
+    unbroken_workers
+        Workers of the unbroken run; the same where left out.
     """
     uncertain = rl.plant("dc-motor", Kf=(4.8e-5, 0.35), R=(2.07, 0.1), Km=(0.052, 0.05)).uncertain(outputs=["omega"])
     rl.save(folder / "motor.h5", uncertain)
     settings = CampaignSettings("peak-deviation", samples, seed=1, u={"u": 42.0}, t_end=0.1)
     begun = time.monotonic()
-    unbroken = run_campaign(uncertain, settings, folder / "unbroken.sqlite", workers=workers)
+    unbroken = run_campaign(uncertain, settings, folder / "unbroken.sqlite", workers=unbroken_workers or workers)
     unbroken_seconds = time.monotonic() - begun
 
     spy = folder / "spy"
@@ -102,10 +112,10 @@ def measure(folder: Path, samples: int, kills: int, workers: int = 2, seed: int 
 
     outcome = Outcome(unbroken, {}, samples, unbroken_seconds)
     rng = random.Random(seed)
-    begun, process, at = time.monotonic(), None, 0
+    begun, process = time.monotonic(), None
     for number in range(kills):
-        # Kill number i at a random moment of the i-th part of the work.
-        at = max(at + 1, int(samples * (number + rng.random()) / (kills + 1)))
+        # Kill number i at a random moment of the i-th part of the work, and never before anything new is saved.
+        at = max(_saved(store) + 1, int(samples * (number + rng.random()) / (kills + 1)))
         if process is None:
             process = start()
         while _saved(store) < at and process.poll() is None:

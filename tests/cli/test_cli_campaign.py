@@ -62,15 +62,12 @@ def test_json(folder, capsys, monkeypatch):
     ("words", "code", "text"),
     [
         (("run", "motor.h5", "--store", "x.sqlite", "--kind", "sample"), 2, "did you mean samples?"),
-        (("run", "motor.h5", "--store", "x.sqlite", "--metric", "hinff"), 2, "did you mean hinf?"),
         (("run", "motor.h5", "--store", "x.sqlite", "--restart", "--fork"), 2, "--restart and --fork"),
         (("run", "motor.h5"), 2, "--store"),
-        (("run", "motor.h5", "--store", "x.sqlite", "--time-limit-per-sample", "0"), 3, "time limit of 0 s"),
         (("run", "motor.h5", "--store", "motor.h5", "--restart"), 3, "not a campaign store"),
         (("run", "motor.h5", "--store", "motor.sqlite", "--seed", "2"), 3, "changed since sample 0"),
         (("show", "nothing.sqlite"), 3, "no such file"),
         (("replay", "motor.sqlite", "2000"), 3, "no sample 2000, expected 0 .. 1999"),
-        (("run", "motor.h5", "--store", "no/x.sqlite"), 5, "no such folder"),
     ],
 )
 def test_refusals(folder, words, code, text, capsys, monkeypatch):

@@ -19,7 +19,14 @@ from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.campaign.local_workers import LocalWorkers
 from robustlab.campaign.rows import Rows, decode_delta, delta_width, encode_delta
 from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
-from robustlab.campaign.statistics import SHARES, exceedance_curve, probability_bounds, quantiles, share_above
+from robustlab.campaign.statistics import (
+    SHARES,
+    _upper_rank,
+    exceedance_curve,
+    probability_bounds,
+    quantiles,
+    share_above,
+)
 from robustlab.campaign.store import Store
 from robustlab.campaign.work import Failure, Outcome, Payload, Piece, perform
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
@@ -142,10 +149,10 @@ def test_more_real_deltas_than_vertices_asked_for(motor):
 
 
 def test_searches_find_what_worst_case_finds(tmp_path, motor):
-    asked = CampaignSettings("hinf", 3, kind="search", starts=4)
+    asked = CampaignSettings("hinf", 2, kind="search", starts=2)
     store, _ = filled(tmp_path / "s.sqlite", motor, asked)
-    best = rl.worst_case(motor, "hinf", n=64)
-    assert [row.value for row in store.samples()] == pytest.approx([best.value] * 3, rel=1e-6)
+    best = rl.worst_case(motor, "hinf", n=4)
+    assert [row.value for row in store.samples()] == pytest.approx([best.value] * 2, rel=1e-6)
     assert decode_delta(motor.blocks, store.worst().numbers) == pytest.approx(best.delta)
     store.close()
 
@@ -400,14 +407,10 @@ def test_lost_samples_count_as_the_worst(tmp_path, motor):
     store.close()
 
 
-def test_the_bound_of_a_quantile_holds_as_often_as_it_says(tmp_path, motor):
-    rng = np.random.default_rng(0)
-    held = 0
-    for i in range(60):
-        store = store_of(tmp_path / f"{i}.sqlite", motor, rng.random(200))
-        held += next(q for q in quantiles(store, 200, 0) if q.share == 0.9).upper >= 0.9
-        store.close()
-    assert held >= binom.ppf(0.001, 60, 0.95)
+def test_the_bound_of_a_quantile_holds_as_often_as_it_says():
+    draws = np.sort(np.random.default_rng(0).random((2000, 200)), axis=1)
+    held = (draws[:, _upper_rank(200, 0.9) - 1] >= 0.9).mean()
+    assert 0.94 <= held <= 0.99  # at least 95 %, and not without end
 
 
 def test_the_curve_falls_from_one_to_the_worst(tmp_path, motor):
