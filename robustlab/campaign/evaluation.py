@@ -67,6 +67,11 @@ class Evaluator:
         return self._judge.unit
 
     @property
+    def sense(self) -> int:
+        """1 where the largest value of the metric is the worst, -1 where the smallest is."""
+        return 1
+
+    @property
     def location(self) -> str:
         """What the place is at which a value is attained, for example ``"t [s]"``."""
         return self._judge.location

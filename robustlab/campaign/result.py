@@ -10,19 +10,20 @@ from typing import Any
 from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.rows import decode_delta
 from robustlab.campaign.statistics import (
-    Exceedance,
     Quantile,
+    Violation,
     probability_bounds,
     quantiles,
-    share_above,
+    share_beyond,
 )
-from robustlab.campaign.store import Store
+from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
 
 __all__ = ["CampaignResult", "LostSample", "result_of"]
 
 LABEL = "sampled: a lower bound of the true worst case"
+LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 SHOWN_LOST = 100
 
 
@@ -52,8 +53,10 @@ class CampaignResult:
         Samples asked for, with a value, and without one.
     unbounded
         Samples whose value is infinite (unstable members).
+    sense
+        1 where the largest value is the worst, -1 where the smallest is.
     worst, worst_index, delta, physical
-        Largest value, the sample that has it, its normalised Delta, and its parameters as (value, unit).
+        Worst value, the sample that has it, its normalised Delta, and its parameters as (value, unit).
     at, location
         Where the worst value is attained, from the second path.
     again
@@ -64,8 +67,8 @@ class CampaignResult:
         See `robustlab.campaign.statistics.quantiles`; for samples only, and only where all of them are there.
     unseen
         Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
-    exceedance
-        How often a limit was exceeded, where one was given.
+    violation
+        How often the metric was worse than a limit, where one was given.
     lost_samples
         The first hundred of them.
     digest
@@ -87,6 +90,7 @@ class CampaignResult:
     done: int
     lost: int
     unbounded: int
+    sense: int
     worst: float
     worst_index: int
     delta: Mapping[str, Any]
@@ -97,18 +101,18 @@ class CampaignResult:
     nominal: float
     quantiles: tuple[Quantile, ...]
     unseen: float
-    exceedance: Exceedance | None
+    violation: Violation | None
     lost_samples: tuple[LostSample, ...]
     digest: str
     seconds: float
     seed: int
-    label: str = LABEL
+    label: str
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""
         data = vars(self).copy()
         data["quantiles"] = [vars(q).copy() for q in self.quantiles]
-        data["exceedance"] = vars(self.exceedance).copy() if self.exceedance else None
+        data["violation"] = vars(self.violation).copy() if self.violation else None
         data["lost_samples"] = [vars(sample).copy() for sample in self.lost_samples]
         return data
 
@@ -119,7 +123,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     Parameters
     ----------
     limit
-        Count how often the metric exceeds it.
+        Count how often the metric is worse than it.
 
     Raises
     ------
@@ -127,7 +131,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         The rows of a finished campaign are not what they were when it ended.
     """
     settings, blocks = evaluator.settings, evaluator.uncertain.blocks
-    counts, facts, worst = store.counts(), store.facts(), store.worst()
+    counts, facts, worst = store.counts(), store.facts(), store.worst(evaluator.sense)
     complete = counts.done + counts.lost >= settings.n
     digest = store.digest()
     if facts and complete and facts["digest"] != digest:
@@ -145,6 +149,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         counts.done,
         counts.lost,
         store.unbounded(),
+        evaluator.sense,
         worst.value if worst else math.nan,
         worst.index if worst else -1,
         delta,
@@ -153,15 +158,23 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         evaluator.location,
         float(facts.get("again", math.nan)),
         float(facts.get("nominal", math.nan)),
-        quantiles(store, counts.done, counts.lost) if sampled and complete else (),
+        quantiles(store, evaluator.sense, counts.done, counts.lost) if sampled and complete else (),
         unseen,
-        share_above(store, limit, counts.done, counts.lost) if limit is not None and counts.done else None,
+        share_beyond(store, evaluator.sense, limit, counts.done, counts.lost)
+        if limit is not None and counts.done
+        else None,
         tuple(LostSample(row.index, row.reason, decode_delta(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)),
         digest,
         store.seconds(),
         settings.seed,
-        LABEL if worst is None or math.isfinite(worst.value) else "attained: this member has no bounded value",
+        _label(worst, evaluator.sense),
     )
+
+
+def _label(worst: Sample | None, sense: int) -> str:
+    if worst is not None and not math.isfinite(worst.value):
+        return "attained: this member has no bounded value"
+    return LABEL if sense > 0 else LABEL_SMALLEST
 
 
 def _status(complete: bool, facts: Mapping[str, Any], any_value: bool) -> Status:

@@ -75,7 +75,7 @@ def run_campaign(
     retry_lost
         Compute lost samples of an earlier run again.
     limit
-        Count how often the metric exceeds it.
+        Count how often the metric is worse than it.
     progress
         Called with the number of samples that were just stored, once at the start with those that were there.
 
@@ -298,7 +298,7 @@ def _hire(payload: Payload, workers: int | None, cluster: str | None, samples: i
 
 def _note_end(store: Store, evaluator: Evaluator, crew: Workers, time_limit: float) -> None:
     """Evaluate the worst sample and the nominal model through the second path; note this and the digest."""
-    worst = store.worst()
+    worst = store.worst(evaluator.sense)
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
         again = evaluate_again(crew, tuple(worst.numbers.tolist()), time_limit)

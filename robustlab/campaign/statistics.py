@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robustlab.campaign.store import Store
 
-__all__ = ["CONFIDENCE", "Exceedance", "Quantile", "exceedance_curve", "probability_bounds", "quantiles", "share_above"]
+__all__ = ["CONFIDENCE", "Quantile", "Violation", "exceedance_curve", "probability_bounds", "quantiles", "share_beyond"]
 
 Array = NDArray[np.float64]
 
@@ -25,40 +25,40 @@ SHARES = (0.5, 0.9, 0.99, 0.999)
 
 @dataclass(frozen=True)
 class Quantile:
-    """The value that a share of the samples does not exceed.
+    """The value than which a share of the samples is not worse.
 
     Attributes
     ----------
     share
         For example 0.99.
     value
-        The order statistic with number ``ceil(share n)``.
-    upper
-        Upper bound of the set's own quantile at CONFIDENCE, one-sided; ``inf`` where there are too few samples.
+        The order statistic with number ``ceil(share n)``, counted from the best.
+    bound
+        The set's own quantile is not worse than this at CONFIDENCE; infinite where there are too few samples.
     """
 
     share: float
     value: float
-    upper: float
+    bound: float
 
 
 @dataclass(frozen=True)
-class Exceedance:
-    """How often the metric lies above a limit.
+class Violation:
+    """How often the metric is worse than a limit.
 
     Attributes
     ----------
     limit
         The limit.
-    above, of
-        Samples above it and samples in all; a lost sample counts as above.
+    count, of
+        Samples worse than it and samples in all; a lost sample counts as worse.
     lower, upper
         Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples count for neither side's
-        favour: not above for the lower, above for the upper.
+        favour: not as worse for the lower, as worse for the upper.
     """
 
     limit: float
-    above: int
+    count: int
     of: int
     lower: float
     upper: float
@@ -84,10 +84,10 @@ def probability_bounds(k: int, n: int, confidence: float = CONFIDENCE) -> tuple[
     return lower, upper
 
 
-def quantiles(store: Store, done: int, lost: int) -> tuple[Quantile, ...]:
+def quantiles(store: Store, sense: int, done: int, lost: int) -> tuple[Quantile, ...]:
     """Quantiles of all samples with their upper confidence bounds, where the samples allow them.
 
-    With a lost sample at the upper end: the share counts all samples, the lost ones as larger than any value.
+    The share counts all samples, the lost ones as worse than any value.
     """
     n = done + lost
     wanted: dict[int, float] = {}
@@ -99,7 +99,7 @@ def quantiles(store: Store, done: int, lost: int) -> tuple[Quantile, ...]:
         upper = _upper_rank(n, share)
         plan.append((share, rank, upper))
         wanted.update({rank: math.inf, upper: math.inf})
-    values = _at_ranks(store.sorted_values(), wanted)
+    values = _at_ranks(store.sorted_values(sense), wanted, sense)
     return tuple(Quantile(share, values[rank], values[upper]) for share, rank, upper in plan)
 
 
@@ -117,28 +117,28 @@ def _upper_rank(n: int, share: float) -> int:
     return low + 1
 
 
-def _at_ranks(values: Iterable[float], ranks: Iterable[int]) -> dict[int, float]:
-    """Order statistics, counted from 1, of values in ascending order; ``inf`` beyond the last."""
-    found = dict.fromkeys(sorted(set(ranks)), math.inf)
+def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict[int, float]:
+    """Order statistics, counted from 1, of values from the best to the worst; infinite beyond the last."""
+    found = dict.fromkeys(sorted(set(ranks)), sense * math.inf)
     for i, value in enumerate(values, 1):
         if i in found:
             found[i] = value
     return found
 
 
-def share_above(store: Store, limit: float, done: int, lost: int) -> Exceedance:
-    """How many samples exceed ``limit``, and bounds of the probability that a member of the set does."""
-    above = sum(1 for value in store.sorted_values() if value > limit)
+def share_beyond(store: Store, sense: int, limit: float, done: int, lost: int) -> Violation:
+    """How many samples are worse than ``limit``, and bounds of the probability that a member of the set is."""
+    above = sum(1 for value in store.sorted_values(sense) if sense * value > sense * limit)
     n = done + lost
     lower = probability_bounds(above, n)[0]
     upper = probability_bounds(above + lost, n)[1]
-    return Exceedance(limit, above + lost, n, lower, upper)
+    return Violation(limit, above + lost, n, lower, upper)
 
 
-def exceedance_curve(store: Store, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
-    """Share of the samples above a value, for drawing: values (m,), shares (m,), upper confidence bounds (m,).
+def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
+    """Share of the samples worse than a value, for drawing: values (m,), shares (m,), upper confidence bounds (m,).
 
-    Ranks are spaced so that the tail is resolved; lost samples count as above, samples without a bounded value are
+    Ranks are spaced so that the tail is resolved; lost samples count as worse, samples without a bounded value are
     left out of the values.
     """
     from scipy.special import betaincinv
@@ -146,7 +146,7 @@ def exceedance_curve(store: Store, done: int, lost: int, points: int = 200) -> t
     n = done + lost
     tail = np.unique(np.rint(np.geomspace(1.0, max(1, n), points)).astype(int))
     ranks = np.unique(np.concatenate([n + 1 - tail, np.linspace(1, n, points).astype(int)]))
-    found = _at_ranks(store.sorted_values(), [int(rank) for rank in ranks])
+    found = _at_ranks(store.sorted_values(sense), [int(rank) for rank in ranks], sense)
     pairs = [(value, rank) for rank, value in found.items() if math.isfinite(value)]
     values = np.array([value for value, _ in pairs], dtype=np.float64)
     above = n - np.array([rank for _, rank in pairs], dtype=np.float64)

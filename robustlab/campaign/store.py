@@ -284,20 +284,21 @@ class Store:
         """The first lost samples."""
         return list(self._samples("WHERE status = ? ORDER BY idx LIMIT ?", (LOST, most)))
 
-    def worst(self) -> Sample | None:
-        """The sample with the largest value; the first of them where several have it."""
-        return next(self._samples("WHERE status = ? ORDER BY value DESC, idx LIMIT 1", (DONE,)), None)
+    def worst(self, sense: int) -> Sample | None:
+        """The sample with the largest ``sense * value``; the first of them where several have it."""
+        return next(self._samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", (DONE, sense)), None)
 
     def unbounded(self) -> int:
         """How many samples have an infinite value."""
         with _named(self.path):
-            found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND value = ?", (DONE, np.inf))
+            found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?", (DONE, np.inf))
             return int(found.fetchone()[0])
 
-    def sorted_values(self) -> Iterator[float]:
-        """Values in ascending order, streamed; SQLite sorts on disk where they are many."""
+    def sorted_values(self, sense: int) -> Iterator[float]:
+        """Values from the best to the worst, streamed; SQLite sorts on disk where they are many."""
         with _named(self.path):
-            for (value,) in self._db.execute("SELECT value FROM sample WHERE status = ? ORDER BY value", (DONE,)):
+            question = "SELECT value FROM sample WHERE status = ? ORDER BY value * ?"
+            for (value,) in self._db.execute(question, (DONE, sense)):
                 yield value
 
     def seconds(self) -> float:

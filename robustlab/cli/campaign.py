@@ -29,7 +29,7 @@ LimitOption = Annotated[
     float, typer.Option("--time-limit-per-sample", help="Seconds after which a sample's worker is killed.")
 ]
 RetryOption = Annotated[bool, typer.Option("--retry-lost", help="Compute the lost samples of earlier runs again.")]
-AboveOption = Annotated[float | None, typer.Option("--above", help="Count how often the metric exceeds this value.")]
+BoundOption = Annotated[float | None, typer.Option("--limit", help="Count how often the metric is worse than this.")]
 
 
 @app.command()
@@ -56,7 +56,7 @@ def run(
     retry_lost: RetryOption = False,
     restart: Annotated[bool, typer.Option("--restart", help="Delete what the store holds and begin anew.")] = False,
     fork: Annotated[bool, typer.Option("--fork", help="Keep the store, begin another one beside it.")] = False,
-    above: AboveOption = None,
+    bound: BoundOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
@@ -93,7 +93,7 @@ def run(
             time_limit=time_limit,
             existing="restart" if restart else "fork" if fork else "resume",
             retry_lost=retry_lost,
-            limit=above,
+            limit=bound,
             progress=advance,
         )
     _print("campaign run", result, as_json, {"file": file})
@@ -106,7 +106,7 @@ def resume(
     cluster: ClusterOption = None,
     time_limit: LimitOption = 60.0,
     retry_lost: RetryOption = False,
-    above: AboveOption = None,
+    bound: BoundOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Go on with a campaign where it was interrupted; model and settings are in the store.
@@ -122,23 +122,23 @@ def resume(
             cluster=cluster,
             time_limit=time_limit,
             retry_lost=retry_lost,
-            limit=above,
+            limit=bound,
             progress=advance,
         )
     _print("campaign resume", result, as_json, {})
 
 
 @app.command()
-def show(store: StoreArgument, above: AboveOption = None, as_json: JsonOption = False) -> None:
+def show(store: StoreArgument, bound: BoundOption = None, as_json: JsonOption = False) -> None:
     """Print what a store holds: counts, worst sample, quantiles, lost samples; also while a run writes it.
 
     Exit code 4 as long as samples are missing.
 
-    Example: robustlab campaign show motor.sqlite --above 34
+    Example: robustlab campaign show motor.sqlite --limit 34
     """
     from robustlab.campaign import read_campaign
 
-    _print("campaign show", read_campaign(store, above), as_json, {})
+    _print("campaign show", read_campaign(store, bound), as_json, {})
 
 
 @app.command()
@@ -221,15 +221,15 @@ def _text(result: Any) -> str:
         lines.append(f"{result.unbounded} of them have no bounded value")
     if not isnan(result.unseen):
         lines.append(f"members worse than all of these: at most {result.unseen:.3g} of the set, with 95 % confidence")
-    if result.exceedance is not None:
-        e = result.exceedance
-        bounds = f"probability {e.lower:.4g} .. {e.upper:.4g}, each side with 95 % confidence"
-        lines.append(f"above {e.limit:.9g}: {e.above} of {e.of} (lost ones counted as above); {bounds}")
+    if result.violation is not None:
+        v = result.violation
+        bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
+        lines.append(f"worse than {v.limit:.9g}: {v.count} of {v.of} (lost ones counted); {bounds}")
     lines.append(f"status: {result.status}, {result.seconds:.3g} s of work")
     lines.append(f"digest: {result.digest}")
     if result.quantiles:
-        rows = [(f"{100 * q.share:g} %", f"{q.value:.9g}", f"{q.upper:.9g}") for q in result.quantiles]
-        lines += ["", table(rows, ("quantile", "value", "at most (95 %)"))]
+        rows = [(f"{100 * q.share:g} %", f"{q.value:.9g}", f"{q.bound:.9g}") for q in result.quantiles]
+        lines += ["", table(rows, ("share", "not worse than", "with 95 % confidence"))]
     if result.done:
         lines += _delta_table(result.delta, result.physical)
     if result.lost:

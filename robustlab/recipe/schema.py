@@ -263,7 +263,7 @@ class CampaignStep(StepBase):
     t_end: Positive | None = None
     points: Points = 401
     seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
-    limit: float | None = Field(None, description="Count how often the metric lies above it.")
+    limit: float | None = Field(None, description="Count how often the metric is worse than it.")
     workers: Annotated[int, Field(ge=1, le=1024)] | None = Field(None, description="One per processor where left out.")
     time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
 

@@ -16,16 +16,16 @@ Array = NDArray[np.float64]
 def exceedance_figure(
     values: Array, share: Array, upper: Array, *, metric: tuple[str, str], limit: float | None = None
 ) -> Figure:
-    """Share of the samples above each value, with its upper confidence bound; logarithmic, so that the tail is seen.
+    """Share of the samples worse than each value, with its upper confidence bound; the logarithmic axis shows the tail.
 
     Parameters
     ----------
     values
-        Values of the metric in ascending order, shape (m,).
+        Values of the metric from the best to the worst, shape (m,).
     share
-        Share of the samples above each, shape (m,).
+        Share of the samples worse than each, shape (m,).
     upper
-        One-sided 95 % bound of the probability that a member lies above each, shape (m,).
+        One-sided 95 % bound of the probability that a member is worse than each, shape (m,).
     metric
         Its name and unit.
     limit
@@ -42,7 +42,7 @@ def exceedance_figure(
         if limit is not None:
             axes.axvline(limit, color=COLOURS["limit"], lw=1.3, label=plain_label(f"limit {limit:g}"))
         axes.set_xlabel(axis_label(*metric))
-        axes.set_ylabel("probability to lie above")
-        axes.legend(loc="lower left")
+        axes.set_ylabel("probability to be worse")
+        axes.legend(loc="best")
     logarithmic(axes.yaxis)
     return figure

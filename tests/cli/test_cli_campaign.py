@@ -44,16 +44,16 @@ def test_the_page_in_order(folder, capsys, monkeypatch):
     names = {}
     exec(re.search(r"```python\n(.*?)```", PAGE, re.S).group(1), names)
     assert f"worst: {names['result'].worst:.9g} rad/s in sample 675" in SHOWN
-    assert f"{names['result'].exceedance.upper:.4g}" in SHOWN
+    assert f"{names['result'].violation.upper:.4g}" in SHOWN
 
 
 def test_json(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    code, text, _ = call(capsys, "campaign", "show", "motor.sqlite", "--json", "--above", "34")
+    code, text, _ = call(capsys, "campaign", "show", "motor.sqlite", "--json", "--limit", "34")
     data = json.loads(text)
     assert code == 0
     assert (data["schema"], data["command"]) == ("robustlab.result/1", "campaign show")
-    assert (data["done"], data["worst_index"], data["exceedance"]["above"]) == (2000, 675, 11)
+    assert (data["done"], data["worst_index"], data["violation"]["count"]) == (2000, 675, 11)
     code, text, _ = call(capsys, "campaign", "replay", "motor.sqlite", "3", "--json")
     assert json.loads(text)["delta"] == rl.sample(rl.load("motor.h5"), 4, seed=1).deltas[3]
 

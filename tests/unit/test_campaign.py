@@ -25,7 +25,7 @@ from robustlab.campaign.statistics import (
     exceedance_curve,
     probability_bounds,
     quantiles,
-    share_above,
+    share_beyond,
 )
 from robustlab.campaign.store import Store
 from robustlab.campaign.work import Failure, Outcome, Payload, Piece, perform
@@ -137,7 +137,7 @@ def test_all_vertices_are_met_once_and_hold_the_worst_case(tmp_path, motor):
     found = {tuple(decode_delta(motor.blocks, row.numbers).values()) for row in store.samples()}
     assert found == {(a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)}
     worst = rl.worst_case(motor, u={"u": 42.0}, t=np.linspace(0, 0.1, 51), n=16)
-    assert store.worst().value == pytest.approx(worst.value, rel=1e-9)
+    assert store.worst(1).value == pytest.approx(worst.value, rel=1e-9)
     store.close()
 
 
@@ -153,7 +153,7 @@ def test_searches_find_what_worst_case_finds(tmp_path, motor):
     store, _ = filled(tmp_path / "s.sqlite", motor, asked)
     best = rl.worst_case(motor, "hinf", n=4)
     assert [row.value for row in store.samples()] == pytest.approx([best.value] * 2, rel=1e-6)
-    assert decode_delta(motor.blocks, store.worst().numbers) == pytest.approx(best.delta)
+    assert decode_delta(motor.blocks, store.worst(1).numbers) == pytest.approx(best.delta)
     store.close()
 
 
@@ -389,22 +389,38 @@ def test_quantiles_are_order_statistics_with_binomial_bounds(tmp_path, motor):
     rng = np.random.default_rng(3)
     values = rng.standard_normal(2000)
     store = store_of(tmp_path / "s.sqlite", motor, values)
-    for q in quantiles(store, 2000, 0):
+    for q in quantiles(store, 1, 2000, 0):
         assert q.value == np.sort(values)[math.ceil(q.share * 2000) - 1]
         rank = int(binom.ppf(0.95, 2000, q.share)) + 1
-        assert q.upper == (np.sort(values)[rank - 1] if rank <= 2000 else math.inf)
-    assert [q.share for q in quantiles(store, 2000, 0)] == list(SHARES)
+        assert q.bound == (np.sort(values)[rank - 1] if rank <= 2000 else math.inf)
+    assert [q.share for q in quantiles(store, 1, 2000, 0)] == list(SHARES)
     store.close()
 
 
 def test_lost_samples_count_as_the_worst(tmp_path, motor):
     store = store_of(tmp_path / "s.sqlite", motor, np.arange(97.0), lost=3)
-    found = share_above(store, 95.5, 97, 3)
-    assert (found.above, found.of) == (4, 100)
+    found = share_beyond(store, 1, 95.5, 97, 3)
+    assert (found.count, found.of) == (4, 100)
     assert found.upper == pytest.approx(beta.ppf(0.95, 5, 96))
     assert found.lower == pytest.approx(beta.ppf(0.05, 1, 100))
-    assert quantiles(store, 97, 3)[-1].upper == math.inf
+    assert quantiles(store, 1, 97, 3)[-1].bound == math.inf
     store.close()
+
+
+def test_where_the_smallest_is_the_worst_everything_is_mirrored(tmp_path, motor):
+    values = np.random.default_rng(4).standard_normal(300)
+    largest = store_of(tmp_path / "largest.sqlite", motor, values)
+    smallest = store_of(tmp_path / "smallest.sqlite", motor, -values)
+    assert smallest.worst(-1).value == -largest.worst(1).value
+    for q, mirrored in zip(quantiles(largest, 1, 300, 0), quantiles(smallest, -1, 300, 0), strict=True):
+        assert (q.value, q.bound) == (-mirrored.value, -mirrored.bound)
+    assert share_beyond(smallest, -1, -1.5, 300, 0).count == share_beyond(largest, 1, 1.5, 300, 0).count > 0
+    for ours, mirrored in zip(
+        exceedance_curve(largest, 1, 300, 0), exceedance_curve(smallest, -1, 300, 0), strict=True
+    ):
+        np.testing.assert_array_equal(np.abs(ours), np.abs(mirrored))
+    largest.close()
+    smallest.close()
 
 
 def test_the_bound_of_a_quantile_holds_as_often_as_it_says():
@@ -416,7 +432,7 @@ def test_the_bound_of_a_quantile_holds_as_often_as_it_says():
 def test_the_curve_falls_from_one_to_the_worst(tmp_path, motor):
     values = np.random.default_rng(1).standard_normal(5000)
     store = store_of(tmp_path / "s.sqlite", motor, values)
-    at, share, upper = exceedance_curve(store, 5000, 0)
+    at, share, upper = exceedance_curve(store, 1, 5000, 0)
     assert (np.diff(at) >= 0).all()
     assert (np.diff(share) <= 0).all()
     assert (at[-1], share[-1]) == (values.max(), 0.0)
@@ -449,7 +465,7 @@ def test_the_result_is_that_of_this_process(finished, motor, tmp_path):
     assert result.nominal == 0.0
     assert result.physical["R"][0] == pytest.approx(2.07 * (1 + 0.1 * result.delta["R"]))
     assert result.unseen == pytest.approx(1 - 0.05 ** (1 / 300))
-    assert result.exceedance.above == sum(row.value > 30.0 for row in store.samples())
+    assert result.violation.count == sum(row.value > 30.0 for row in store.samples())
     store.close()
     assert [file.name for file in path.parent.iterdir() if "wal" in file.name or "shm" in file.name] == []
 

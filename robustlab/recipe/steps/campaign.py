@@ -58,9 +58,9 @@ def _numbers(result: Any) -> dict[str, Any]:
         "digest": result.digest,
         "quantiles": {f"q{q.share * 100:g}".replace(".", "_"): q.value for q in result.quantiles},
     }
-    if result.exceedance is not None:
-        e = result.exceedance
-        numbers["above"] = {"count": e.above, "of": e.of, "lower": e.lower, "upper": e.upper}
+    if result.violation is not None:
+        v = result.violation
+        numbers["violation"] = {"count": v.count, "of": v.of, "lower": v.lower, "upper": v.upper}
     return numbers
 
 
@@ -73,16 +73,18 @@ def _facts(result: Any) -> tuple[Fact, ...]:
         *(Fact(f"Its {name}", quantity(value, unit)) for name, (value, unit) in result.physical.items()),
     ]
     for q in result.quantiles:
-        bound = f" (at most {quantity(q.upper, result.unit)} with 95 % confidence)" if math.isfinite(q.upper) else ""
-        facts.append(Fact(f"{100 * q.share:g} % of the members stay below", f"{quantity(q.value, result.unit)}{bound}"))
+        bound = f" ({quantity(q.bound, result.unit)} with 95 % confidence)" if math.isfinite(q.bound) else ""
+        facts.append(
+            Fact(f"{100 * q.share:g} % of the members are not worse than", f"{quantity(q.value, result.unit)}{bound}")
+        )
     if math.isfinite(result.unseen):
         facts.append(
             Fact("Members worse than all of these", f"at most {100 * result.unseen:.3g} % with 95 % confidence")
         )
-    if result.exceedance is not None:
-        e = result.exceedance
-        share = f"{e.above} of {e.of}; probability {e.lower:.3g} … {e.upper:.3g} (95 % on each side)"
-        facts.append(Fact(f"Above {quantity(e.limit, result.unit)}", share))
+    if result.violation is not None:
+        v = result.violation
+        share = f"{v.count} of {v.of}; probability {v.lower:.3g} … {v.upper:.3g} (95 % on each side)"
+        facts.append(Fact(f"Worse than {quantity(v.limit, result.unit)}", share))
     facts.append(Fact("Digest of all results", result.digest))
     return tuple(facts)
 
@@ -109,11 +111,11 @@ def _draw(store: Path, step: CampaignStep, work: Workspace, result: Any) -> None
         return
     opened = Store.open(store)
     try:
-        values, share, upper = exceedance_curve(opened, result.done, result.lost)
+        values, share, upper = exceedance_curve(opened, result.sense, result.done, result.lost)
     finally:
         opened.close()
     figure = exceedance_figure(values, share, upper, metric=(step.metric, result.unit), limit=step.limit)
-    work.draw(figure, step.metric, f"{step.metric}: how often a member lies above a value ({result.done} samples).")
+    work.draw(figure, step.metric, f"{step.metric}: how often a member is worse than a value ({result.done} samples).")
 
 
 def _publish(store: Path, work: Workspace) -> None:
