@@ -45,6 +45,8 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.uncertainty.elementwise import elementwise as elementwise
     from robustlab.uncertainty.lft import UncertainModel as UncertainModel
     from robustlab.worst_case_analysis import sample as sample
+    from robustlab.worst_case_analysis import sample_size as sample_size
+    from robustlab.worst_case_analysis import violation_probability as violation_probability
     from robustlab.worst_case_analysis import worst_case as worst_case
 
 _PUBLIC = {
@@ -71,6 +73,8 @@ _PUBLIC = {
     # analysis
     "sample": "worst_case_analysis",
     "worst_case": "worst_case_analysis",
+    "violation_probability": "worst_case_analysis",
+    "sample_size": "worst_case_analysis",
     "mu": "mu_analysis",
     "robust_stability": "mu_analysis",
     "hinf_norm": "norms",

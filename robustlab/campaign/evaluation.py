@@ -17,23 +17,21 @@ from numpy.typing import NDArray
 
 from robustlab.campaign.rows import Rows, delta_width, encode_delta
 from robustlab.campaign.settings import CampaignSettings
-from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean, plain_text
+from robustlab.errors import NoTrustworthyNumber, plain_text
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.draws import delta_of_sample
 from robustlab.worst_case_analysis.ensemble import delta_stack
-from robustlab.worst_case_analysis.excitation import default_clock, excitation
-from robustlab.worst_case_analysis.metrics import Evaluation, HinfGain, Metric, PeakDeviation, SpectralAbscissa
-from robustlab.worst_case_analysis.sampling import delta_of_sample
-from robustlab.worst_case_analysis.search import METRICS, worst_case
+from robustlab.worst_case_analysis.metric_contract import Evaluation
+from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
+from robustlab.worst_case_analysis.search import worst_case
 
 __all__ = ["TILE", "Evaluator"]
 
 TILE = 64
 # Operations in a tile, roughly: a tile of a large model is smaller, so that its time limit stays near that of a sample.
 TILE_WORK = 2e9
-# A value and its second path must agree to this share.
-AGREEMENT = 1e-6
 # The limit of a search is the limit of its sample, which whoever started the worker enforces: a search that looked at
 # its own clock would give an answer that depends on the machine.
 NO_LIMIT = 1e12
@@ -57,7 +55,7 @@ class Evaluator:
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings
-        self._judge = _metric(uncertain, settings)
+        self._judge = make_metric(uncertain, _request(uncertain, settings), "campaign")
         self.tile = _tile_size(self._judge.uncertain.M.n_states, settings)
         self._reals = [block.name for block in uncertain.blocks if isinstance(block, RealScalar)]
 
@@ -69,7 +67,7 @@ class Evaluator:
     @property
     def sense(self) -> int:
         """1 where the largest value of the metric is the worst, -1 where the smallest is."""
-        return 1
+        return 1 if self._judge.sense > 0 else -1
 
     @property
     def location(self) -> str:
@@ -83,9 +81,8 @@ class Evaluator:
             return {block.name: _zero(block) for block in blocks}
         if self.settings.kind == "samples":
             return delta_of_sample(blocks, seed, index)
-        signs = self._signs(index)
         values = delta_of_sample(blocks, seed, index, boundary=True)
-        return {**values, **dict(zip(self._reals, signs, strict=True))}
+        return {**values, **dict(zip(self._reals, self._signs(index), strict=True))}
 
     def _signs(self, index: int) -> list[float]:
         """Vertex of the real deltas: the binary digits of the index, or random where not all of them are asked for."""
@@ -112,12 +109,10 @@ class Evaluator:
         """Whether a value and its re-evaluation are the same number."""
         if not (np.isfinite(value) and np.isfinite(again)):
             return value == again and accurate
-        size = max(abs(value), abs(again))
-        if isinstance(self._judge, SpectralAbscissa):  # poles are as accurate as the largest of them
-            size = max(size, float(np.abs(self.uncertain.nominal.poles()).max(initial=0.0)))
-        # The second path of the gain may find a higher peak between grid points: that is no disagreement.
-        above = 0.0 if isinstance(self._judge, HinfGain) else again - value
-        return accurate and max(value - again, above) <= AGREEMENT * size
+        slack = max(self._judge.slack(value), self._judge.slack(again))
+        # A second path that may look between grid points can find a worse value: that is no disagreement.
+        beyond = self._judge.sense * (again - value)
+        return accurate and -slack <= beyond and (self._judge.one_sided or beyond <= slack)
 
     def _tile(self, first: int) -> Rows:
         if self.tile == 1:
@@ -157,10 +152,8 @@ class Evaluator:
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
         own = np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)
-        options: dict[str, Any] = {"output": s.output, "input": s.input, "n": s.starts, "hold": s.hold}
-        if s.metric == "peak-deviation":
-            options |= {"t": _clock(self.uncertain, s), "u": s.u}
-        found = worst_case(self.uncertain, s.metric, seed=int(own[0]), time_limit=NO_LIMIT, **options)  # pyright: ignore[reportArgumentType]
+        asked = vars(_request(self.uncertain, s))
+        found = worst_case(self.uncertain, **asked, n=s.starts, seed=int(own[0]), time_limit=NO_LIMIT)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"
@@ -178,21 +171,9 @@ class Evaluator:
         return delta_width(self.uncertain.blocks)
 
 
-def _metric(uncertain: UncertainModel, settings: CampaignSettings) -> Metric:
-    name, output = settings.metric, settings.output
-    if name not in METRICS:
-        raise UsageError("campaign", f"metric {name!r}", f"one of {', '.join(METRICS)}", did_you_mean(name, METRICS))
-    if name == "spectral-abscissa":
-        return SpectralAbscissa(uncertain)
-    if name == "hinf":
-        return HinfGain(uncertain, settings.input, output)
-    outputs = [signal.name for signal in uncertain.outputs]
-    if output is None and len(outputs) != 1:
-        expected = f"output: one of {', '.join(outputs)}"
-        raise UsageError("campaign", f"{len(outputs)} outputs and none named", expected, f"--output {outputs[0]}")
-    u: Any = {settings.input: 1.0} if settings.u is None and settings.input is not None else settings.u
-    drive = excitation(uncertain.inputs, uncertain.dt, _clock(uncertain, settings), u, "campaign")
-    return PeakDeviation(uncertain, output or outputs[0], drive, settings.hold)
+def _request(uncertain: UncertainModel, s: CampaignSettings) -> MetricRequest:
+    clock = None if s.t_end is None else _clock(uncertain, s, s.t_end)
+    return MetricRequest(s.metric, s.output, s.input, clock, s.u, s.hold, s.band)
 
 
 def _tile_size(n_states: int, settings: CampaignSettings) -> int:
@@ -203,13 +184,10 @@ def _tile_size(n_states: int, settings: CampaignSettings) -> int:
     return max(1, min(TILE, int(TILE_WORK / work)))
 
 
-def _clock(uncertain: UncertainModel, settings: CampaignSettings) -> NDArray[np.float64]:
-    if settings.t_end is None:
-        return default_clock(uncertain.nominal, "campaign")
+def _clock(uncertain: UncertainModel, settings: CampaignSettings, t_end: float) -> NDArray[np.float64]:
     if uncertain.dt:
-        count = max(2, round(settings.t_end / uncertain.dt) + 1)
-        return real_array("t", uncertain.dt * np.arange(count), 1)
-    return real_array("t", np.linspace(0.0, settings.t_end, settings.points), 1)
+        return real_array("t", uncertain.dt * np.arange(max(2, round(t_end / uncertain.dt) + 1)), 1)
+    return real_array("t", np.linspace(0.0, t_end, settings.points), 1)
 
 
 def _zero(block: Any) -> Any:

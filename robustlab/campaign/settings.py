@@ -65,7 +65,9 @@ class CampaignSettings:
     hold
         What the input does between samples.
     starts
-        For searches: points of the Latin hypercube from which each one starts.
+        For searches: Sobol points from which each one starts.
+    band
+        Share of the final value that counts as settled.
 
     Raises
     ------
@@ -84,6 +86,7 @@ class CampaignSettings:
     points: int = 401
     hold: Literal["zoh", "foh"] = "zoh"
     starts: int = 64
+    band: float = 0.02
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:

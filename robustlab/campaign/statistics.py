@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.campaign.store import Store
+from robustlab.worst_case_analysis.statistics import clopper_pearson
 
 __all__ = ["CONFIDENCE", "Quantile", "Violation", "exceedance_curve", "probability_bounds", "quantiles", "share_beyond"]
 
@@ -64,12 +65,8 @@ class Violation:
     upper: float
 
 
-def probability_bounds(k: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided.
-
-    References
-    ----------
-    Clopper, Pearson, *Biometrika* 26 (1934).
+def probability_bounds(k: int, n: int) -> tuple[float, float]:
+    """Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE.
 
     Examples
     --------
@@ -77,11 +74,7 @@ def probability_bounds(k: int, n: int, confidence: float = CONFIDENCE) -> tuple[
     >>> low, round(high, 4)
     (0.0, 0.01)
     """
-    from scipy.special import betaincinv
-
-    lower = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, 1.0 - confidence))
-    upper = 1.0 if k == n else float(betaincinv(k + 1, n - k, confidence))
-    return lower, upper
+    return clopper_pearson(k, n, 2.0 * CONFIDENCE - 1.0)
 
 
 def quantiles(store: Store, sense: int, done: int, lost: int) -> tuple[Quantile, ...]:

@@ -37,18 +37,19 @@ def run(
     file: UncertainArgument,
     store: Annotated[str, typer.Option("--store", help="SQLite file to write; an unfinished one is gone on with.")],
     metric: Annotated[
-        str, typer.Option("--metric", help="peak-deviation, hinf or spectral-abscissa.")
+        str, typer.Option("--metric", help="A metric of robustlab worst-case --help.")
     ] = "peak-deviation",
     n: Annotated[int, typer.Option("-n", "--samples", help="How many samples, vertices or searches.")] = 1000,
     kind: Annotated[str, typer.Option("--kind", help="samples, vertices or search.")] = "samples",
     seed: SeedOption = 0,
     output: Annotated[str | None, typer.Option("--output", help="Output to look at.", show_default=False)] = None,
     from_input: Annotated[
-        str | None, typer.Option("--from", help="For hinf: input to look from; all where left out.")
+        str | None, typer.Option("--from", help="For norms and controllability: input to look from; all if left out.")
     ] = None,
     inputs: InputOption = None,
     t_end: EndOption = None,
     points: PointsOption = 401,
+    band: Annotated[float, typer.Option("--band", help="Share of the final value that counts as settled.")] = 0.02,
     starts: Annotated[int, typer.Option("--starts", help="For searches: points each one starts from.")] = 64,
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
@@ -81,6 +82,7 @@ def run(
         t_end,
         points,
         starts=starts,
+        band=band,
     )
     model = load_uncertain(file)
     with _guarded(store, n) as advance:

@@ -209,14 +209,33 @@ class ElementwiseStep(StepBase):
 # --- analysis --------------------------------------------------------------------------------------------------------
 
 
-class ResponseStep(StepBase):
-    """What the steps that simulate responses share: a step of `input` at t = 0, watched until `t_end`."""
+class DrivenStep(StepBase):
+    """What the steps share that drive a model: a step of `input` at t = 0, plus a `sine` of `frequency`."""
+
+    input: dict[str, float] = Field({}, description="Amplitude of the step on each input.")
+    sine: dict[str, float] = Field({}, description="Amplitude of the sine on each input.")
+    frequency: Positive | None = Field(None, description="Frequency of the sine in Hz.")
+
+    @model_validator(mode="after")
+    def _sine_has_a_frequency(self) -> Self:
+        if bool(self.sine) != (self.frequency is not None):
+            raise PydanticCustomError("sine", "sine and frequency belong together")
+        return self
+
+
+class ResponseStep(DrivenStep):
+    """What the steps that simulate responses share; they are watched until `t_end`."""
 
     of: ToUncertain
-    input: Annotated[dict[str, float], Field(min_length=1, description="Amplitude of the step on each input.")]
     t_end: Positive
     points: Points = 401
     seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
+
+    @model_validator(mode="after")
+    def _is_driven(self) -> Self:
+        if not self.input and not self.sine:
+            raise PydanticCustomError("driven", "expected input, or sine with frequency")
+        return self
 
 
 class SampleStep(ResponseStep):
@@ -226,52 +245,81 @@ class SampleStep(ResponseStep):
     n: Count = 20
     vertices: Count = 0
     reference: list[ReferenceLine] = []
+    outputs: Annotated[list[str], Field(min_length=1)] | None = Field(None, description="All where left out.")
+    percent: float | None = Field(
+        None, gt=0, description="Draw the members' deviation in percent too, beside this published band (+-)."
+    )
 
 
-class WorstCaseStep(StepBase):
-    """Search over Delta for the largest value of a metric."""
+class MetricStep(DrivenStep):
+    """What the steps share that judge members by a metric."""
 
-    do: Literal["worst-case"]
     of: ToUncertain
-    metric: Literal["peak-deviation", "hinf", "spectral-abscissa"] = "peak-deviation"
+    metric: Literal[
+        "peak-deviation",
+        "peak",
+        "rms",
+        "overshoot",
+        "settling-time",
+        "hinf",
+        "h2",
+        "spectral-abscissa",
+        "damping",
+        "controllability",
+        "hankel",
+    ] = "peak-deviation"
     output: str | None = None
-    input: dict[str, float] = Field({}, description="Amplitude of the step on each input (peak-deviation only).")
+    from_input: str | None = Field(None, description="Input of a norm or of controllability; all where left out.")
     t_end: Positive | None = None
     points: Points = 401
-    n: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Evaluations of the metric.")
+    band: Tolerance = Field(0.02, description="Share of the final value that counts as settled.")
     seed: Annotated[int, Field(ge=0)] | None = None
+
+    @property
+    def of_a_response(self) -> bool:
+        """Whether the metric is that of a time response."""
+        return self.metric in ("peak-deviation", "peak", "rms", "overshoot", "settling-time")
 
     @model_validator(mode="after")
     def _needs_a_response(self) -> Self:
-        if self.metric == "peak-deviation" and (not self.input or self.t_end is None):
-            raise PydanticCustomError("needs_response", "peak-deviation needs input and t_end")
+        if self.of_a_response and (not (self.input or self.sine) or self.t_end is None):
+            raise PydanticCustomError(
+                "needs_response", "{metric} needs input (or sine) and t_end", {"metric": self.metric}
+            )
         return self
 
 
-class CampaignStep(StepBase):
+class WorstCaseStep(MetricStep):
+    """Search over Delta for the worst value of a metric."""
+
+    do: Literal["worst-case"]
+    n: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Points that the search starts from.")
+
+
+class ViolationStep(MetricStep):
+    """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds; what matters for it."""
+
+    do: Literal["violation-probability"]
+    limit: float = Field(description="Values beyond it violate; in `unit`.")
+    unit: str | None = Field(None, description="Unit of the limit: that of the metric, else the step is refused.")
+    probability: Tolerance | None = Field(None, description="What is to be shown: P(violation) at most so large.")
+    confidence: Tolerance = 0.95
+    n: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
+        None, description="Samples; as many as show `probability` without a violation, or 1000, where left out."
+    )
+
+
+class CampaignStep(MetricStep):
     """A metric of many members, computed in worker processes and stored one by one; an interrupted run goes on."""
 
     do: Literal["campaign"]
-    of: ToUncertain
-    metric: Literal["peak-deviation", "hinf", "spectral-abscissa"] = "peak-deviation"
     draw: Literal["samples", "vertices", "search"] = Field(
         "samples", description="Random members, vertices of Delta, or whole worst-case searches from own starts."
     )
     n: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
-    output: str | None = None
-    input: dict[str, float] = Field({}, description="Amplitude of the step on each input (peak-deviation only).")
-    t_end: Positive | None = None
-    points: Points = 401
-    seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
     limit: float | None = Field(None, description="Count how often the metric is worse than it.")
     workers: Annotated[int, Field(ge=1, le=1024)] | None = Field(None, description="One per processor where left out.")
     time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
-
-    @model_validator(mode="after")
-    def _needs_a_response(self) -> Self:
-        if self.metric == "peak-deviation" and (not self.input or self.t_end is None):
-            raise PydanticCustomError("needs_response", "peak-deviation needs input and t_end")
-        return self
 
 
 class HinfNormStep(StepBase):
@@ -442,6 +490,19 @@ class PublishedNumbersStep(StepBase):
     n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
 
 
+class ThesisCaseStep(StepBase):
+    """The platform of L. Březina's thesis, uncertain as in a case of its section 10.3.1.
+
+    Inputs: the six torques, and `gravity`: 1 where the holding torque stays that of the nominal machine while gravity
+    acts on the perturbed one, 0 where each member is trimmed anew.
+    """
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["thesis-case"]
+    case: Literal["1", "2a", "2b", "2c"]
+    structure: Literal["elements", "columns", "rows", "matrices", "single"] = "single"
+
+
 Step = Annotated[
     PlantStep
     | LineariseStep
@@ -453,6 +514,7 @@ Step = Annotated[
     | ElementwiseStep
     | SampleStep
     | WorstCaseStep
+    | ViolationStep
     | CampaignStep
     | HinfNormStep
     | RobustStabilityStep
@@ -465,7 +527,8 @@ Step = Annotated[
     | DiscoverStep
     | DataSheetStep
     | CoverStep
-    | PublishedNumbersStep,
+    | PublishedNumbersStep
+    | ThesisCaseStep,
     Field(discriminator="do"),
 ]
 

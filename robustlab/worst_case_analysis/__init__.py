@@ -3,7 +3,35 @@
 Whatever this room finds is attained by a Delta that it returns; none of it proves that nothing is worse.
 """
 
-from robustlab.worst_case_analysis.sampling import Responses, Samples, sample
+from robustlab.worst_case_analysis.batch import MetricBatch
+from robustlab.worst_case_analysis.influence import Influence
+from robustlab.worst_case_analysis.metrics import METRICS, MetricRequest
+from robustlab.worst_case_analysis.sampling import Responses, Samples, StreamedResponses, sample
 from robustlab.worst_case_analysis.search import WorstCase, worst_case
+from robustlab.worst_case_analysis.statistics import (
+    Quantile,
+    ViolationProbability,
+    clopper_pearson,
+    quantile_bounds,
+    sample_size,
+    violation_probability,
+)
 
-__all__ = ["Responses", "Samples", "WorstCase", "sample", "worst_case"]
+__all__ = [
+    "METRICS",
+    "Influence",
+    "MetricBatch",
+    "MetricRequest",
+    "Quantile",
+    "Responses",
+    "Samples",
+    "StreamedResponses",
+    "ViolationProbability",
+    "WorstCase",
+    "clopper_pearson",
+    "quantile_bounds",
+    "sample",
+    "sample_size",
+    "violation_probability",
+    "worst_case",
+]

@@ -15,7 +15,18 @@ from numpy.typing import NDArray
 from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
-__all__ = ["Ensemble", "Hold", "chunks", "delta_stack", "members", "peak_gains", "time_responses"]
+__all__ = [
+    "Ensemble",
+    "Hold",
+    "chunks",
+    "delta_stack",
+    "members",
+    "peak_gains",
+    "split",
+    "state_scale",
+    "time_responses",
+    "transitions",
+]
 
 Array = NDArray[np.float64]
 Hold = Literal["zoh", "foh"]
@@ -38,6 +49,9 @@ class Ensemble:
         Sample time in s.
     ill_posed
         Shape (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
+    scale
+        Powers of two that balance the nominal model's states, shape (n_x,): the same for every member, so that a
+        member's response does not depend on which others are computed with it.
     """
 
     A: NDArray[Any]
@@ -46,9 +60,15 @@ class Ensemble:
     D: NDArray[Any]
     dt: float
     ill_posed: NDArray[np.bool_]
+    scale: Array
 
     def __len__(self) -> int:
         return len(self.A)
+
+    def part(self, which: slice | NDArray[np.intp]) -> Ensemble:
+        """Some of the members."""
+        a, b, c, d = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
+        return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
         """As `StateSpaceModel.spectral_abscissa`, for every member; shape (k,). ``inf`` where ill-posed."""
@@ -62,8 +82,10 @@ class Ensemble:
         """Whether a pole lies beyond the stability boundary by more than ``margin`` times the member's largest pole."""
         if not self.A.shape[1]:
             return self.ill_posed.copy()
-        size = 1.0 if self.dt else np.abs(np.linalg.eigvals(self.A)).max(axis=1)
-        return self.spectral_abscissa() > margin * size
+        poles = np.linalg.eigvals(self.A)
+        size = np.abs(poles).max(axis=1)
+        beyond = size - 1.0 > margin if self.dt else poles.real.max(axis=1) > margin * size
+        return beyond | self.ill_posed
 
 
 def chunks(count: int, numbers_each: int) -> Iterator[slice]:
@@ -98,7 +120,21 @@ def members(uncertain: UncertainModel, delta: NDArray[Any]) -> Ensemble:
         change = left @ delta @ right
     nominal = np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
     whole = nominal + change
-    return Ensemble(whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:], m.dt, ill_posed)
+    return split(whole, n, m.dt, ill_posed, state_scale(m.A))
+
+
+def split(whole: NDArray[Any], n: int, dt: float, ill_posed: NDArray[np.bool_], scale: Array) -> Ensemble:
+    """The members whose matrices ``[A B; C D]`` are given, shape (k, n_x + n_y, n_x + n_u)."""
+    return Ensemble(whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:], dt, ill_posed, scale)
+
+
+def state_scale(a: Array) -> Array:
+    """Powers of two that balance A (n_x, n_x), shape (n_x,)."""
+    from scipy.linalg import matrix_balance
+
+    if not len(a):
+        return np.ones(0)
+    return np.asarray(matrix_balance(a, permute=False, separate=True)[1][0], dtype=float)
 
 
 # --- time ------------------------------------------------------------------------------------------------------------
@@ -123,9 +159,13 @@ def time_responses(ensemble: Ensemble, h: float, u: Array, x0: Array, hold: Hold
     """
     k, n_t = len(ensemble), len(u)
     y = np.empty((k, n_t, ensemble.C.shape[1]))
+    used = np.flatnonzero(u.any(axis=0))
     with np.errstate(over="ignore", invalid="ignore"):
         for part in chunks(k, max(1, len(x0)) * n_t):
-            phi, forced = _transitions(ensemble, part, h, u, hold)
+            phi, gamma, slope = transitions(ensemble.part(part), h, hold, used)
+            forced = u[:-1, used] @ gamma.transpose(0, 2, 1)
+            if hold == "foh":
+                forced += np.diff(u[:, used], axis=0) @ slope.transpose(0, 2, 1)
             x = _recursion(phi, forced, x0)
             y[part] = x @ ensemble.C[part].transpose(0, 2, 1) + u @ ensemble.D[part].transpose(0, 2, 1)
     return y
@@ -146,21 +186,28 @@ def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
     return x
 
 
-def _transitions(ensemble: Ensemble, part: slice, h: float, u: Array, hold: Hold) -> tuple[Array, Array]:
-    """Transition matrices (k, n_x, n_x) and what the input adds in each step, (k, n_t - 1, n_x)."""
-    from scipy.linalg import expm, matrix_balance
+def transitions(
+    ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp] | slice = slice(None)
+) -> tuple[Array, Array, Array]:
+    r"""Matrices of ``x_{j+1} = \Phi x_j + \Gamma u_j + \Gamma_1 (u_{j+1} - u_j)`` for every member.
 
-    a, b = ensemble.A[part], ensemble.B[part]
-    used = np.flatnonzero(u.any(axis=0))
-    u, b = u[:, used], b[:, :, used]
+    Shapes (k, n_x, n_x), (k, n_x, n_u) and (k, n_x, n_u); the last is zero for ``hold = "zoh"``.
+
+    Parameters
+    ----------
+    used
+        The inputs that are wanted; n_u counts them only.
+    """
+    from scipy.linalg import expm
+
+    a, b = ensemble.A, ensemble.B[:, :, used]
     k, n, m = b.shape
-    if ensemble.dt:
-        return a, u[:-1] @ b.transpose(0, 2, 1)
-    if n == 0:
-        return a, np.zeros((k, len(u) - 1, 0))
+    if ensemble.dt or n == 0:
+        return a, b, np.zeros((k, n, m))
     # Van Loan's block matrix; powers of two take bad scaling out before the exponential's squarings amplify rounding.
-    _, (scale, _) = matrix_balance(a[0], permute=False, separate=True)
-    column = np.exp2(np.rint(np.log2(np.maximum(np.abs(b / scale[:, None]).max(axis=(0, 1), initial=0.0), 1e-300))))
+    scale = ensemble.scale
+    size = np.abs(b / scale[:, None]).max(axis=1, keepdims=True, initial=0.0)
+    column = np.exp2(np.rint(np.log2(np.maximum(size, 1e-300))))
     orders = 2 if hold == "foh" else 1
     block = np.zeros((k, n + orders * m, n + orders * m))
     block[:, :n, :n] = a / scale[:, None] * scale * h
@@ -169,10 +216,9 @@ def _transitions(ensemble: Ensemble, part: slice, h: float, u: Array, hold: Hold
         block[:, n : n + m, n + m :] = np.eye(m)
     e = expm(block)[:, :n]
     phi = scale[:, None] * e[:, :, :n] / scale
-    forced = u[:-1] @ (scale[:, None] * e[:, :, n : n + m] * column).transpose(0, 2, 1)
-    if orders == 2:
-        forced = forced + np.diff(u, axis=0) @ (scale[:, None] * e[:, :, n + m :] * column).transpose(0, 2, 1)
-    return phi, forced
+    gamma = scale[:, None] * e[:, :, n : n + m] * column
+    slope = scale[:, None] * e[:, :, n + m :] * column if orders == 2 else np.zeros((k, n, m))
+    return phi, gamma, slope
 
 
 # --- frequency -------------------------------------------------------------------------------------------------------

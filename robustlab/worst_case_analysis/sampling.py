@@ -12,22 +12,27 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.ensemble import chunks, delta_stack, members, time_responses
-from robustlab.worst_case_analysis.excitation import excitation
+from robustlab.worst_case_analysis.draws import Deltas, vertex_signs
+from robustlab.worst_case_analysis.ensemble import Hold
+from robustlab.worst_case_analysis.excitation import Excitation, excitation
+from robustlab.worst_case_analysis.lanes import responses
+from robustlab.worst_case_analysis.real_set import RealSet
+from robustlab.worst_case_analysis.streaming import (
+    LABEL,
+    MARGINAL,
+    StreamedResponses,
+    blocks_of,
+    stream,
+)
 
-__all__ = ["Responses", "Samples", "delta_of_sample", "sample", "vertex_signs"]
+__all__ = ["Responses", "Samples", "StreamedResponses", "sample"]
 
 Array = NDArray[np.float64]
 
-# "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
-MAX_LISTED = 16
 # A response is kept whole: samples x times x outputs.
 MAX_NUMBERS = 64_000_000
-# Poles count as unstable beyond this share of the member's largest pole: an integrator is not an instability.
-MARGINAL = 1e-9
-LABEL = "sampled: the true envelope may be wider"
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Samples:
     uncertain
         The model that was sampled.
     deltas
-        One mapping of block names to values for each sample.
+        One mapping of block names to values for each sample, made when it is asked for.
     seed
         Sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``: it does not depend on how many are drawn.
     vertices
@@ -47,7 +52,7 @@ class Samples:
     """
 
     uncertain: UncertainModel
-    deltas: tuple[Mapping[str, Any], ...]
+    deltas: Deltas
     seed: int
     vertices: int
 
@@ -87,6 +92,42 @@ class Samples:
             A sample is ill-posed: it has no response at all.
         """
         return _respond(self, t, u, x0, hold)
+
+    def stream(
+        self,
+        t: ArrayLike,
+        u: Mapping[str, ArrayLike] | ArrayLike | None = None,
+        x0: ArrayLike | None = None,
+        hold: Literal["zoh", "foh"] = "zoh",
+        *,
+        quantiles: Sequence[float] = (0.05, 0.5, 0.95),
+        workers: int = 1,
+    ) -> StreamedResponses:
+        """Envelope, mean, quantiles and worst sample of any number of responses, in constant memory.
+
+        Parameters
+        ----------
+        t, u, x0, hold
+            As in `respond`.
+        quantiles
+            Shares of the samples, between 0 and 1.
+        workers
+            Threads; the answer is the same to the last bit for any number of them.
+
+        Raises
+        ------
+        InputError, NoTrustworthyNumber
+            As in `respond`; quantiles or workers that are none.
+
+        Examples
+        --------
+        >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
+        >>> found = sample(UncertainModel(M, [RealScalar("pole")]), 2000).stream(np.linspace(0, 9, 10))
+        >>> bool(1 / 1.2 < found.quantiles[0.05][-1, 0] < found.mean[-1, 0] < 1 / 0.8)
+        True
+        """
+        drive, start = _asked(self.uncertain, t, u, x0, hold, "stream")
+        return stream(self.uncertain, self.deltas, drive, start, hold, quantiles, workers)
 
     def to_json(self) -> dict[str, object]:
         """Deltas, seed and number of vertices."""
@@ -131,7 +172,7 @@ class Responses:
     lower: Array
     upper: Array
     worst: tuple[int, ...]
-    deltas: tuple[Mapping[str, Any], ...]
+    deltas: Sequence[Mapping[str, Any]]
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     unstable: tuple[int, ...]
@@ -184,65 +225,35 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
-    deltas = [delta_of_sample(uncertain.blocks, seed, i) for i in range(n)]
-    reals = [b for b in uncertain.blocks if isinstance(b, RealScalar)]
-    signs = vertex_signs(len(reals), vertices, seed)
-    for i, row in enumerate(signs):
-        values = delta_of_sample(uncertain.blocks, seed, i, boundary=True)
-        deltas.append({**values, **{b.name: float(s) for b, s in zip(reals, row, strict=True)}})
-    return Samples(uncertain, tuple(deltas), int(seed), len(signs))
+    reals = sum(isinstance(b, RealScalar) for b in uncertain.blocks)
+    signs = vertex_signs(reals, vertices, seed)
+    return Samples(uncertain, Deltas(uncertain.blocks, int(n), int(seed), signs), int(seed), len(signs))
 
 
-def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
-    """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
-
-    Parameters
-    ----------
-    boundary
-        Complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples inside).
-
-    Examples
-    --------
-    >>> block = RealScalar("pole")
-    >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
-    True
-    """
-    key = (index, 1) if boundary else (index,)
-    return _random_delta(blocks, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key)), boundary)
-
-
-def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
-    """Vertices of the box [-1, 1]^k, shape (n, k): all where ``count`` allows it, else so many seeded ones."""
-    if count == "all" and k > MAX_LISTED:
-        hint = "ask for a number of vertices"
-        raise InputError("sample", f"all vertices of {k} real deltas (2^{k})", f"at most 2^{MAX_LISTED}", hint)
-    number = 2**k if count == "all" else count
-    if number == 0:
-        return np.zeros((0, k))
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
-    if k > MAX_LISTED:
-        # Equal draws are rare among so many vertices; where they happen, fewer different ones come back.
-        drawn = rng.integers(0, 2, (number, k))
-        bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
-        return real_array("vertices", 2 * bits - 1, 2)
-    order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
-    bits = (order[:, None] >> np.arange(k)[::-1]) & 1
-    return real_array("vertices", 2 * bits - 1, 2)
-
-
-def _random_delta(blocks: Sequence[Block], rng: np.random.Generator, boundary: bool = False) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for block in blocks:
-        if isinstance(block, RealScalar):
-            values[block.name] = float(rng.uniform(-1.0, 1.0))
-            continue
-        rows, cols = (1, 1) if isinstance(block, ComplexScalar) else (block.rows, block.cols)
-        matrix = rng.standard_normal((rows, cols)) + 1j * rng.standard_normal((rows, cols))
-        radius = 1.0 if boundary else rng.random() ** (0.5 / (rows * cols))
-        # A hair inside: the norm of the rounded matrix must not come out above one.
-        matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
-        values[block.name] = complex(matrix[0, 0]) if isinstance(block, ComplexScalar) else matrix
-    return values
+def _asked(
+    uncertain: UncertainModel,
+    t: ArrayLike,
+    u: Mapping[str, ArrayLike] | ArrayLike | None,
+    x0: ArrayLike | None,
+    hold: Hold,
+    where: str,
+) -> tuple[Excitation, Array]:
+    """Clock and input, and the initial state, of a request that makes sense."""
+    for block in uncertain.blocks:
+        if not isinstance(block, RealScalar):
+            raise InputError(
+                where,
+                f"block {block.name!r} is complex",
+                "real blocks",
+                "a complex Delta has no response in real time; use worst_case(..., metric='hinf')",
+            )
+    drive = excitation(uncertain.inputs, uncertain.dt, t, u, where)
+    start = np.zeros(uncertain.M.n_states) if x0 is None else real_array("x0", x0, 1, where)
+    if len(start) != uncertain.M.n_states:
+        raise InputError(where, f"x0 has {len(start)} entries", f"{uncertain.M.n_states}")
+    if hold not in ("zoh", "foh") or (hold == "foh" and uncertain.dt):
+        raise InputError(where, f"hold {hold!r}", "'zoh'" + ("" if uncertain.dt else " or 'foh'"))
+    return drive, start
 
 
 def _respond(
@@ -250,32 +261,19 @@ def _respond(
     t: ArrayLike,
     u: Mapping[str, ArrayLike] | ArrayLike | None,
     x0: ArrayLike | None,
-    hold: Literal["zoh", "foh"],
+    hold: Hold,
 ) -> Responses:
     uncertain = samples.uncertain
-    for block in uncertain.blocks:
-        if not isinstance(block, RealScalar):
-            raise InputError(
-                "respond",
-                f"block {block.name!r} is complex",
-                "real blocks",
-                "a complex Delta has no response in real time; use worst_case(..., metric='hinf')",
-            )
-    drive = excitation(uncertain.inputs, uncertain.dt, t, u, "respond")
-    start = np.zeros(uncertain.M.n_states) if x0 is None else real_array("x0", x0, 1, "respond")
-    if len(start) != uncertain.M.n_states:
-        raise InputError("respond", f"x0 has {len(start)} entries", f"{uncertain.M.n_states}")
-    if hold not in ("zoh", "foh") or (hold == "foh" and uncertain.dt):
-        raise InputError("respond", f"hold {hold!r}", "'zoh'" + ("" if uncertain.dt else " or 'foh'"))
+    drive, start = _asked(uncertain, t, u, x0, hold, "respond")
     n_y, count = len(uncertain.outputs), len(samples) * len(drive.t) * len(uncertain.outputs)
     if count > MAX_NUMBERS:
-        raise InputError(
-            "respond", f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}", "fewer samples or times"
-        )
+        hint = "fewer samples or times, or stream() instead of respond()"
+        raise InputError("respond", f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}", hint)
     y = np.empty((len(samples), len(drive.t), n_y))
     unstable: list[int] = []
-    for part in chunks(len(samples), uncertain.M.A.size + uncertain.M.D.size):
-        ensemble = members(uncertain, delta_stack(uncertain.blocks, samples.deltas[part]))
+    members = RealSet(uncertain)
+    for part in blocks_of(len(samples), members.block):
+        ensemble = members.members(samples.deltas.numbers(part))
         if ensemble.ill_posed.any():
             index = part.start + int(np.argmax(ensemble.ill_posed))
             raise NoTrustworthyNumber(
@@ -283,21 +281,16 @@ def _respond(
                 f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {samples.deltas[index]}",
             )
         unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
-        y[part] = time_responses(ensemble, drive.h, drive.u, start, hold)
-    centre = members(uncertain, np.zeros((1, *uncertain.delta_shape)))
-    nominal = time_responses(centre, drive.h, drive.u, start, hold)[0]
-    everything = np.concatenate([y, nominal[None]])
-    finite = bool(np.isfinite(everything).all())
-    lost = np.isnan(everything)
-    with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model outgrow double precision
-        deviation = np.nan_to_num(np.abs(y - nominal), nan=np.inf, posinf=np.inf).max(axis=1)
+        responses(ensemble, drive, start, hold, y[part])
+    nominal = responses(members.members(np.zeros((1, len(members)))), drive, start, hold)[0]
+    lower, upper, deviation, finite = _envelope(y, nominal)
     return Responses(
         drive.t,
         drive.u,
         y,
         nominal,
-        np.where(lost, -np.inf, everything).min(axis=0),
-        np.where(lost, np.inf, everything).max(axis=0),
+        lower,
+        upper,
         tuple(int(i) for i in deviation.argmax(axis=0)),
         samples.deltas,
         uncertain.inputs,
@@ -305,3 +298,23 @@ def _respond(
         tuple(unstable),
         Status.CONVERGED if finite else Status.INACCURATE,
     )
+
+
+def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:
+    """Lower, upper (n_t, n_y), each sample's peak deviation (k, n_y), and whether every number is finite."""
+    lower, upper = nominal.copy(), nominal.copy()
+    deviation, finite = np.zeros((len(y), nominal.shape[1])), bool(np.isfinite(nominal).all())
+    for part in blocks_of(len(y), max(1, MAX_NUMBERS // 32 // max(1, nominal.size))):
+        some = y[part]
+        lost = np.isnan(some)
+        finite = finite and bool(np.isfinite(some).all())
+        if lost.any():
+            lower = np.minimum(lower, np.where(lost, -np.inf, some).min(axis=0))
+            upper = np.maximum(upper, np.where(lost, np.inf, some).max(axis=0))
+        else:
+            lower, upper = np.minimum(lower, some.min(axis=0)), np.maximum(upper, some.max(axis=0))
+        with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model outgrow double precision
+            gap = np.abs(some - nominal)
+        deviation[part] = np.nan_to_num(gap, nan=np.inf, posinf=np.inf).max(axis=1)
+    nowhere = np.isnan(nominal)
+    return np.where(nowhere, -np.inf, lower), np.where(nowhere, np.inf, upper), deviation, finite

@@ -1,5 +1,7 @@
-"""Search for the worst member of an uncertain model: centre, vertices, a Latin hypercube, then local refinement
-of the best.
+"""Search for the worst member of an uncertain model: centre, vertices, Sobol points, then local searches from the best.
+
+Where the set is real and the metric has a derivative, local searches climb along exact gradients (jumps to the vertex
+that the gradient points to, then a quasi-Newton method in the box); a compass search finishes, or does it all.
 
 A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
 """
@@ -7,34 +9,43 @@ A search attains what it reports; it proves no bound. Guaranteed bounds are `rob
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, delta_values, structure_size
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.delta_box import DeltaBox
+from robustlab.worst_case_analysis.draws import vertex_signs
 from robustlab.worst_case_analysis.ensemble import chunks, members
-from robustlab.worst_case_analysis.excitation import default_clock, excitation
-from robustlab.worst_case_analysis.metrics import HinfGain, Metric, PeakDeviation, SpectralAbscissa
-from robustlab.worst_case_analysis.sampling import vertex_signs
+from robustlab.worst_case_analysis.metric_contract import Metric
+from robustlab.worst_case_analysis.metrics import METRICS, MetricRequest, make_metric
+from robustlab.worst_case_analysis.real_set import RealSet
+from robustlab.worst_case_analysis.sensitivity import delta_slope
 
 __all__ = ["METRICS", "WorstCase", "worst_case"]
 
 Array = NDArray[np.float64]
 
-METRICS = ("peak-deviation", "hinf", "spectral-abscissa")
 LABEL = "sampled: a lower bound of the true worst case"
 
+LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
+UNBOUNDED = "attained: this member has no bounded value"
+
 MAX_VERTICES = 1024
-STARTS = 4
+# Local searches with gradients, and compass searches where there are none.
+CLIMBS, STARTS = 8, 4
+JUMPS, CLIMB_STEPS = 6, 40
 SMALLEST_STEP = 1e-7
-# Search and re-evaluation must agree to this share of the value.
-AGREEMENT = 1e-6
+# Starting points of climbs are at least this far apart in one coordinate.
+APART = 0.2
 
 
 @dataclass(frozen=True)
@@ -44,7 +55,7 @@ class WorstCase:
     Attributes
     ----------
     value
-        The metric at ``delta``, re-evaluated through another path than the search's; ``inf`` where it is unbounded.
+        The metric at ``delta``, re-evaluated through another path than the search's; infinite where it is unbounded.
     delta
         Block name -> value.
     metric
@@ -74,6 +85,8 @@ class WorstCase:
         Of the member at ``delta``, all states.
     seed
         Seed of the search.
+    gradients
+        How many exact gradients it used.
     """
 
     value: float
@@ -92,6 +105,7 @@ class WorstCase:
     output: str | None
     spectral_abscissa: float
     seed: int
+    gradients: int = 0
 
     def to_json(self) -> dict[str, object]:
         """All fields."""
@@ -100,37 +114,51 @@ class WorstCase:
 
 def worst_case(
     uncertain: UncertainModel,
-    metric: Literal["peak-deviation", "hinf", "spectral-abscissa"] = "peak-deviation",
+    metric: str | Callable[[StateSpaceModel], float] = "peak-deviation",
     *,
     output: str | None = None,
     input: str | None = None,
     t: ArrayLike | None = None,
     u: Mapping[str, ArrayLike] | ArrayLike | None = None,
     hold: Literal["zoh", "foh"] = "zoh",
+    band: float = 0.02,
     n: int = 256,
     seed: int = 0,
     time_limit: float = 60.0,
+    workers: int = 1,
 ) -> WorstCase:
     """The worst member of a set that a search over all normalised Delta finds.
 
     Parameters
     ----------
     metric
-        ``"peak-deviation"``: largest ``|y(t; Delta) - y(t; 0)|`` of one output over the given times.
-        ``"hinf"``: H-infinity gain; unstable members count as infinite.
-        ``"spectral-abscissa"``: largest real part of the poles.
+        A name in ``METRICS``, or a function of a model that gives a number, the larger the worse:
+
+        ============================  ==============================================================================
+        peak-deviation, peak, rms     of one output over the given times; rms and peak of a control signal that the
+                                      closed loop has as an output are its effort
+        overshoot, settling-time      of the step response of one output, in % and s; infinite where unstable
+        hinf, h2                      norms; infinite where unstable
+        spectral-abscissa, damping    of the poles; the smallest damping is the worst
+        controllability               smallest eigenvalue of ``W_0^-1 W(Delta)``, Gramians over the given times
+        hankel                        smallest Hankel singular value
+        ============================  ==============================================================================
     output, input
-        Signals to look at. An output is needed for the peak deviation where there are several; the gain is taken
-        between all signals where none is named.
+        Signals to look at. An output is needed for a response where there are several; norms are taken between all
+        signals where none is named.
     t, u, hold
-        Times and inputs for the peak deviation, as in `Samples.respond`. Left out: eight time constants of the nominal
+        Times and inputs for a response, as in `Samples.respond`. Left out: eight time constants of the nominal
         model, and a unit step on ``input`` or on the only input.
+    band
+        Share of the final value that counts as settled.
     n
-        Points of a Latin hypercube, besides the centre and up to 1024 vertices.
+        Sobol points, besides the centre and up to 1024 vertices.
     seed
         Same seed, same answer.
     time_limit
         In s; what was found by then comes back with status TIMEOUT.
+    workers
+        Threads of the local searches; the answer does not depend on their number.
 
     Raises
     ------
@@ -139,154 +167,118 @@ def worst_case(
     InputError
         Unknown signals, complex blocks in time, an unstable nominal model without times.
     NoTrustworthyNumber
-        The nominal model has no finite gain.
+        The nominal model has no finite gain, or does not settle.
+
+    Examples
+    --------
+    >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
+    >>> found = worst_case(UncertainModel(M, [RealScalar("pole")]), "settling-time", t=np.linspace(0, 9, 901))
+    >>> found.delta, round(found.value, 3)  # log(50) / 0.8
+    ({'pole': -1.0}, 4.89)
     """
     deadline = time.monotonic() + time_limit
-    if not isinstance(uncertain, UncertainModel):
-        raise InputError("worst_case", type(uncertain).__name__, "an UncertainModel")
-    judge = _metric(uncertain, metric, output=output, input=input, t=t, u=u, hold=hold)
-    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
-        raise InputError("worst_case", f"n is {n!r}", "a whole number of points, at least 1")
-    search = _Search(judge, _Box(uncertain.blocks), deadline)
-    theta, found = search.run(int(n), seed)
+    request = MetricRequest(metric, output, input, t, u, hold, band)
+    judge = make_metric(uncertain, request)
+    for name, count, least in (("n", n, 1), ("workers", workers, 1), ("seed", seed, 0)):
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < least:
+            raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
+    search = _Search(judge, deadline)
+    theta, found = search.run(int(n), int(seed), int(workers))
     stack = search.box.deltas(theta[None])
     delta = delta_values(uncertain.blocks, stack[0])
-    value, at, accurate = judge.evaluate(delta)
-    nominal_value = judge.evaluate({}).value
-    status = Status.CONVERGED if accurate and _agree(found, value, judge) else Status.INACCURATE
+    evaluation = judge.evaluate(delta)
+    value = evaluation.value
+    status = Status.CONVERGED if evaluation.accurate and _agree(found, value, judge) else Status.INACCURATE
     if search.out_of_time:
         status = Status.TIMEOUT
-    label = LABEL if np.isfinite(value) else "attained: this member has no bounded value"
+    why = f": {evaluation.reason}" if evaluation.reason else ""
+    label = LABEL if np.isfinite(value) else f"{UNBOUNDED}{why}"
     return WorstCase(
         value,
         delta,
-        metric,
-        nominal_value,
+        request.name,
+        judge.evaluate({}).value,
         status,
-        label,
+        LABEL_SMALLEST if judge.sense < 0 and np.isfinite(value) else label,
         search.evaluations,
         uncertain.physical(delta),
-        at,
+        evaluation.at,
         judge.location,
         found,
         judge.unit,
         input,
         output,
         float(members(uncertain, stack).spectral_abscissa()[0]),
-        seed,
+        int(seed),
+        search.gradients,
     )
-
-
-def _metric(
-    uncertain: UncertainModel,
-    metric: str,
-    *,
-    output: str | None,
-    input: str | None,
-    t: ArrayLike | None,
-    u: Mapping[str, ArrayLike] | ArrayLike | None,
-    hold: Literal["zoh", "foh"],
-) -> Metric:
-    if metric not in METRICS:
-        raise UsageError(
-            "worst_case", f"metric {metric!r}", f"one of {', '.join(METRICS)}", did_you_mean(metric, METRICS)
-        )
-    if metric == "spectral-abscissa":
-        return SpectralAbscissa(uncertain)
-    if metric == "hinf":
-        return HinfGain(uncertain, input, output)
-    names = [s.name for s in uncertain.outputs]
-    if output is None and len(names) != 1:
-        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}, or --output {names[0]}"
-        raise UsageError("worst_case", f"{len(names)} outputs and none named", expected, hint)
-    if u is None and input is not None:
-        u = {input: 1.0}
-    nominal = uncertain.nominal
-    clock = default_clock(nominal, "worst_case") if t is None else t
-    drive = excitation(uncertain.inputs, uncertain.dt, clock, u, "worst_case")
-    return PeakDeviation(uncertain, output or names[0], drive, hold)
 
 
 def _agree(found: float, value: float, judge: Metric) -> bool:
     if not np.isfinite(value) or not np.isfinite(found):
         return value == found
-    if isinstance(judge, SpectralAbscissa):
-        # Poles are as accurate as the largest of them.
-        size = max(abs(value), float(np.abs(judge.uncertain.nominal.poles()).max()))
-        return abs(found - value) <= AGREEMENT * size
-    # The second path of the gain may find a higher peak between the search's grid points: that is no fault.
-    slack = AGREEMENT * max(abs(value), abs(found))
-    return found <= value + slack and (isinstance(judge, HinfGain) or value <= found + slack)
-
-
-# --- parameters of Delta ---------------------------------------------------------------------------------------------
-
-
-class _Box:
-    """Delta from a vector in [-1, 1]^d: a number for a real scalar, real and imaginary parts for the rest.
-
-    A complex scalar or a full matrix outside its ball is drawn back onto it, so every vector gives a Delta of the set.
-    """
-
-    def __init__(self, blocks: Sequence[Block]) -> None:
-        self.blocks = tuple(blocks)
-        self.slices: list[slice] = []
-        size = 0
-        for b in self.blocks:
-            width = 1 if isinstance(b, RealScalar) else 2 * self._entries(b)
-            self.slices.append(slice(size, size + width))
-            size += width
-        self.size = size
-        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if isinstance(b, RealScalar)]
-
-    @staticmethod
-    def _entries(block: Block) -> int:
-        return block.rows * block.cols if not hasattr(block, "repeats") else 1
-
-    def deltas(self, theta: Array) -> NDArray[Any]:
-        """Stack of Deltas (k, q, p) from vectors (k, d)."""
-        dtype = float if len(self.real) == len(self.blocks) else complex
-        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
-        for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
-            number = theta[:, part]
-            if isinstance(block, RealScalar):
-                delta[:, rows, cols] = number[:, :, None] * np.eye(block.rows)
-                continue
-            half = number.shape[1] // 2
-            entries = number[:, :half] + 1j * number[:, half:]
-            if half == 1:
-                entries = entries / np.maximum(np.abs(entries), 1.0)
-                delta[:, rows, cols] = entries[:, :, None] * np.eye(block.rows, block.cols)
-                continue
-            matrix = entries.reshape(-1, block.rows, block.cols)
-            delta[:, rows, cols] = matrix / np.maximum(np.linalg.norm(matrix, 2, axis=(1, 2)), 1.0)[:, None, None]
-        return delta
+    slack = max(judge.slack(value), judge.slack(found))
+    # A second path that may look between the search's points can find a worse value: that is no fault.
+    beyond = judge.sense * (value - found)
+    return -slack <= beyond and (judge.one_sided or beyond <= slack)
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
+class _Unbounded(Exception):
+    """A climb met a member without a bounded value."""
+
+    def __init__(self, theta: Array) -> None:
+        super().__init__()
+        self.theta = theta
+
+
+class _OutOfTime(Exception):
+    """The time limit ended a climb."""
+
+
+@dataclass
+class _Climb:
+    """What a local search has found so far: the best vector, its score, and what it cost."""
+
+    theta: Array
+    score: float
+    evaluations: int = 0
+    gradients: int = 0
+    out_of_time: bool = False
+
+
 class _Search:
-    def __init__(self, judge: Metric, box: _Box, deadline: float) -> None:
-        self.judge, self.box, self.deadline = judge, box, deadline
-        self.evaluations = 0
+    """Scores are ``sense * value``: the larger the worse."""
+
+    def __init__(self, judge: Metric, deadline: float) -> None:
+        self.judge, self.deadline = judge, deadline
+        self.box = DeltaBox(judge.uncertain.blocks)
+        self._real = RealSet(judge.uncertain) if self.box.all_real else None
+        self.evaluations = self.gradients = 0
         self.out_of_time = False
 
-    def run(self, n: int, seed: int) -> tuple[Array, float]:
-        """The best vector and its value."""
+    def run(self, n: int, seed: int, workers: int) -> tuple[Array, float]:
+        """The worst vector and its value."""
         points = self._start_points(n, seed)
-        values = self._values(points)
-        order = np.argsort(-values, kind="stable")
-        best, top = points[order[0]], float(values[order[0]])
-        if not self.box.size:
-            return best, top
-        for index in order[:STARTS]:
-            if np.isposinf(top) or self.out_of_time:
-                break
-            theta, value = self._refine(points[index], float(values[index]))
-            if value > top:
-                best, top = theta, value
-        return best, top
+        scores = self._scores(points)
+        order = np.argsort(-scores, kind="stable")
+        best, top = points[order[0]], float(scores[order[0]])
+        if self.box.size and not np.isposinf(top) and not self.out_of_time:
+            if self._has_slope(best):
+                starts = _apart(points[order], CLIMBS)
+                for found in self._climbs(starts, workers):
+                    self._add(found)
+                    if found.score > top:
+                        best, top = found.theta, found.score
+                best, top = self._finish(best, top, 0.25)
+            else:
+                for index in order[:STARTS]:
+                    theta, score = self._finish(points[index], float(scores[index]), 2.0)
+                    if score > top:
+                        best, top = theta, score
+        return best, self.judge.sense * top
 
     def _start_points(self, n: int, seed: int) -> Array:
         d = self.box.size
@@ -296,46 +288,119 @@ class _Search:
         signs = vertex_signs(len(self.box.real), MAX_VERTICES, seed) if self.box.real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
         vertices[:, self.box.real] = signs
-        # Latin hypercube: every parameter is seen in each of n equal parts of its range.
-        rng = np.random.default_rng(seed)
-        strata = rng.permuted(np.tile(np.arange(n), (d, 1)), axis=1).T
-        return np.vstack([centre, vertices, 2.0 * (strata + rng.random((n, d))) / n - 1.0])
+        return np.vstack([centre, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
 
-    def _values(self, theta: Array) -> Array:
-        """Values at vectors (k, d); after the deadline the rest counts as -inf."""
-        values = np.full(len(theta), -np.inf)
+    def _measure(self, theta: Array) -> Array:
+        """Values at vectors (k, d), NaN-free; whatever the optimisers ask for lies in the box."""
+        if self._real is not None:
+            return self.judge.of(self._real.members(theta))
+        return self.judge.values(self.box.deltas(theta))
+
+    def _scores(self, theta: Array) -> Array:
+        """Scores at vectors (k, d); after the deadline the rest counts as -inf."""
+        scores = np.full(len(theta), -np.inf)
         m = self.judge.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
             if self.evaluations and time.monotonic() > self.deadline:
                 self.out_of_time = True
                 break
-            values[part] = self.judge.values(self.box.deltas(theta[part]))
+            scores[part] = self.judge.sense * self._measure(theta[part])
             self.evaluations += part.stop - part.start
-        return values
+        return scores
 
-    def _refine(self, theta: Array, value: float) -> tuple[Array, float]:
+    def _add(self, found: _Climb) -> None:
+        self.evaluations += found.evaluations
+        self.gradients += found.gradients
+        self.out_of_time = self.out_of_time or found.out_of_time
+
+    # -- climbing along gradients --
+
+    def _has_slope(self, theta: Array) -> bool:
+        return self._real is not None and self.judge.slope(self._real.members(theta[None])) is not None
+
+    def _climbs(self, starts: Array, workers: int) -> Iterator[_Climb]:
+        if workers == 1:
+            yield from map(self._climb, starts)
+            return
+        with ThreadPoolExecutor(workers) as pool:
+            yield from pool.map(self._climb, starts)
+
+    def _climb(self, start: Array) -> _Climb:
+        """Jumps towards the vertex that the gradient points to, then L-BFGS-B; the best point seen counts."""
+        from scipy.optimize import minimize
+
+        climb = _Climb(start, -np.inf)
+        try:
+            self._jump(climb)
+            size = max(abs(climb.score), 1e-300)
+
+            def falling(theta: Array) -> tuple[float, Array]:
+                score, slope = self._score_and_slope(theta, climb)
+                return -score / size, -slope / size
+
+            bounds = [(-1.0, 1.0)] * self.box.size
+            minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
+        except _Unbounded as met:
+            climb.theta, climb.score = met.theta, np.inf
+        except _OutOfTime:
+            climb.out_of_time = True
+        return climb
+
+    def _jump(self, climb: _Climb) -> None:
+        theta = climb.theta
+        for _ in range(JUMPS):
+            score, slope = self._score_and_slope(theta, climb)
+            vertex = np.where(slope != 0, np.sign(slope), theta)
+            trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
+            scores = self.judge.sense * self._measure(trials)
+            climb.evaluations += len(trials)
+            best = int(np.argmax(scores))
+            if np.isposinf(scores[best]):
+                raise _Unbounded(trials[best])
+            if not scores[best] > score + 1e-9 * abs(score):
+                return
+            theta = trials[best]
+            climb.theta, climb.score = theta, float(scores[best])
+
+    def _score_and_slope(self, theta: Array, climb: _Climb) -> tuple[float, Array]:
+        if time.monotonic() > self.deadline:
+            raise _OutOfTime
+        assert self._real is not None
+        found = self.judge.slope(self._real.members(theta[None]))
+        assert found is not None
+        climb.gradients += 1
+        climb.evaluations += 1
+        score = self.judge.sense * found[0]
+        if not np.isfinite(score):
+            raise _Unbounded(theta.copy())
+        if score > climb.score:
+            climb.theta, climb.score = theta.copy(), score
+        delta = np.diag(self._real.channels(theta[None])[0])
+        slope = self.box.slope(theta, delta_slope(self.judge.uncertain, delta, found[1]))
+        return score, self.judge.sense * slope
+
+    # -- compass search --
+
+    def _finish(self, theta: Array, score: float, step: float) -> tuple[Array, float]:
         """Compass search in the box: steps along every coordinate, along the projected slope, and all gains together.
 
-        The first steps are as wide as the box (a vertex's neighbours), the last ones as small as SMALLEST_STEP.
+        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as SMALLEST_STEP.
         """
-        step = 2.0
-        while step > SMALLEST_STEP and not self.out_of_time:
-            trials = self._trials(theta, value, step)
-            values = self._values(trials)
-            best = int(values.argmax())
-            if values[best] > value + 1e-12 * abs(value):
-                theta, value = trials[best], float(values[best])
-                if np.isposinf(value):
-                    break
+        while step > SMALLEST_STEP and not self.out_of_time and not np.isposinf(score):
+            trials = self._trials(theta, score, step)
+            scores = self._scores(trials)
+            best = int(scores.argmax())
+            if scores[best] > score + 1e-12 * abs(score):
+                theta, score = trials[best], float(scores[best])
             else:
                 step /= 4.0
-        return theta, value
+        return theta, score
 
-    def _trials(self, theta: Array, value: float, step: float) -> Array:
+    def _trials(self, theta: Array, score: float, step: float) -> Array:
         d = len(theta)
         ahead = np.clip(theta + step * np.eye(d), -1.0, 1.0)
         behind = np.clip(theta - step * np.eye(d), -1.0, 1.0)
-        up, down = self._values(ahead), self._values(behind)
+        up, down = self._scores(ahead), self._scores(behind)
         if np.isposinf([*up, *down]).any():
             return np.vstack([ahead, behind])[np.isposinf([*up, *down])][:1]
         width = np.diag(ahead) - np.diag(behind)
@@ -343,6 +408,29 @@ class _Search:
         slope = np.subtract(up, down, where=finite, out=np.zeros(d)) / np.where(width > 0, width, 1.0)
         slope /= max(float(np.abs(slope).max()), np.finfo(float).tiny)
         along = np.clip(theta + step * np.exp2([[-2.0], [-1.0], [0.0], [1.0], [2.0]]) * slope, -1.0, 1.0)
-        gains = np.where((up > value) & (up >= down), np.diag(ahead), np.where(down > value, np.diag(behind), theta))
+        gains = np.where((up > score) & (up >= down), np.diag(ahead), np.where(down > score, np.diag(behind), theta))
         best = ahead[np.argmax(up)] if up.max() >= down.max() else behind[np.argmax(down)]
         return np.vstack([along, gains[None], best[None]])
+
+
+def _sobol(n: int, d: int, seed: int) -> Array:
+    """The first n points of a scrambled Sobol sequence in [0, 1)^d; independent ones beyond its tables."""
+    from scipy.stats import qmc
+
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 3)))
+    if d > qmc.Sobol.MAXDIM:
+        return rng.random((n, d))
+    # "seed" is what the oldest scipy that we take calls it, "rng" the newest.
+    settings: dict[str, Any] = {"seed": rng}
+    return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
+
+
+def _apart(points: Array, count: int) -> Array:
+    """The first of the points that are not close to one taken before, at most ``count``."""
+    taken: list[Array] = []
+    for point in points:
+        if all(np.abs(point - other).max() >= APART for other in taken):
+            taken.append(point)
+        if len(taken) == count:
+            break
+    return np.array(taken)

@@ -64,3 +64,52 @@ def test_time_limit_ends_in_four(motor, capsys):
     code, text, _ = call(capsys, motor, "--metric", "hinf", "--output", "omega", "--time-limit", "0")
     assert code == 4
     assert "status: timeout" in text
+
+
+def test_probability_of_a_violation(motor, tmp_path, capsys):
+    """9.3 rad/s of 9.7858: the slowest friction alone passes it, Kf below about -0.95 of its range."""
+    drive = ("--output", "omega", "--input", "u=42", "--t-end", "0.1", "--seed", "3")
+    out = str(tmp_path / "p.h5")
+    folder = str(tmp_path / "figures")
+    code, text, err = call(
+        capsys, motor, "--limit", "9.3 rad/s", "-n", "500", "--figure", folder, "--out", out, "--json", *drive
+    )
+    data = json.loads(text)
+    assert (code, err) == (0, "")
+    assert data["lower"] < data["probability"] < data["upper"] < 0.1
+    assert data["influence"]["order"] == ["Kf"]
+    assert len(data["figures"]) == 4
+    assert load(out).data["violations"] == data["violations"]
+    code, text, err = call(capsys, motor, "--limit", "12", "--probability", "0.05", *drive)
+    assert code == 0
+    assert "without a unit" in err
+    assert "shown at 95 % (59 samples" in text
+    code, text, _ = call(capsys, motor, "--limit", "2 rad/s", "--probability", "0.05", *drive)
+    assert code == 1
+    assert "not shown" in text
+
+
+@pytest.mark.parametrize("metric", ["rms", "settling-time", "h2", "damping", "controllability", "hankel"])
+def test_other_metrics(motor, metric, capsys):
+    code, text, _ = call(
+        capsys, motor, "--metric", metric, "--output", "omega", "--from", "u", "--t-end", "0.1", "-n", "8"
+    )
+    assert code == 0
+    assert text.startswith(f"{metric}: ")
+    assert "sampled" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "text"),
+    [
+        (("--limit", "9 rad", "--output", "omega"), 3, "in rad, expected rad/s"),
+        (("--limit", "nan", "--output", "omega"), 3, "a finite number"),
+        (("--limit", "9", "--output", "omega", "-n", "0"), 3, "samples from 1"),
+        (("--probability", "0.1", "--output", "omega"), 2, "without --limit"),
+        (("--limit", "9", "--output", "omega", "--confidence", "95"), 3, "between 0 and 1"),
+    ],
+)
+def test_refusals_of_limits(motor, options, code, text, capsys):
+    found, out, err = call(capsys, motor, *options, "--input", "u=42", "--t-end", "0.1")
+    assert (found, out) == (code, "")
+    assert text in err

@@ -275,8 +275,8 @@ def test_time_limit_keeps_what_was_found():
 def test_requests_that_make_no_sense():
     with pytest.raises(UsageError, match="2 outputs and none named"):
         worst_case(motor())
-    with pytest.raises(UsageError, match="metric 'h2'"):
-        worst_case(motor(), "h2")
+    with pytest.raises(UsageError, match="metric 'h3'"):
+        worst_case(motor(), "h3")
     with pytest.raises(InputError, match="output 'speed'"):
         worst_case(motor(), "hinf", output="speed")
     with pytest.raises(InputError, match="n is 0"):

@@ -30,7 +30,8 @@ from robustlab.campaign.statistics import (
 from robustlab.campaign.store import Store
 from robustlab.campaign.work import Failure, Outcome, Payload, Piece, perform
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
-from robustlab.worst_case_analysis.sampling import delta_of_sample
+from robustlab.worst_case_analysis import METRICS
+from robustlab.worst_case_analysis.draws import delta_of_sample
 
 
 @pytest.fixture(scope="module")
@@ -518,3 +519,20 @@ def test_tiles_of_large_models_are_smaller(motor):
     assert Evaluator(motor, settings_of(10)).tile == TILE
     assert 1 <= Evaluator(large, CampaignSettings("spectral-abscissa", 10)).tile < TILE / 4
     assert Evaluator(motor, CampaignSettings("hinf", 10, kind="search")).tile == 1
+
+
+@pytest.mark.parametrize("metric", sorted(METRICS))
+def test_every_metric_of_the_search_is_one_of_campaigns(tmp_path, metric):
+    chain = rl.plant("mass-spring-damper", m=(1.0, 0.2), c=(0.5, 0.3), k=(4.0, 0.2)).uncertain(outputs=["q"])
+    needs_a_response = metric in ("peak-deviation", "peak", "rms", "overshoot", "settling-time")
+    drive = {"t_end": 60.0, "u": {"f": 1.0}} if needs_a_response else {}
+    asked = CampaignSettings(metric, 8, kind="vertices", output="q", **drive)
+    store, _ = filled(tmp_path / "s.sqlite", chain, asked)
+    evaluator = Evaluator(chain, asked)
+    worst = store.worst(evaluator.sense)
+    again = evaluator.evaluate(decode_delta(chain.blocks, worst.numbers))
+    assert store.counts() == (8, 0)
+    assert evaluator.agrees(worst.value, again.value, again.accurate)
+    values = [evaluator.sense * row.value for row in store.samples()]
+    assert evaluator.sense * worst.value == max(values)
+    store.close()

@@ -25,6 +25,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "elementwise": models.elementwise,
     "sample": analysis.sample,
     "worst-case": analysis.worst_case,
+    "violation-probability": analysis.violation_probability,
     "campaign": campaign.campaign,
     "hinf-norm": analysis.hinf_norm,
     "robust-stability": analysis.robust_stability,
@@ -38,4 +39,5 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "data-sheet": measurement.data_sheet,
     "cover": measurement.cover,
     "published-numbers": published.published_numbers,
+    "thesis-case": published.thesis_case,
 }

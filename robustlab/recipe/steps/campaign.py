@@ -9,6 +9,7 @@ from typing import Any
 
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import CampaignStep
+from robustlab.recipe.steps.analysis import metric_options
 
 __all__ = ["campaign"]
 
@@ -20,8 +21,22 @@ def campaign(step: CampaignStep, work: Workspace) -> Outcome:
 
     model = work.uncertain(step.of)
     seed = work.seed if step.seed is None else step.seed
+    options = metric_options(step, work)
+    u = dict(step.input) or None
+    if step.sine:  # not a constant: sample by sample
+        u = {name: column.tolist() for (name, _), column in zip(model.inputs, options["u"].T, strict=True)}
     settings = CampaignSettings(
-        step.metric, step.n, step.draw, seed, step.output, None, dict(step.input) or None, step.t_end, step.points
+        step.metric,
+        step.n,
+        step.draw,
+        seed,
+        step.output,
+        step.from_input,
+        u,
+        step.t_end,
+        step.points,
+        options.get("hold", "zoh"),
+        band=step.band,
     )
     # The name holds the campaign's hash: what was begun with another recipe is neither used nor spoilt.
     store = work.unfinished / f"{work.step}-{Identity.of(model, settings).hash[:12]}.sqlite"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import PublishedNumbersStep
+from robustlab.recipe.schema import PublishedNumbersStep, ThesisCaseStep
 
-__all__ = ["published_numbers"]
+__all__ = ["published_numbers", "thesis_case"]
 
 _MEANING = {
     "R": "reproduced within the fair tolerance",
@@ -106,3 +106,43 @@ def _band(case: Any, n: int, work: Workspace) -> dict[str, float]:
     )
     work.draw(percent_figure(t, bands, case.published), f"case-{case.name}", caption)
     return {name: float(np.abs(curves).max()) for name, curves in bands.items()}
+
+
+def thesis_case(step: ThesisCaseStep, work: Workspace) -> Outcome:
+    """The uncertain platform of one case, with gravity as an input of its own (figure 10.5)."""
+    import robustlab as rl
+    from robustlab.dynamics.stewart.stewart_platform import stewart_platform
+    from robustlab.dynamics.stewart.thesis_runs import cases
+
+    (case,) = [c for c in cases(stewart_platform()) if c.name == step.case]
+    nominal, perturbed = (
+        _with_gravity(m, extra) for m, extra in ((case.nominal, 0.0), (case.perturbed, case.released))
+    )
+    model = rl.elementwise(nominal, perturbed, step.structure)
+    numbers = {
+        "blocks": len(model.blocks),
+        "channels": model.delta_shape[0],
+        "published": case.published,
+        "gain_percent": case.gain_percent,
+        "released": case.released,
+    }
+    facts = (
+        Fact("Uncertain", f"{len(model.blocks)} real parameters ({step.structure}), {model.delta_shape[0]} channels"),
+        Fact("The thesis prints", f"±{quantity(case.published, '%')}", "figures 10.6-10.21"),
+        Fact("Change of the torques' gain B alone", quantity(case.gain_percent, "%")),
+        Fact("Holding torque, nominal minus perturbed", quantity(case.released, "N m")),
+    )
+    return Outcome(model, f"Case {case.name}: {case.words}.", numbers, facts)
+
+
+def _with_gravity(model: Any, torque: float) -> Any:
+    """The model with one more input, ``gravity``, that acts like so much torque on every motor."""
+    import numpy as np
+
+    import robustlab as rl
+
+    b = np.hstack([model.B, torque * model.B.sum(axis=1, keepdims=True)])
+    d = np.hstack([model.D, torque * model.D.sum(axis=1, keepdims=True)])
+    return rl.StateSpaceModel(
+        model.A, b, model.C, d, model.dt, [*model.inputs, ("gravity", "1")], model.outputs, model.states
+    )

@@ -1,0 +1,154 @@
+"""Measures of controllability: what is left of the nominal reach, and the smallest Hankel singular value."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel, real_array
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.ensemble import Ensemble, members
+from robustlab.worst_case_analysis.gramians import finite_gramians, gramians, stable_members
+from robustlab.worst_case_analysis.metric_contract import (
+    Evaluation,
+    Metric,
+    connected,
+    need_real,
+    need_stable,
+    selected,
+)
+
+__all__ = ["HankelValue", "RelativeReach"]
+
+Array = NDArray[np.float64]
+
+# The nominal Gramian's reciprocal condition number (of its correlation form) below which its directions are rounding.
+SMALLEST_CONDITION = 1e-13
+PANELS, NODES = 32, 10
+
+
+class RelativeReach(Metric):
+    r"""Smallest eigenvalue of :math:`W_0^{-1} W(\Delta)`: how much of the nominal reach is left where least is left.
+
+    W is the controllability Gramian on [0, T]: :math:`x^T W^{-1} x` is the energy that moves the state to x. The
+    measure does not depend on the units of states; it is 1 for the nominal model and 0 where controllability is lost.
+    Unstable models have it, too.
+    """
+
+    sense = -1.0
+    tolerance = 1e-5
+
+    def __init__(self, uncertain: UncertainModel, input: str | None, duration: float) -> None:
+        need_real(uncertain, "controllability")
+        if not 0 < duration < np.inf:
+            raise InputError("worst_case", f"a horizon of {duration:g} s", "a positive time")
+        if not uncertain.M.n_states:
+            raise InputError("worst_case", "a model without states", "states: there is nothing to control")
+        self.uncertain, self._duration = selected(uncertain, input, None), duration
+        centre = members(self.uncertain, np.zeros((1, *uncertain.delta_shape)))
+        self._norm = float(np.linalg.norm(centre.A[0] / centre.scale[:, None] * centre.scale, 2))
+        gramian = finite_gramians(centre, duration, self._norm)[0]
+        unit = np.sqrt(np.diag(gramian))
+        if not (unit > 0).all() or 1.0 / np.linalg.cond(gramian / np.outer(unit, unit)) < SMALLEST_CONDITION:
+            raise NoTrustworthyNumber(
+                "worst_case",
+                f"the nominal model is not controllable within {duration:g} s to working precision",
+                None,
+                "name another input, a longer time, or leave out states that no input moves",
+            )
+        self._unit = unit
+        self._root = np.linalg.cholesky(gramian / np.outer(unit, unit))
+
+    def _smallest(self, gramian: Array) -> Array:
+        """Smallest generalised eigenvalue of each Gramian (k, n_x, n_x) against the nominal one."""
+        scaled = gramian / np.outer(self._unit, self._unit)
+        half = np.linalg.solve(self._root, scaled)
+        return real_array(
+            "eigenvalues", np.linalg.eigvalsh(np.linalg.solve(self._root, half.transpose(0, 2, 1)))[:, 0], 1
+        )
+
+    def of(self, ensemble: Ensemble) -> Array:
+        """See `Metric.of`."""
+        good = np.flatnonzero(~ensemble.ill_posed)
+        value = np.full(len(ensemble), -np.inf)
+        with np.errstate(over="ignore", invalid="ignore"):
+            gramian = finite_gramians(ensemble.part(good), self._duration, self._norm)
+        finite = np.isfinite(gramian).all(axis=(1, 2))
+        value[good[finite]] = self._smallest(gramian[finite])
+        return value
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """See `Metric.of_model`; Gauss-Legendre quadrature of the Gramian is the second way."""
+        from scipy.linalg import expm
+
+        if model.is_discrete:
+            steps = max(1, round(self._duration / model.dt))
+            reach = [model.B]
+            for _ in range(steps - 1):
+                reach.append(model.A @ reach[-1])
+            columns = np.hstack(reach)
+        else:
+            nodes, weights = np.polynomial.legendre.leggauss(NODES)
+            panels = max(PANELS, int(np.ceil(self._norm * self._duration)))
+            step = self._duration / panels
+            start = [expm(model.A * (0.5 * step * (node + 1))) @ model.B for node in nodes]
+            first = np.hstack([np.sqrt(0.5 * step * w) * x for w, x in zip(weights, start, strict=True)])
+            move, columns = expm(model.A * step), [first]
+            for _ in range(panels - 1):
+                columns.append(move @ columns[-1])
+            columns = np.hstack(columns)
+        return Evaluation(float(self._smallest((columns @ columns.T)[None])[0]))
+
+    def slack(self, value: float) -> float:
+        """See `Metric.slack`: eigenvalues are known to a share of the largest, which is about one."""
+        return self.tolerance * max(1.0, abs(value))
+
+
+class HankelValue(Metric):
+    r"""Smallest Hankel singular value, :math:`\sqrt{\lambda_{min}(P Q)}`: the weakest path from past inputs to outputs.
+
+    Of the states that inputs reach and outputs see; ``-inf`` for an unstable member, which has none.
+    """
+
+    sense = -1.0
+    tolerance = 1e-5
+
+    def __init__(self, uncertain: UncertainModel, input: str | None, output: str | None) -> None:
+        need_real(uncertain, "hankel")
+        self.uncertain = connected(selected(uncertain, input, output))
+        if not self.uncertain.M.n_states:
+            raise InputError("worst_case", "no states between input and output", "states")
+        need_stable(self.uncertain.nominal, "it has no Hankel singular values")
+        self._size = 0.0
+        self._size = float(self._all(self.uncertain.nominal).max())
+
+    def of(self, ensemble: Ensemble) -> Array:
+        """See `Metric.of`."""
+        value = np.full(len(ensemble), -np.inf)
+        good = np.flatnonzero(stable_members(ensemble))
+        some = ensemble.part(good)
+        product = gramians(some, "controllability") @ gramians(some, "observability")
+        value[good] = np.sqrt(np.maximum(np.linalg.eigvals(product).real.min(axis=1), 0.0))
+        return value
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """See `Metric.of_model`; Lyapunov equations by Schur's form are the second way."""
+        if not model.is_stable():
+            return Evaluation(-np.inf, reason="this member is unstable and has no Hankel singular values")
+        return Evaluation(float(self._all(model).min()))
+
+    def _all(self, model: StateSpaceModel) -> Array:
+        from robustlab.matrix_equations import lyapunov
+
+        reach = lyapunov(model.A, model.B @ model.B.T, model.is_discrete)
+        see = lyapunov(model.A.T, model.C.T @ model.C, model.is_discrete)
+        roots = []
+        for gramian in (reach, see):
+            values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+            roots.append(vectors * np.sqrt(np.maximum(values, 0.0)))
+        return real_array("Hankel values", np.linalg.svd(roots[1].T @ roots[0], compute_uv=False), 1)
+
+    def slack(self, value: float) -> float:
+        """See `Metric.slack`: the root of a product of Gramians that are known to a share of the largest."""
+        return max(self.tolerance * abs(value), 1e-7 * self._size)

@@ -1,0 +1,134 @@
+"""Random Deltas and vertices, drawn when they are asked for: sample i depends on the seed and on i alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.statespace import real_array
+from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar
+
+__all__ = ["Deltas", "delta_of_sample", "vertex_signs"]
+
+Array = NDArray[np.float64]
+
+# "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
+MAX_LISTED = 16
+
+
+class Deltas(Sequence[Mapping[str, Any]]):
+    """The Deltas of n random samples and of vertices after them, as a sequence of mappings of block names to values.
+
+    None of them is kept: a million samples take no memory.
+
+    Parameters
+    ----------
+    blocks
+        Structure of Delta.
+    n
+        Number of random samples; sample i is drawn from ``SeedSequence(seed, spawn_key=(i,))``.
+    signs
+        Vertices (n_v, k) of the k real scalars; complex and full blocks are put on their boundary there, at random.
+    """
+
+    def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
+        self.blocks, self.n, self.seed, self.signs = tuple(blocks), n, seed, signs
+        self._reals = tuple(b.name for b in blocks if isinstance(b, RealScalar))
+
+    @property
+    def all_real(self) -> bool:
+        """Whether every block is a real scalar."""
+        return len(self._reals) == len(self.blocks)
+
+    def __len__(self) -> int:
+        return self.n + len(self.signs)
+
+    @overload
+    def __getitem__(self, index: int) -> Mapping[str, Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Mapping[str, Any], ...]: ...
+    def __getitem__(self, index: int | slice) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        index %= len(self)
+        if index < self.n:
+            return delta_of_sample(self.blocks, self.seed, index)
+        row = self.signs[index - self.n]
+        values = delta_of_sample(self.blocks, self.seed, index - self.n, boundary=True)
+        return {**values, **{name: float(s) for name, s in zip(self._reals, row, strict=True)}}
+
+    def numbers(self, part: slice) -> Array:
+        """Normalised values of the real scalars of some samples, shape (k, d); for sets of real scalars only."""
+        rows = np.empty((part.stop - part.start, len(self.blocks)))
+        for row, index in zip(rows, range(part.start, part.stop), strict=True):
+            if index < self.n:
+                row[:] = _generator(self.seed, index).uniform(-1.0, 1.0, len(row))
+            else:
+                row[:] = self.signs[index - self.n]
+        return rows
+
+    def to_json(self) -> list[Mapping[str, Any]]:
+        """All of them."""
+        return list(self)
+
+
+def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
+    """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
+
+    Parameters
+    ----------
+    boundary
+        Complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples inside).
+
+    Examples
+    --------
+    >>> block = RealScalar("pole")
+    >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
+    True
+    """
+    key = (index, 1) if boundary else (index,)
+    return _random_delta(blocks, _generator(seed, *key), boundary)
+
+
+def _generator(seed: int, *key: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
+    """Vertices of the box [-1, 1]^k, shape (n, k): all where ``count`` allows it, else so many seeded ones."""
+    if count == "all" and k > MAX_LISTED:
+        hint = "ask for a number of vertices"
+        raise InputError("sample", f"all vertices of {k} real deltas (2^{k})", f"at most 2^{MAX_LISTED}", hint)
+    number = 2**k if count == "all" else count
+    if number == 0:
+        return np.zeros((0, k))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
+    if k > MAX_LISTED:
+        # Equal draws are rare among so many vertices; where they happen, fewer different ones come back.
+        drawn = rng.integers(0, 2, (number, k))
+        bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
+        return real_array("vertices", 2 * bits - 1, 2)
+    order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
+    bits = (order[:, None] >> np.arange(k)[::-1]) & 1
+    return real_array("vertices", 2 * bits - 1, 2)
+
+
+def _random_delta(blocks: Sequence[Block], rng: np.random.Generator, boundary: bool = False) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for block in blocks:
+        if isinstance(block, RealScalar):
+            values[block.name] = float(rng.uniform(-1.0, 1.0))
+            continue
+        rows, cols = (1, 1) if isinstance(block, ComplexScalar) else (block.rows, block.cols)
+        matrix = rng.standard_normal((rows, cols)) + 1j * rng.standard_normal((rows, cols))
+        radius = 1.0 if boundary else rng.random() ** (0.5 / (rows * cols))
+        # A hair inside: the norm of the rounded matrix must not come out above one.
+        matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
+        values[block.name] = complex(matrix[0, 0]) if isinstance(block, ComplexScalar) else matrix
+    return values

@@ -1,0 +1,360 @@
+r"""Statistics of samples: probability that a limit is violated, how many samples show it, quantiles.
+
+Of k violations among n independent samples, the Clopper-Pearson bounds of the probability p at confidence c are
+
+.. math:: F^{-1}_{Beta}\!\left(\tfrac{1-c}{2}; k, n - k + 1\right) \le p \le
+          F^{-1}_{Beta}\!\left(\tfrac{1+c}{2}; k + 1, n - k\right)
+
+They hold for the distribution that was sampled: uniform and independent in every normalised delta. They say nothing
+about the worst case: what has probability zero may still exist.
+
+References
+----------
+Clopper, Pearson, Biometrika 26 (1934); Tempo, Bai, Dabbene, "Probabilistic robustness analysis: explicit bounds for the
+minimum number of samples", Systems & Control Letters 30 (1997); David, Nagaraja, *Order Statistics* (2003), 7.1.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, UnitMismatch
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.batch import MetricBatch
+from robustlab.worst_case_analysis.influence import FEWEST_SAMPLES, Influence, influence_of
+from robustlab.worst_case_analysis.metrics import MetricRequest
+
+__all__ = [
+    "Quantile",
+    "ViolationProbability",
+    "clopper_pearson",
+    "quantile_bounds",
+    "sample_size",
+    "violation_probability",
+]
+
+Array = NDArray[np.float64]
+
+LABEL = "sampled: of deltas that are uniform and independent in their ranges; no statement on the worst case"
+AGREEMENT = 1e-6
+DEFAULT_SAMPLES = 1000
+
+
+def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Both bounds of a probability of which ``violations`` of n samples are known; see the module.
+
+    Examples
+    --------
+    >>> low, high = clopper_pearson(0, 29, 0.90)
+    >>> low, round(high, 6) == round(1 - 0.05 ** (1 / 29), 6)
+    (0.0, True)
+    """
+    _check_share("confidence", confidence)
+    _check_count(violations, n)
+    rest = (1.0 - confidence) / 2.0
+    return _beta(rest, violations, n - violations + 1), _beta(1.0 - rest, violations + 1, n - violations)
+
+
+def upper_bound(violations: int, n: int, confidence: float = 0.95) -> float:
+    """One-sided Clopper-Pearson bound: with this confidence the probability is at most so large."""
+    _check_share("confidence", confidence)
+    _check_count(violations, n)
+    return _beta(confidence, violations + 1, n - violations)
+
+
+def sample_size(probability: float, confidence: float = 0.95, violations: int = 0) -> int:
+    r"""Smallest number of samples that shows ``P(violation) <= probability`` where at most ``violations`` occur.
+
+    .. math:: n = \left\lceil \frac{\log(1 - c)}{\log(1 - p)} \right\rceil \text{ for none}, \qquad
+              \sum_{i=0}^{k} \binom{n}{i} p^i (1 - p)^{n - i} \le 1 - c \text{ for } k
+
+    Raises
+    ------
+    InputError
+        Shares that do not lie between 0 and 1, a negative number of violations.
+
+    Examples
+    --------
+    >>> sample_size(0.05, 0.95), sample_size(0.01, 0.99), sample_size(0.05, 0.95, violations=1)
+    (59, 459, 93)
+    """
+    from scipy.stats import binom
+
+    _check_share("probability", probability)
+    _check_share("confidence", confidence)
+    if isinstance(violations, bool) or not isinstance(violations, (int, np.integer)) or violations < 0:
+        raise InputError("sample_size", f"violations is {violations!r}", "a whole number, not negative")
+    n = max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
+    if violations == 0:
+        return n
+    low, high = int(violations), n
+    while binom.cdf(violations, high, probability) > 1.0 - confidence:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if binom.cdf(violations, middle, probability) > 1.0 - confidence else (low, middle)
+    return high
+
+
+class Quantile(NamedTuple):
+    """Value below which a share of the samples lies, and bounds of the distribution's quantile at the confidence.
+
+    The bounds are order statistics, whatever the distribution; infinite where there are too few samples.
+    """
+
+    share: float
+    value: float
+    lower: float
+    upper: float
+
+
+def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -> Quantile:
+    """Distribution-free bounds of a quantile from independent samples (n,), infinite values included.
+
+    Examples
+    --------
+    >>> quantile_bounds(range(1, 101), 0.5, 0.95)
+    Quantile(share=0.5, value=50.0, lower=40.0, upper=61.0)
+    """
+    from scipy.stats import binom
+
+    _check_share("quantile", share)
+    _check_share("confidence", confidence)
+    ordered = np.sort(np.asarray(values, dtype=float))
+    n = len(ordered)
+    if n == 0 or np.isnan(ordered).any():
+        raise InputError("quantile", "no values" if n == 0 else "NaN among the values", "numbers")
+    rest = (1.0 - confidence) / 2.0
+    # P(X_(l) > quantile) = P(fewer than l below it) = cdf(l - 1): the largest l with at most ``rest`` of that.
+    counts = binom.cdf(np.arange(n), n, share)
+    low = int(np.searchsorted(counts, rest, side="right"))
+    high = int(np.searchsorted(counts, 1.0 - rest, side="left")) + 1
+    value = float(ordered[max(0, math.ceil(share * n) - 1)])
+    lower = float(ordered[low - 1]) if low > 0 else -math.inf
+    return Quantile(share, value, lower, float(ordered[high - 1]) if high <= n else math.inf)
+
+
+@dataclass(frozen=True)
+class ViolationProbability:
+    """How probable it is that a sampled member violates a limit.
+
+    Attributes
+    ----------
+    metric, unit
+        What is limited.
+    limit, sense
+        Values above (sense 1) or below (sense -1) it violate.
+    n, violations
+        Samples, and those that violate; a member without a bounded value does (``unbounded`` of them).
+    probability
+        Their share.
+    lower, upper
+        Two-sided Clopper-Pearson bounds at ``confidence``.
+    at_most
+        One-sided bound at ``confidence``.
+    wanted, shown
+        The probability that was to be shown, and whether ``at_most`` shows it; None where none was stated.
+    samples_needed
+        Samples that would show it without a violation; None where none was stated.
+    quantiles
+        Of the metric, with distribution-free bounds.
+    worst_value, worst_index, worst_delta
+        Of the worst sample, re-evaluated by another path.
+    values
+        The metric of each sample, (n,).
+    influence
+        Which parameters matter; None for fewer than 32 samples or blocks that are not real scalars.
+    seed
+        Sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``.
+    status
+        CONVERGED, or INACCURATE where the worst sample's re-evaluation disagrees.
+    notes
+        What the reader must know.
+    label
+        What the probability is of, and is not.
+    """
+
+    metric: str
+    unit: str
+    limit: float
+    sense: float
+    n: int
+    violations: int
+    unbounded: int
+    probability: float
+    lower: float
+    upper: float
+    at_most: float
+    confidence: float
+    wanted: float | None
+    shown: bool | None
+    samples_needed: int | None
+    quantiles: tuple[Quantile, ...]
+    worst_value: float
+    worst_index: int
+    worst_delta: Mapping[str, Any]
+    values: Array
+    influence: Influence | None
+    seed: int
+    status: Status
+    notes: tuple[str, ...] = ()
+    label: str = LABEL
+
+    def to_json(self) -> dict[str, object]:
+        """All fields but the single values, which follow from the seed; quantiles as mappings."""
+        data = {key: value for key, value in vars(self).items() if key != "values"}
+        data["quantiles"] = [q._asdict() for q in self.quantiles]
+        return data
+
+
+def violation_probability(
+    uncertain: UncertainModel,
+    metric: str | Callable[[StateSpaceModel], float],
+    limit: float | str,
+    *,
+    probability: float | None = None,
+    confidence: float = 0.95,
+    n: int | None = None,
+    quantiles: Sequence[float] = (0.05, 0.5, 0.95),
+    output: str | None = None,
+    input: str | None = None,
+    t: ArrayLike | None = None,
+    u: Mapping[str, ArrayLike] | ArrayLike | None = None,
+    hold: Literal["zoh", "foh"] = "zoh",
+    band: float = 0.02,
+    seed: int = 0,
+    workers: int = 1,
+) -> ViolationProbability:
+    """Probability that a metric violates a limit, from seeded samples, with Clopper-Pearson bounds.
+
+    Parameters
+    ----------
+    metric, output, input, t, u, hold, band
+        As in `worst_case`.
+    limit
+        A number in the metric's unit, or a text with its unit such as ``"0.5 rad"``.
+    probability
+        What is to be shown: P(violation) at most so large.
+    confidence
+        Between 0 and 1.
+    n
+        Samples; left out: as many as show ``probability`` without a violation, or 1000.
+    workers
+        Threads; the answer does not depend on their number.
+
+    Raises
+    ------
+    UnitMismatch
+        The limit has another unit than the metric.
+    UsageError, InputError, NoTrustworthyNumber
+        As in `worst_case`; a limit that is no number, shares that are none, a model without uncertainty.
+
+    Examples
+    --------
+    >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
+    >>> lag = UncertainModel(M, [RealScalar("pole")])
+    >>> found = violation_probability(lag, "hinf", 1.2, n=4000)  # 1 / (1 + 0.2 delta) > 1.2: delta < -5/6
+    >>> found.lower < 1 / 12 < found.upper
+    True
+    """
+    where = "violation_probability"
+    batch = MetricBatch(uncertain, MetricRequest(metric, output, input, t, u, hold, band), seed)
+    judge = batch.judge
+    if not uncertain.blocks:
+        raise InputError(where, "a model without uncertainty", "blocks to sample", "every sample would be the nominal")
+    _check_share("confidence", confidence)
+    needed = None if probability is None else sample_size(probability, confidence)
+    number, notes = _limit(limit, judge.unit, where)
+    values = batch.all_values(n if n is not None else needed or DEFAULT_SAMPLES, workers)
+    scores = judge.sense * values
+    violations = int((scores > judge.sense * number).sum())
+    worst = int(scores.argmax())
+    delta = batch.delta(worst)
+    again = judge.evaluate(delta)
+    low, high = clopper_pearson(violations, len(values), confidence)
+    at_most = upper_bound(violations, len(values), confidence)
+    real = batch.all_real and len(values) >= FEWEST_SAMPLES
+    return ViolationProbability(
+        batch.request.name,
+        judge.unit,
+        number,
+        judge.sense,
+        len(values),
+        violations,
+        int(np.isposinf(scores).sum()),
+        violations / len(values),
+        low,
+        high,
+        at_most,
+        confidence,
+        probability,
+        None if probability is None else at_most <= probability,
+        needed,
+        tuple(quantile_bounds(values, q, confidence) for q in quantiles),
+        again.value,
+        worst,
+        delta,
+        values,
+        influence_of(batch, values, worst) if real else None,
+        int(seed),
+        Status.CONVERGED if _repeats(values[worst], again.value, judge) and again.accurate else Status.INACCURATE,
+        notes,
+    )
+
+
+def _repeats(value: float, again: float, judge: Any) -> bool:
+    if not np.isfinite(value) or not np.isfinite(again):
+        return bool(value == again)
+    slack = max(judge.slack(value), judge.slack(again))
+    beyond = judge.sense * (again - value)
+    return -slack <= beyond and (judge.one_sided or beyond <= slack)
+
+
+def _limit(limit: float | str, unit: str, where: str) -> tuple[float, tuple[str, ...]]:
+    """The limit's number, and a note where it came without the unit that the metric has."""
+    text, given = (str(limit), "") if not isinstance(limit, str) else _split(limit)
+    try:
+        number = float(text) if isinstance(limit, str) else float(limit)
+    except (TypeError, ValueError):
+        expected = "a number, or one with its unit such as '0.5 rad'"
+        raise InputError(f"{where}: limit", f"{limit!r}", expected) from None
+    if not math.isfinite(number) or isinstance(limit, bool):
+        raise InputError(f"{where}: limit", f"{limit!r}", "a finite number")
+    if given and given != unit:
+        raise UnitMismatch(f"{where}: limit", f"in {given}", f"{unit or 'no unit'}: that of the metric")
+    return number, (f"the limit {number:g} came without a unit and was taken in {unit}",) if unit and not given else ()
+
+
+def _split(text: str) -> tuple[str, str]:
+    match = re.fullmatch(r"\s*(\S+)\s*(.*?)\s*", text)
+    return (match.group(1), match.group(2)) if match else (text, "")
+
+
+def _beta(share: float, a: int, b: int) -> float:
+    from scipy.stats import beta
+
+    if a == 0:
+        return 0.0
+    return float(beta.ppf(share, a, b)) if b > 0 else 1.0
+
+
+def _check_share(name: str, value: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)) or not 0 < value < 1:
+        raise InputError(name, f"{value!r}", "a number between 0 and 1")
+
+
+def _check_count(violations: int, n: int) -> None:
+    for name, count, least in (("n", n, 1), ("violations", violations, 0)):
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < least:
+            raise InputError("clopper_pearson", f"{name} is {count!r}", f"a whole number, at least {least}")
+    if violations > n:
+        raise InputError("clopper_pearson", f"{violations} violations of {n} samples", "at most as many as samples")

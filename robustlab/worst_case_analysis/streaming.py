@@ -1,0 +1,315 @@
+"""Responses of any number of samples in constant memory: envelope, mean, quantiles, and the worst sample are kept."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import Status
+from robustlab.statespace import Signal
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.draws import Deltas
+from robustlab.worst_case_analysis.ensemble import Ensemble, Hold
+from robustlab.worst_case_analysis.excitation import Excitation
+from robustlab.worst_case_analysis.lanes import in_lanes, responses
+from robustlab.worst_case_analysis.real_set import RealSet
+
+__all__ = ["StreamedResponses", "blocks_of", "in_order", "stream"]
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+BINS, FEWEST_BINS, MOST_COUNTS = 256, 16, 4_000_000
+MARGINAL = 1e-9
+AGREEMENT = 1e-6
+LABEL = "sampled: the true envelope may be wider"
+
+
+@dataclass(frozen=True)
+class StreamedResponses:
+    """Statistics of time responses over samples; the responses themselves are not kept.
+
+    Attributes
+    ----------
+    t, u
+        Times in s (n_t,), input samples (n_t, n_u).
+    nominal, lower, upper, mean, deviation
+        Nominal response; smallest, largest, mean value and standard deviation over the samples (the envelope holds the
+        nominal response too), each (n_t, n_y).
+    quantiles
+        Share of samples -> value below which that share lies, (n_t, n_y): middle of a bin of width ``resolution``.
+    resolution
+        Width of the bins behind the quantiles, (n_t, n_y). In the outermost bins the quantile is the envelope.
+    worst
+        For each output the sample with the largest ``|y - nominal|`` at any time.
+    worst_deltas, worst_y
+        Their Deltas, and their responses of that output (n_y, n_t), computed once more by `simulate`.
+    peak_deviation
+        Their largest deviations, (n_y,).
+    n, vertices, seed
+        Random samples, vertices after them, seed.
+    unstable
+        Number of samples with a pole beyond the stability boundary (an integrator is none).
+    inputs, outputs
+        Signals of u and y.
+    status
+        CONVERGED; INACCURATE where responses outgrew double precision or the worst ones did not repeat.
+    label
+        What the envelope is, and is not.
+    """
+
+    t: Array
+    u: Array
+    nominal: Array
+    lower: Array
+    upper: Array
+    mean: Array
+    deviation: Array
+    quantiles: Mapping[float, Array]
+    resolution: Array
+    worst: tuple[int, ...]
+    worst_deltas: tuple[Mapping[str, Any], ...]
+    worst_y: Array
+    peak_deviation: Array
+    n: int
+    vertices: int
+    seed: int
+    unstable: int
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    status: Status
+    label: str = LABEL
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        data = vars(self).copy()
+        data["inputs"], data["outputs"] = [list(s) for s in self.inputs], [list(s) for s in self.outputs]
+        return data
+
+
+# --- blocks of samples, in order -------------------------------------------------------------------------------------
+
+
+def blocks_of(count: int, size: int) -> list[slice]:
+    """The blocks of ``range(count)``."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
+
+
+def in_order(function: Callable[[slice], T], parts: Sequence[slice], workers: int) -> Iterator[T]:
+    """``function`` of each part in their order, computed by ``workers`` threads that keep a few parts ahead."""
+    if isinstance(workers, bool) or not isinstance(workers, (int, np.integer)) or workers < 1:
+        raise InputError("workers", f"{workers!r}", "a whole number, at least 1")
+    if workers == 1:
+        yield from map(function, parts)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        ahead: deque[Future[T]] = deque()
+        for part in parts:
+            ahead.append(pool.submit(function, part))
+            if len(ahead) > 2 * workers:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
+
+
+# --- statistics ------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Sums:
+    """Running statistics of one block, or of all blocks so far."""
+
+    lower: Array
+    upper: Array
+    total: Array
+    squares: Array
+    lost: NDArray[np.int64]
+    counts: NDArray[Any]
+    peak: Array
+    worst: NDArray[np.int64]
+    unstable: int = 0
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], bins: int, dtype: Any) -> _Sums:
+        """Statistics of no samples."""
+        lower, upper = np.full(shape, np.inf), np.full(shape, -np.inf)
+        lost, counts = np.zeros(shape, dtype=np.int64), np.zeros((*shape, bins), dtype=dtype)
+        peak, worst = np.full(shape[1], -1.0), np.zeros(shape[1], dtype=np.int64)
+        return cls(lower, upper, np.zeros(shape), np.zeros(shape), lost, counts, peak, worst)
+
+    def add(self, other: _Sums) -> None:
+        """The samples of ``other`` come after those of this one."""
+        np.minimum(self.lower, other.lower, out=self.lower)
+        np.maximum(self.upper, other.upper, out=self.upper)
+        for mine, theirs in ((self.total, other.total), (self.squares, other.squares)):
+            mine += theirs
+        self.lost += other.lost
+        self.counts += other.counts
+        self.unstable += other.unstable
+        higher = other.peak > self.peak
+        self.peak, self.worst = np.where(higher, other.peak, self.peak), np.where(higher, other.worst, self.worst)
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """Everything that a block needs; a block's result depends on this and on its indices alone."""
+
+    members: RealSet
+    deltas: Deltas
+    drive: Excitation
+    x0: Array
+    hold: Hold
+    nominal: Array
+    low: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    per_bin: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    bins: int = 0
+
+    def ensemble(self, part: slice) -> Ensemble:
+        """The members of a block."""
+        ensemble = self.members.members(self.deltas.numbers(part))
+        if ensemble.ill_posed.any():
+            index = part.start + int(np.argmax(ensemble.ill_posed))
+            raise NoTrustworthyNumber(
+                "stream",
+                f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {self.deltas[index]}",
+            )
+        return ensemble
+
+    def block(self, part: slice) -> _Sums:
+        """Statistics of one block."""
+        from robustlab.worst_case_analysis.response_kernels import accumulate
+
+        count, ensemble = part.stop - part.start, self.ensemble(part)
+        sums = _Sums.empty(self.nominal.shape, self.bins, np.int32)
+        peak = np.empty((count, self.nominal.shape[1]))
+        with np.errstate(over="ignore", invalid="ignore"):
+            lanes = in_lanes(ensemble, self.drive, self.x0, self.hold)
+        accumulate(
+            *lanes.arguments, count, self.nominal, self.low, self.per_bin,
+            sums.lower, sums.upper, sums.total, sums.squares, sums.lost, sums.counts, peak,
+        )  # fmt: skip
+        sums.unstable = int(ensemble.is_unstable(MARGINAL).sum())
+        sums.peak, sums.worst = peak.max(axis=0), part.start + peak.argmax(axis=0)
+        return sums
+
+
+def stream(
+    uncertain: UncertainModel,
+    deltas: Deltas,
+    drive: Excitation,
+    x0: Array,
+    hold: Hold,
+    quantiles: Sequence[float],
+    workers: int,
+) -> StreamedResponses:
+    """See `robustlab.worst_case_analysis.sampling.Samples.stream`."""
+    for q in quantiles:
+        if not 0 < q < 1:
+            raise InputError("stream", f"quantile {q!r}", "numbers between 0 and 1")
+    members = RealSet(uncertain)
+    nominal = responses(members.members(np.zeros((1, len(members)))), drive, x0, hold)[0]
+    if nominal.size * FEWEST_BINS > MOST_COUNTS:
+        limit = MOST_COUNTS // FEWEST_BINS
+        raise InputError("stream", f"{nominal.size} times x outputs", f"at most {limit}", "fewer times or outputs")
+    job = _Stream(members, deltas, drive, x0, hold, np.ascontiguousarray(nominal))
+    job = _with_bins(job)
+    parts = blocks_of(len(deltas), members.block)
+    sums = _Sums.empty(nominal.shape, job.bins, np.int64)
+    for found in in_order(job.block, parts, workers):
+        sums.add(found)
+    return _result(uncertain, job, sums, quantiles)
+
+
+def _with_bins(job: _Stream) -> _Stream:
+    """Bins from the first block's envelope, widened by half of it on both sides."""
+    bins = int(np.clip(MOST_COUNTS // max(1, job.nominal.size), FEWEST_BINS, BINS))
+    first = slice(0, min(job.members.block, len(job.deltas)))
+    y = responses(job.ensemble(first), job.drive, job.x0, job.hold)
+    everything = np.concatenate([y, job.nominal[None]])
+    finite = np.isfinite(everything)
+    low = np.where(finite, everything, np.inf).min(axis=0)
+    high = np.where(finite, everything, -np.inf).max(axis=0)
+    low, high = np.where(np.isfinite(low), low, 0.0), np.where(np.isfinite(high), high, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        width = 2.0 * (high - low) / bins
+    # Where all samples agree, one bin of any width takes them.
+    size = np.maximum(np.abs(low), np.abs(high))
+    width = np.where(width > 1e-12 * size, width, np.maximum(1e-12 * size, 1e-300))
+    width = np.where(np.isfinite(width), width, np.finfo(float).max)
+    middle = 0.5 * low + 0.5 * high
+    start = np.ascontiguousarray(middle - 0.5 * bins * width)
+    return replace(job, low=start, per_bin=np.ascontiguousarray(1.0 / width), bins=bins)
+
+
+def _result(uncertain: UncertainModel, job: _Stream, sums: _Sums, quantiles: Sequence[float]) -> StreamedResponses:
+    count, drive = len(job.deltas), job.drive
+    valid = np.maximum(count - sums.lost, 1)
+    mean_gap = sums.total / valid
+    with np.errstate(over="ignore", invalid="ignore"):
+        variance = np.maximum(sums.squares / valid - mean_gap**2, 0.0)
+    lower, upper = np.minimum(sums.lower, job.nominal), np.maximum(sums.upper, job.nominal)
+    gone = sums.lost > 0
+    worst = tuple(int(i) for i in sums.worst)
+    deltas = tuple(job.deltas[i] for i in worst)
+    worst_y, repeats = _worst_again(uncertain, job, deltas, sums.peak)
+    return StreamedResponses(
+        drive.t,
+        drive.u,
+        job.nominal,
+        np.where(gone, -np.inf, lower),
+        np.where(gone, np.inf, upper),
+        np.where(gone, np.nan, job.nominal + mean_gap),
+        np.where(gone, np.nan, np.sqrt(variance)),
+        {float(q): _quantile(job, sums, q, lower, upper) for q in quantiles},
+        1.0 / job.per_bin,
+        worst,
+        deltas,
+        worst_y,
+        sums.peak,
+        job.deltas.n,
+        len(job.deltas.signs),
+        job.deltas.seed,
+        sums.unstable,
+        uncertain.inputs,
+        uncertain.outputs,
+        Status.CONVERGED if repeats and not gone.any() else Status.INACCURATE,
+    )
+
+
+def _quantile(job: _Stream, sums: _Sums, q: float, lower: Array, upper: Array) -> Array:
+    """Value of the sample with rank ``ceil(q n)``, to half a bin; the envelope in the outermost bins."""
+    below = np.cumsum(sums.counts, axis=2)
+    wanted = np.ceil(q * below[:, :, -1:])
+    place = (below < wanted).sum(axis=2)
+    value = job.low + (place + 0.5) / job.per_bin
+    value = np.where(place == 0, lower, np.where(place == job.bins - 1, upper, value))
+    value = np.clip(value, lower, upper)
+    return np.where(sums.lost > 0, np.nan, value)
+
+
+def _worst_again(
+    uncertain: UncertainModel, job: _Stream, deltas: Sequence[Mapping[str, Any]], peak: Array
+) -> tuple[Array, bool]:
+    """Responses of the worst samples through `simulate`, and whether their deviations are those found."""
+    from robustlab.dynamics.simulation import simulate
+
+    drive, repeats = job.drive, True
+    y = np.full((len(deltas), len(drive.t)), np.inf)
+    for k, (delta, signal) in enumerate(zip(deltas, uncertain.outputs, strict=True)):
+        try:
+            record = simulate(uncertain.evaluate(delta), drive.t, drive.u, job.x0, hold=job.hold)
+        except NoTrustworthyNumber:  # outgrown double precision, as the kernel has seen
+            repeats = repeats and not np.isfinite(peak[k])
+            continue
+        y[k] = record[signal.name]
+        again = float(np.abs(y[k] - job.nominal[:, k]).max())
+        size = max(float(peak[k]), float(np.abs(y[k]).max()))
+        repeats = repeats and abs(again - peak[k]) <= AGREEMENT * size
+    return y, repeats

@@ -1,0 +1,302 @@
+"""Every metric: closed forms, a second path, exact gradients against central differences, purity of batches."""
+
+from __future__ import annotations
+
+import pickle
+import time
+
+import control
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
+from robustlab.uncertainty.elementwise import elementwise
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis import METRICS, MetricBatch, MetricRequest, worst_case
+from robustlab.worst_case_analysis.metrics import make_metric
+from robustlab.worst_case_analysis.search import _Climb, _Search
+
+T = np.linspace(0.0, 12.0, 601)
+
+
+def random_set(seed, dt=0.0):
+    """Four stable states, two inputs and outputs, three real parameters (two of them repeated), D11 not zero."""
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((4, 4))
+    a -= (np.linalg.eigvals(a).real.max() + 0.5) * np.eye(4)
+    if dt:
+        a = np.linalg.inv(np.eye(4) - a * dt / 2) @ (np.eye(4) + a * dt / 2)
+    d = 0.1 * rng.standard_normal((7, 7))
+    d[5:] = 0.0  # no direct feedthrough: the H2 norm is finite
+    m = StateSpaceModel(a, 0.3 * rng.standard_normal((4, 7)), 0.5 * rng.standard_normal((7, 4)), d, dt)
+    return UncertainModel(m, [RealScalar("a", 2), RealScalar("b"), RealScalar("c", 2)])
+
+
+def request(metric, model, hold="zoh"):
+    t = 0.1 * np.arange(120)
+    u = np.random.default_rng(5).standard_normal((120, 2))
+    if metric in ("overshoot", "settling-time"):
+        t, u = 0.1 * np.arange(1500), {model.inputs[0].name: 1.0}
+    return MetricRequest(metric, None if metric == "controllability" else model.outputs[0].name, None, t, u, hold)
+
+
+CASES = [(dt, hold, seed) for dt, hold in ((0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")) for seed in (0, 2)]
+
+
+@pytest.mark.parametrize(("dt", "hold", "seed"), CASES)
+@pytest.mark.parametrize("metric", METRICS)
+def test_two_ways_and_the_gradient_agree(metric, dt, hold, seed):
+    model = random_set(seed, dt)
+    judge = make_metric(model, request(metric, model, hold))
+    search = _Search(judge, time.monotonic() + 60)
+    theta = np.array([0.3, -0.4, 0.2])
+    value = search._measure(theta[None])[0]
+    assert np.isfinite(value)
+    assert abs(value - judge.evaluate(dict(zip("abc", theta, strict=True))).value) <= judge.slack(value)
+    assert abs(value - judge.values(search.box.deltas(theta[None]))[0]) <= 1e-9 * max(1.0, abs(value))
+    if not search._has_slope(theta):
+        assert metric in ("settling-time", "controllability", "hankel")
+        return
+    score, slope = search._score_and_slope(theta, _Climb(theta, -np.inf))
+    assert score == pytest.approx(judge.sense * value, rel=1e-12)
+    h = 1e-5
+    steps = h * np.eye(3)
+    central = judge.sense * (search._measure(theta + steps) - search._measure(theta - steps)) / (2 * h)
+    np.testing.assert_allclose(slope, central, rtol=1e-4, atol=1e-4 * np.abs(slope).max() + 1e-9)
+
+
+# --- closed forms ----------------------------------------------------------------------------------------------------
+
+
+def lag(radius=0.2):
+    """1 / (s + 1 + radius delta)."""
+    m = StateSpaceModel([[-1.0]], [[-radius, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), outputs=["z", ("y", "m")])
+    return UncertainModel(m, [RealScalar("pole")])
+
+
+def oscillator(zeta=0.3, change=0.1):
+    """w^2 / (s^2 + 2 zeta s + 1) with w = 1 and the damping ratio in zeta +- change."""
+
+    def model(z):
+        return StateSpaceModel([[0.0, 1.0], [-1.0, -2 * z]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], outputs=["q"])
+
+    return elementwise(model(zeta), model(zeta + change))
+
+
+def test_peak_of_a_lag():
+    found = worst_case(lag(), "peak", t=T)
+    assert found.value == pytest.approx((1 - np.exp(-0.8 * 12)) / 0.8, rel=1e-9)
+    assert (found.unit, found.at, found.delta) == ("m", 12.0, {"pole": -1.0})
+
+
+def test_rms_of_a_lag():
+    found = worst_case(lag(), "rms", t=T)
+    p = 0.8
+    square = (12 - 2 * (1 - np.exp(-p * 12)) / p + (1 - np.exp(-2 * p * 12)) / (2 * p)) / p**2
+    assert found.value == pytest.approx(np.sqrt(square / 12), rel=1e-5)  # the trapezoidal rule
+
+
+def test_settling_time_of_a_lag():
+    assert worst_case(lag(), "settling-time", t=T).value == pytest.approx(np.log(50) / 0.8, abs=2e-4)
+    assert worst_case(lag(), "settling-time", t=T, band=0.05).value == pytest.approx(np.log(20) / 0.8, abs=2e-4)
+
+
+def test_overshoot_of_an_oscillator():
+    found = worst_case(oscillator(), "overshoot", t=np.linspace(0, 20, 2001))
+    zeta = 0.2
+    assert found.value == pytest.approx(100 * np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), rel=1e-4)
+    assert found.unit == "%"
+    assert worst_case(lag(), "overshoot", t=T).value == 0.0
+
+
+def test_h2_norm_of_a_lag():
+    assert worst_case(lag(), "h2").value == pytest.approx(np.sqrt(1 / 1.6), rel=1e-9)
+
+
+def test_damping_is_smallest_where_it_is_worst():
+    found = worst_case(oscillator(), "damping")
+    assert found.value == pytest.approx(0.2, rel=1e-9)
+    assert found.nominal_value == pytest.approx(0.3)
+    assert found.label.startswith("sampled: an upper bound")
+
+
+def test_hankel_value_of_a_lag():
+    """Gramians of 1 / (s + p) are 1 / (2 p), both."""
+    found = worst_case(lag(), "hankel")
+    assert found.value == pytest.approx(1 / (2 * 1.2), rel=1e-9)
+    assert found.delta == {"pole": 1.0}
+
+
+def test_hankel_values_against_another_program():
+    model = random_set(3)
+    judge = make_metric(model, request("hankel", model))
+    member = judge.uncertain.evaluate({"a": 0.5, "b": -1.0})
+    assert judge.evaluate({"a": 0.5, "b": -1.0}).value == pytest.approx(
+        float(np.min(control.hankel_singular_values(member.to_control()))), rel=1e-6
+    )
+
+
+def test_relative_reach_of_a_lag():
+    """W(T) = (1 - exp(-2 p T)) / (2 p), against p = 1."""
+    found = worst_case(lag(), "controllability", t=[0.0, 3.0])
+    gramian = [(1 - np.exp(-2 * p * 3)) / (2 * p) for p in (1.2, 1.0)]
+    assert found.value == pytest.approx(gramian[0] / gramian[1], rel=1e-9)
+    assert found.nominal_value == pytest.approx(1.0, rel=1e-9)
+
+
+def test_relative_reach_does_not_see_units():
+    def scaled(s):
+        a, b = np.array([[0.0, 1.0], [2.0, -0.3]]), np.array([[0.0], [1.0]])
+        pair = [StateSpaceModel(s[:, None] * m / s, s[:, None] * b, np.eye(2), np.zeros((2, 1))) for m in (a, 1.3 * a)]
+        return elementwise(*pair)
+
+    units = np.ones(2), np.array([1e4, 1e-3])
+    one, two = (worst_case(scaled(s), "controllability", t=[0.0, 1.5]).value for s in units)
+    assert one == pytest.approx(two, rel=1e-6)
+    assert 0 < one < 1
+
+
+def test_a_function_of_the_model():
+    def static_gain(model):
+        return float(model.dc_gain()[0, 0])
+
+    found = worst_case(lag(), static_gain)
+    assert (found.metric, found.value) == ("static_gain", pytest.approx(1.25))
+
+
+@pytest.mark.parametrize(("gives", "error"), [("text", InputError), (float("nan"), NoTrustworthyNumber)])
+def test_a_function_that_gives_no_number(gives, error):
+    with pytest.raises(error, match="gave"):
+        worst_case(lag(), lambda model: gives)
+
+
+def test_effort_is_a_metric_of_the_control_signal():
+    """u = k (r - y) around 1 / (s + 1), k in 2 +- 1: the largest u is k, at the beginning."""
+
+    def loop(k):
+        a = [[-1.0 - k]]
+        return StateSpaceModel(a, [[k]], [[1.0], [-k]], [[0.0], [k]], inputs=["r"], outputs=["y", ("u", "V")])
+
+    found = worst_case(elementwise(loop(2.0), loop(3.0), "single"), "peak", output="u", t=T)
+    assert (found.unit, found.at) == ("V", 0.0)
+    assert found.value == pytest.approx(3.0)
+
+
+# --- where there is no bounded value ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("metric", ["settling-time", "overshoot", "h2", "hinf", "hankel"])
+def test_unstable_members_are_said_to_be(metric):
+    found = worst_case(lag(1.5), metric, t=T)
+    assert np.isinf(found.value)
+    assert found.spectral_abscissa > 0
+    assert "no bounded value" in found.label
+    if metric == "settling-time":
+        assert "unstable and never settles" in found.label
+
+
+def test_a_member_that_needs_longer_is_not_called_unstable():
+    found = worst_case(lag(0.9), "settling-time", t=T)
+    assert found.value == np.inf
+    assert "has not settled by t = 12 s" in found.label
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "text"),
+    [
+        (lambda: worst_case(lag(), "settlingtime"), UsageError, "did you mean settling-time"),
+        (lambda: worst_case(lag(), 3), UsageError, "the name of a metric, or a function"),
+        (lambda: worst_case(lag(), "settling-time", t=T, band=2.0), InputError, "band is 2.0"),
+        (lambda: worst_case(lag(), "overshoot", t=T, u=np.sin(T)), InputError, "an input that changes"),
+        (lambda: worst_case(lag(), "overshoot", t=T, u=0 * T), NoTrustworthyNumber, "settles at 0"),
+        (lambda: worst_case(lag(), "peak", t=T, workers=0), InputError, "workers is 0"),
+        (lambda: worst_case(lag(), "controllability", t=[0.0, 0.0]), InputError, "horizon"),
+    ],
+)
+def test_requests_that_make_no_sense(call, error, text):
+    with pytest.raises(error) as caught:
+        call()
+    assert text in str(caught.value)
+
+
+def test_metrics_that_need_more_than_they_get():
+    free = StateSpaceModel([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    direct = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])
+    lost = StateSpaceModel([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]])
+    gain = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])
+    for model, metric, text in [
+        (free, "overshoot", "not asymptotically stable"),
+        (direct, "h2", "direct term"),
+        (lost, "controllability", "not controllable"),
+    ]:
+        with pytest.raises(NoTrustworthyNumber, match=text):
+            worst_case(elementwise(model, model), metric, t=T)
+    for metric in ("damping", "controllability", "hankel"):
+        with pytest.raises(InputError, match="states"):
+            worst_case(elementwise(gain, gain), metric, t=T)
+    m = StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    for metric in ("h2", "rms", "hankel", "controllability"):
+        with pytest.raises(InputError, match="complex"):
+            worst_case(UncertainModel(m, [ComplexScalar("d")]), metric, t=T)
+
+
+# --- the search against brute force ----------------------------------------------------------------------------------
+
+
+def test_search_against_brute_force_in_two_parameters():
+    """A resonance whose stiffness and damping vary: a fine grid over the square is the truth."""
+
+    def model(k, c):
+        return StateSpaceModel([[0.0, 1.0], [-k, -c]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+
+    u, t = np.sin(2.1 * np.linspace(0, 10, 201)), np.linspace(0, 10, 201)
+    family = elementwise(model(4.0, 0.4), model(5.5, 0.6))
+    grid = np.linspace(-1, 1, 61)
+    points = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
+    for metric in ("peak-deviation", "peak", "rms"):
+        judge = make_metric(family, MetricRequest(metric, t=t, u=u))
+        brute = _Search(judge, time.monotonic() + 60)._measure(points).max()
+        found = worst_case(family, metric, t=t, u=u, n=32)
+        assert found.value >= brute * (1 - 1e-9)
+        assert found.gradients > 0
+
+
+def test_search_of_many_parameters_finds_the_vertex():
+    """Sum of 12 lags with uncertain gains: the peak is linear in them."""
+    rng = np.random.default_rng(0)
+    change = rng.standard_normal((1, 12))
+    a = -np.diag(np.linspace(1, 3, 12))
+    b = np.ones((12, 1))
+    pair = [StateSpaceModel(a, b, 1.0 + x, [[0.0]]) for x in (0 * change, change)]
+    t = np.linspace(0, 8, 81)
+    found = worst_case(elementwise(*pair), "peak", t=t, n=16)
+    truth = ((1 + np.abs(change)) * (1 - np.exp(-8 * np.linspace(1, 3, 12))) / np.linspace(1, 3, 12)).sum()
+    assert found.value == pytest.approx(truth, rel=1e-9)
+
+
+def test_workers_do_not_change_the_worst_case():
+    one, two, seven = (worst_case(random_set(1), "hinf", workers=w, n=32) for w in (1, 2, 7))
+    assert one.to_json() == two.to_json() == seven.to_json()
+
+
+# --- batches are pure ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_a_sample_has_one_value_whatever_its_batch(metric):
+    model = random_set(2)
+    batch = MetricBatch(model, request(metric, model), 3)
+    whole = batch(0, 530)
+    again = pickle.loads(pickle.dumps(batch))
+    for first, count in ((0, 1), (1, 3), (509, 7), (17, 500)):
+        np.testing.assert_array_equal(again(first, count), whole[first : first + count])
+    if metric != "overshoot":  # which is zero in this set
+        assert not np.array_equal(MetricBatch(model, request(metric, model), 4)(0, 5), whole[:5])
+
+
+def test_parameter_ranges_come_back_in_their_unit():
+    m = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    model = UncertainModel(m, [RealScalar("p", parameter=ParameterRange(1.0, 0.2, "1/s"))])
+    assert worst_case(model, "h2").physical["p"] == (pytest.approx(0.8), "1/s")

@@ -1,0 +1,238 @@
+"""Probability of violation, sample sizes, quantiles, influence: closed forms, coverage, other programs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from robustlab.errors import InputError, UnitMismatch
+from robustlab.report.worst_case_figures import distribution_figure, influence_figure
+from robustlab.result import Status, plain
+from robustlab.statespace import StateSpaceModel
+from robustlab.storage import load, save
+from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
+from robustlab.uncertainty.elementwise import elementwise
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis import (
+    clopper_pearson,
+    quantile_bounds,
+    sample,
+    sample_size,
+    violation_probability,
+)
+from robustlab.worst_case_analysis.statistics import upper_bound
+
+
+def gains(*weights):
+    """Static gain ``10 + sum w_k delta_k`` in V."""
+    q = len(weights)
+    d = np.zeros((q + 1, q + 1))
+    d[:q, q], d[q, :q], d[q, q] = 1.0, weights, 10.0
+    empty = (np.zeros((0, 0)), np.zeros((0, q + 1)), np.zeros((q + 1, 0)))
+    m = StateSpaceModel(*empty, d, outputs=[*(f"z{k}" for k in range(q)), ("y", "V")])
+    return UncertainModel(m, [RealScalar(f"p{k}") for k in range(q)])
+
+
+PEAK = {"t": [0.0, 1.0]}
+
+
+# --- bounds of a probability -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 10), (1, 10), (5, 10), (10, 10), (3, 1000), (0, 1), (1, 1)])
+@pytest.mark.parametrize("confidence", [0.9, 0.99])
+def test_clopper_pearson_against_scipy(k, n, confidence):
+    expected = scipy.stats.binomtest(k, n).proportion_ci(confidence, "exact")
+    assert clopper_pearson(k, n, confidence) == (pytest.approx(expected.low), pytest.approx(expected.high))
+    one_sided = scipy.stats.binomtest(k, n, alternative="less").proportion_ci(confidence, "exact")
+    assert upper_bound(k, n, confidence) == pytest.approx(one_sided.high)
+
+
+def test_clopper_pearson_covers():
+    n, p = 60, 0.07
+    bounds = [clopper_pearson(k, n, 0.9) for k in range(n + 1)]
+    share = sum(scipy.stats.binom.pmf(k, n, p) for k, (low, high) in enumerate(bounds) if low <= p <= high)
+    assert 0.9 <= share < 0.97
+
+
+@pytest.mark.parametrize("p", [0.5, 0.05, 0.001])
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.999])
+@pytest.mark.parametrize("k", [0, 1, 7])
+def test_sample_size_is_the_smallest(p, confidence, k):
+    n = sample_size(p, confidence, k)
+    assert scipy.stats.binom.cdf(k, n, p) <= 1 - confidence + 1e-12
+    assert n - 1 <= k or scipy.stats.binom.cdf(k, n - 1, p) > 1 - confidence
+    assert upper_bound(k, n, confidence) <= p * (1 + 1e-9)
+
+
+def test_published_sample_sizes():
+    """Wilks (1941): 59 samples for 95 / 95, 93 with one violation; Tempo, Bai, Dabbene: log(1/b) / log(1/(1-p))."""
+    assert (sample_size(0.05, 0.95), sample_size(0.05, 0.95, 1), sample_size(0.05, 0.95, 2)) == (59, 93, 124)
+    assert sample_size(0.005, 0.995) == 1058
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.9])
+def test_quantile_bounds_cover_whatever_the_distribution(share):
+    rng = np.random.default_rng(0)
+    truth = scipy.stats.lognorm.ppf(share, 1.0)
+    found = [quantile_bounds(rng.lognormal(size=200), share, 0.9) for _ in range(400)]
+    hit = np.mean([q.lower <= truth <= q.upper for q in found])
+    assert hit > 0.9 - 3 * np.sqrt(0.09 / 400)
+    assert hit < 0.98
+
+
+def test_quantile_of_few_samples_is_open():
+    # P(fewer than 2 of 3 samples lie below it) = 3e-4, fewer than 3: 0.030 > 0.025.
+    assert quantile_bounds([3.0, 1.0, 2.0], 0.99) == (0.99, 3.0, 2.0, np.inf)
+    assert quantile_bounds([1.0, np.inf], 0.5).upper == np.inf
+
+
+# --- probability of violation ----------------------------------------------------------------------------------------
+
+
+def test_probability_of_a_known_distribution():
+    """|10 + d1 + d2| > 11.5: the corner triangle of the square, (0.5^2 / 2) / 4 = 1/32."""
+    found = violation_probability(gains(1.0, 1.0), "peak", "11.5 V", n=4000, seed=2, **PEAK)
+    assert found.lower < 1 / 32 < found.upper
+    assert found.at_most < found.upper
+    assert found.violations == (found.values > 11.5).sum()
+    assert found.worst_value == found.values.max() == pytest.approx(10 + sum(found.worst_delta.values()))
+    assert (found.status, found.unit, found.notes, found.shown) == (Status.CONVERGED, "V", (), None)
+    median = next(q for q in found.quantiles if q.share == 0.5)
+    assert median.lower < 10 < median.upper
+
+
+def test_what_is_to_be_shown():
+    shown = violation_probability(gains(1.0), "peak", "11 V", probability=0.05, **PEAK)
+    assert (shown.n, shown.violations, shown.shown, shown.samples_needed) == (59, 0, True, 59)
+    not_shown = violation_probability(gains(1.0), "peak", "10.8 V", probability=0.05, **PEAK)
+    assert not_shown.violations > 0
+    assert not_shown.shown is False
+
+
+def test_a_measure_whose_smallest_value_is_the_worst():
+    lag = elementwise(*(StateSpaceModel([[-p]], [[1.0]], [[1.0]], [[0.0]]) for p in (1.0, 1.5)))
+    found = violation_probability(lag, "hankel", 0.4, n=2000)  # 1 / (2 p) < 0.4: p > 1.25, half of the upper half
+    assert found.sense == -1
+    assert found.lower < 0.25 < found.upper
+
+
+def test_unstable_members_violate():
+    lag = elementwise(*(StateSpaceModel([[-p]], [[1.0]], [[1.0]], [[0.0]]) for p in (1.0, 3.0)))
+    found = violation_probability(lag, "hinf", 1e9, n=2000)
+    assert found.unbounded == found.violations
+    assert found.lower < 0.25 < found.upper
+    assert found.influence is not None
+    assert found.influence.of_ranks
+    assert plain(found)["worst_value"] == "inf"
+    influence_figure(found.influence, "hinf")
+    distribution_figure(found)
+
+
+def test_workers_do_not_change_the_answer():
+    asked = {"n": 2100, "seed": 5, **PEAK}
+    one, two, seven = (violation_probability(gains(1.0, 0.3), "peak", "11 V", workers=w, **asked) for w in (1, 2, 7))
+    np.testing.assert_array_equal(one.values, two.values)
+    np.testing.assert_array_equal(one.values, seven.values)
+    assert plain(one) == plain(two) == plain(seven)
+
+
+def test_samples_are_those_of_sample():
+    model = gains(1.0, 0.3)
+    found = violation_probability(model, "peak", "11 V", n=40, seed=9, **PEAK)
+    assert found.worst_delta == sample(model, 40, seed=9).deltas[found.worst_index]
+
+
+def test_a_limit_without_unit_is_taken_and_said():
+    found = violation_probability(gains(1.0), "peak", 11, n=50, **PEAK)
+    assert found.notes == ("the limit 11 came without a unit and was taken in V",)
+
+
+@pytest.mark.parametrize(
+    ("limit", "options", "error", "text"),
+    [
+        ("11 mV", {}, UnitMismatch, "in mV, expected V"),
+        (float("nan"), {}, InputError, "finite"),
+        ("inf V", {}, InputError, "finite"),
+        ("much", {}, InputError, "a number, or one with its unit"),
+        ("", {}, InputError, "a number"),
+        (None, {}, InputError, "a number"),
+        (11.0, {"n": 0}, InputError, "samples from 1"),
+        (11.0, {"n": 2.5}, InputError, "samples from 1"),
+        (11.0, {"probability": 0.0}, InputError, "probability: 0.0"),
+        (11.0, {"confidence": 1.0}, InputError, "confidence: 1.0"),
+        (11.0, {"quantiles": (1.5,)}, InputError, "quantile: 1.5"),
+        (11.0, {"workers": 0}, InputError, "workers"),
+        (11.0, {"seed": -1}, InputError, "seed"),
+    ],
+)
+def test_bad_input_is_named(limit, options, error, text):
+    with pytest.raises(error) as caught:
+        violation_probability(gains(1.0), "peak", limit, **{"n": 40, **PEAK, **options})
+    assert text in str(caught.value)
+
+
+def test_no_uncertainty_is_refused():
+    gain = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(InputError, match="without uncertainty"):
+        violation_probability(elementwise(gain, gain), "hinf", 2.0)
+
+
+def test_complex_blocks_have_a_probability_and_no_influence():
+    m = StateSpaceModel([[-1.0]], [[0.5, 2.0]], [[0.0], [1.0]], [[0.0, 1.0], [0.0, 0.0]])
+    found = violation_probability(UncertainModel(m, [ComplexScalar("d")]), "hinf", 2.25, n=100)
+    assert found.influence is None  # |2 + 0.5 d| > 2.25
+    assert 0 < found.probability < 1
+
+
+def test_the_result_can_be_kept(tmp_path):
+    found = violation_probability(gains(1.0), "peak", "10.5 V", n=100, **PEAK)
+    save(tmp_path / "p.h5", found)
+    again = load(tmp_path / "p.h5")
+    assert again.status is Status.CONVERGED
+    assert again.data["upper"] == pytest.approx(found.upper)
+
+
+# --- influence -------------------------------------------------------------------------------------------------------
+
+
+def test_influence_of_a_sum():
+    """Shares of the variance are w_k^2 / sum w^2; rank coefficients have the signs of the weights."""
+    weights = np.array([3.0, -2.0, 1.0, 0.0])
+    sampled = violation_probability(gains(*weights), "peak", "20 V", n=4000, **PEAK)
+    found, delta = sampled.influence, sampled.worst_delta
+    assert found is not None
+    np.testing.assert_allclose(found.first_order, weights**2 / 14, atol=0.02)
+    np.testing.assert_allclose(found.rank_coefficients, weights / np.sqrt(14), atol=0.03)
+    assert found.rank_fit > 0.95
+    assert found.order[:3] == (0, 1, 2)
+    assert list(found.directions) == [1, -1, 1, 0]
+    assert list(found.matters) == [True, True, True, False]
+    np.testing.assert_allclose(found.worst_value - found.restored, weights * list(delta.values()), atol=1e-12)
+    np.testing.assert_allclose(found.alone - 10, weights * list(delta.values()), atol=1e-12)
+
+
+def test_influence_without_effect_is_called_noise():
+    rng = np.random.default_rng(1)
+    from robustlab.worst_case_analysis.influence import _between_bins, _noise
+
+    found = [_between_bins(rng.random(500), rng.standard_normal(500), 20) for _ in range(600)]
+    assert np.mean(np.array(found) > _noise(500, 20)) == pytest.approx(0.05, abs=0.03)
+    assert _between_bins(rng.random(100), np.full(100, 0.1 + 0.2), 10) == 0.0
+
+
+def test_influence_of_an_even_function_has_no_direction():
+    found = violation_probability(gains(1.0), "peak-deviation", "0.9 V", n=2000, **PEAK).influence
+    assert found is not None
+    assert found.first_order[0] > 0.9
+    assert found.directions[0] == 0
+
+
+def test_few_samples_have_no_influence():
+    assert violation_probability(gains(1.0), "peak", "11 V", n=20, **PEAK).influence is None
+    wide = gains(*np.ones(40))
+    found = violation_probability(wide, "peak", "11 V", n=40, **PEAK).influence
+    assert found is not None
+    assert np.isnan(found.rank_coefficients).all()
+    influence_figure(found, "peak")
