@@ -108,7 +108,8 @@ class RelativeReach(Metric):
 class HankelValue(Metric):
     r"""Smallest Hankel singular value, :math:`\sqrt{\lambda_{min}(P Q)}`: the weakest path from past inputs to outputs.
 
-    Of the states that inputs reach and outputs see; ``-inf`` for an unstable member, which has none.
+    Of the states that inputs reach and outputs see; ``-inf`` for an unstable member, which has none. Below about 1e-6
+    of the nominal model's largest value it cannot be told from zero.
     """
 
     sense = -1.0
@@ -150,5 +151,5 @@ class HankelValue(Metric):
         return real_array("Hankel values", np.linalg.svd(roots[1].T @ roots[0], compute_uv=False), 1)
 
     def slack(self, value: float) -> float:
-        """See `Metric.slack`: the root of a product of Gramians that are known to a share of the largest."""
-        return max(self.tolerance * abs(value), 1e-7 * self._size)
+        """See `Metric.slack`: Gramians are known to about 1e-13 of their largest values, and roots halve the digits."""
+        return max(self.tolerance * abs(value), 1e-6 * self._size)

@@ -255,7 +255,7 @@ def test_search_against_brute_force_in_two_parameters():
     family = elementwise(model(4.0, 0.4), model(5.5, 0.6))
     grid = np.linspace(-1, 1, 61)
     points = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
-    for metric in ("peak-deviation", "peak", "rms"):
+    for metric in ("peak-deviation", "rms"):
         judge = make_metric(family, MetricRequest(metric, t=t, u=u))
         brute = _Search(judge, time.monotonic() + 60)._measure(points).max()
         found = worst_case(family, metric, t=t, u=u, n=32)
@@ -277,7 +277,7 @@ def test_search_of_many_parameters_finds_the_vertex():
 
 
 def test_workers_do_not_change_the_worst_case():
-    one, two, seven = (worst_case(random_set(1), "hinf", workers=w, n=32) for w in (1, 2, 7))
+    one, two, seven = (worst_case(random_set(1), "h2", workers=w, n=32) for w in (1, 2, 7))
     assert one.to_json() == two.to_json() == seven.to_json()
 
 
