@@ -18,6 +18,7 @@ GROUPS = {
     "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
     "uncertain": ("robustlab.cli.uncertain", "Build, show and sample uncertain models."),
     "worst-case": ("robustlab.cli.worst_case", "Search the worst member of an uncertain model."),
+    "campaign": ("robustlab.cli.campaign", "Run samples and searches of any size, resumable."),
     "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
     "synth": ("robustlab.cli.synth", "Design an H-infinity controller and verify it."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),

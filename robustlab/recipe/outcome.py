@@ -80,6 +80,8 @@ class Workspace:
         Step name -> the file it reads; see `robustlab.recipe.paths.find_files`.
     seed
         Seed of the recipe.
+    unfinished
+        Folder for what outlives an interrupted run, so that the next one can go on with it; it may not exist yet.
     step
         Name of the step that runs now.
     figures
@@ -89,6 +91,7 @@ class Workspace:
     folder: Path
     sources: Mapping[str, Path]
     seed: int
+    unfinished: Path
     values: dict[str, Any] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)

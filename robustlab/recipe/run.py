@@ -106,7 +106,8 @@ def run_recipe(
         raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
     folder = _workplace(target, out)
     try:
-        workspace = Workspace(folder, sources, loaded.recipe.seed)
+        unfinished = target.with_name(f".{target.name}-unfinished")
+        workspace = Workspace(folder, sources, loaded.recipe.seed, unfinished)
         workspace.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in sources.items()}
         steps = _run_steps(loaded, workspace, report)
         data = _result(loaded, workspace, steps, time.monotonic() - started)

@@ -309,6 +309,19 @@ class ViolationStep(MetricStep):
     )
 
 
+class CampaignStep(MetricStep):
+    """A metric of many members, computed in worker processes and stored one by one; an interrupted run goes on."""
+
+    do: Literal["campaign"]
+    draw: Literal["samples", "vertices", "search"] = Field(
+        "samples", description="Random members, vertices of Delta, or whole worst-case searches from own starts."
+    )
+    n: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
+    limit: float | None = Field(None, description="Count how often the metric is worse than it.")
+    workers: Annotated[int, Field(ge=1, le=1024)] | None = Field(None, description="One per processor where left out.")
+    time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
+
+
 class HinfNormStep(StepBase):
     """H-infinity norm of a model."""
 
@@ -502,6 +515,7 @@ Step = Annotated[
     | SampleStep
     | WorstCaseStep
     | ViolationStep
+    | CampaignStep
     | HinfNormStep
     | RobustStabilityStep
     | MixsynStep

@@ -12,7 +12,7 @@ from robustlab.errors import InputError
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar
 
-__all__ = ["Deltas", "vertex_signs"]
+__all__ = ["Deltas", "delta_of_sample", "vertex_signs"]
 
 Array = NDArray[np.float64]
 
@@ -58,9 +58,9 @@ class Deltas(Sequence[Mapping[str, Any]]):
             raise IndexError(f"sample {index} of {len(self)}")
         index %= len(self)
         if index < self.n:
-            return _random_delta(self.blocks, self._generator(index))
+            return delta_of_sample(self.blocks, self.seed, index)
         row = self.signs[index - self.n]
-        values = _random_delta(self.blocks, self._generator(index - self.n, 1), boundary=True)
+        values = delta_of_sample(self.blocks, self.seed, index - self.n, boundary=True)
         return {**values, **{name: float(s) for name, s in zip(self._reals, row, strict=True)}}
 
     def numbers(self, part: slice) -> Array:
@@ -68,17 +68,36 @@ class Deltas(Sequence[Mapping[str, Any]]):
         rows = np.empty((part.stop - part.start, len(self.blocks)))
         for row, index in zip(rows, range(part.start, part.stop), strict=True):
             if index < self.n:
-                row[:] = self._generator(index).uniform(-1.0, 1.0, len(row))
+                row[:] = _generator(self.seed, index).uniform(-1.0, 1.0, len(row))
             else:
                 row[:] = self.signs[index - self.n]
         return rows
 
-    def _generator(self, *key: int) -> np.random.Generator:
-        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key)))
-
     def to_json(self) -> list[Mapping[str, Any]]:
         """All of them."""
         return list(self)
+
+
+def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
+    """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
+
+    Parameters
+    ----------
+    boundary
+        Complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples inside).
+
+    Examples
+    --------
+    >>> block = RealScalar("pole")
+    >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
+    True
+    """
+    key = (index, 1) if boundary else (index,)
+    return _random_delta(blocks, _generator(seed, *key), boundary)
+
+
+def _generator(seed: int, *key: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:

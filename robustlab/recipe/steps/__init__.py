@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, design, discovery, measurement, models, published
+from robustlab.recipe.steps import analysis, campaign, design, discovery, measurement, models, published
 
 __all__ = ["EXECUTORS"]
 
@@ -26,6 +26,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "sample": analysis.sample,
     "worst-case": analysis.worst_case,
     "violation-probability": analysis.violation_probability,
+    "campaign": campaign.campaign,
     "hinf-norm": analysis.hinf_norm,
     "robust-stability": analysis.robust_stability,
     "mixsyn": design.mixsyn,

@@ -17,7 +17,7 @@ from robustlab.recipe.schema import (
     WorstCaseStep,
 )
 
-__all__ = ["hinf_norm", "robust_stability", "sample", "violation_probability", "worst_case"]
+__all__ = ["metric_options", "hinf_norm", "robust_stability", "sample", "violation_probability", "worst_case"]
 
 
 def sample(step: SampleStep, work: Workspace) -> Outcome:
@@ -104,7 +104,7 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
     from robustlab.report.response_figures import worst_case_figure
 
     model = work.uncertain(step.of)
-    options = _metric_options(step, work)
+    options = metric_options(step, work)
     if step.n is not None:
         options["n"] = step.n
     found = rl.worst_case(model, step.metric, **options)
@@ -143,7 +143,7 @@ def violation_probability(step: ViolationStep, work: Workspace) -> Outcome:
     from robustlab.report.worst_case_figures import distribution_figure, influence_figure
 
     limit = step.limit if step.unit is None else f"{step.limit!r} {step.unit}"
-    options = _metric_options(step, work)
+    options = metric_options(step, work)
     options |= {"confidence": step.confidence, "probability": step.probability}
     found = rl.violation_probability(work.uncertain(step.of), step.metric, limit, n=step.n, **options)
     work.keep(found)
@@ -171,7 +171,7 @@ def violation_probability(step: ViolationStep, work: Workspace) -> Outcome:
     return Outcome(None, summary, numbers, tuple(facts), found.status, (*found.notes, found.label))
 
 
-def _metric_options(step: MetricStep, work: Workspace) -> dict[str, Any]:
+def metric_options(step: MetricStep, work: Workspace) -> dict[str, Any]:
     """Keyword arguments for a metric as the step says."""
     import numpy as np
 

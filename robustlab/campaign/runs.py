@@ -1,0 +1,341 @@
+"""Running, resuming, reading and replaying campaigns."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from robustlab.campaign.dispatch import compute_missing, evaluate_again
+from robustlab.campaign.evaluation import Evaluator
+from robustlab.campaign.lock import locked, owner_text
+from robustlab.campaign.result import CampaignResult, result_of
+from robustlab.campaign.rows import LOST, decode_delta
+from robustlab.campaign.settings import (
+    CampaignSettings,
+    Identity,
+    code_identity,
+    differences,
+    model_from_bytes,
+    model_to_bytes,
+)
+from robustlab.campaign.store import Store
+from robustlab.campaign.work import Payload, Workers
+from robustlab.errors import EnvironmentFault, InputError
+from robustlab.result import Status
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["Replay", "read_campaign", "replay_sample", "resume_campaign", "run_campaign", "saved_samples"]
+
+TIME_LIMIT = 60.0
+Existing = Literal["resume", "restart", "fork"]
+
+
+def run_campaign(
+    uncertain: UncertainModel,
+    settings: CampaignSettings,
+    store: str | Path,
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    time_limit: float = TIME_LIMIT,
+    existing: Existing = "resume",
+    retry_lost: bool = False,
+    limit: float | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> CampaignResult:
+    """Compute all samples of a campaign in worker processes, each stored as it comes; or go on with one.
+
+    The same model, settings and code give the same samples, whatever the workers and however often a run is killed.
+    A sample whose worker crashes or hangs is lost alone and stays in the store with its Delta and the reason.
+
+    Parameters
+    ----------
+    uncertain
+        The set of models.
+    settings
+        What to compute.
+    store
+        SQLite file; one that belongs to the same campaign is gone on with.
+    workers
+        Processes on this machine; one per processor where left out.
+    cluster
+        Instead: address of a Dask scheduler, whose workers are used.
+    time_limit
+        Seconds that one sample may take before its worker is killed.
+    existing
+        What to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it, ``"fork"``
+        leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
+    retry_lost
+        Compute lost samples of an earlier run again.
+    limit
+        Count how often the metric is worse than it.
+    progress
+        Called with the number of samples that were just stored, once at the start with those that were there.
+
+    Raises
+    ------
+    InputError
+        The store belongs to another campaign (what changed is said), is damaged, or is none.
+    NoTrustworthyNumber
+        More than 1 % of the samples are lost; an unstable nominal model.
+    EnvironmentFault
+        The store cannot be written or is locked by another process; workers cannot be started or reached.
+    """
+    _check_means(workers, time_limit)
+    evaluator = Evaluator(uncertain, settings)
+    identity, path = Identity.of(uncertain, settings), Path(store)
+    if existing == "fork" and Store.is_there(path):
+        path = _free_name(path)
+    with locked(path):
+        if existing == "restart":
+            Store.delete(path)
+        if Store.is_there(path):
+            opened = Store.open(path, write=True)
+            _same_campaign(opened, identity)
+        else:
+            Store.delete(path)
+            opened = Store.create(path, identity, model_to_bytes(uncertain))
+        return _work(opened, evaluator, workers, cluster, time_limit, retry_lost, limit, progress)
+
+
+def resume_campaign(
+    store: str | Path,
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    time_limit: float = TIME_LIMIT,
+    retry_lost: bool = False,
+    limit: float | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> CampaignResult:
+    """Go on with a campaign from its store alone, which holds model and settings; see `run_campaign`."""
+    _check_means(workers, time_limit)
+    path = Path(store)
+    Store.open(path).close()  # says what is wrong with the file before a lock is laid beside it
+    with locked(path):
+        opened = Store.open(path, write=True)
+        old = opened.identity
+        _same_campaign(opened, Identity(old.model, old.settings, code_identity()))
+        evaluator = _evaluator(opened)
+        return _work(opened, evaluator, workers, cluster, time_limit, retry_lost, limit, progress)
+
+
+def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
+    """What a store holds, also while a run writes it; see `CampaignResult`."""
+    opened = Store.open(Path(store))
+    try:
+        return result_of(opened, _evaluator(opened), limit)
+    finally:
+        opened.close()
+
+
+def saved_samples(store: str | Path) -> tuple[int, int]:
+    """How many samples a store holds, and of how many."""
+    opened = Store.open(Path(store))
+    try:
+        return sum(opened.counts()), opened.identity.settings.n
+    finally:
+        opened.close()
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One sample computed again in this process.
+
+    Attributes
+    ----------
+    status
+        CONVERGED where both paths agree with each other and with the store; INACCURATE else.
+    index, kind, metric, unit
+        Which sample of what.
+    stored, reason
+        Its value in the store (NaN where lost or not there yet), and why it was lost.
+    value
+        Its value now, computed as the campaign does it.
+    again, at, location
+        Its value through the second path, and where it is attained.
+    identical
+        Whether ``value`` has the bits of ``stored``.
+    delta, physical
+        Its normalised Delta, and its parameters as (value, unit).
+    seconds
+        Time it took.
+    """
+
+    status: Status
+    index: int
+    kind: str
+    metric: str
+    unit: str
+    stored: float
+    reason: str
+    value: float
+    again: float
+    at: float
+    location: str
+    identical: bool
+    delta: Mapping[str, Any]
+    physical: Mapping[str, tuple[float, str]]
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields as plain types."""
+        return vars(self).copy()
+
+
+def replay_sample(store: str | Path, index: int) -> Replay:
+    """Compute one sample again in the foreground, without time limit: a crash shows itself here.
+
+    Raises
+    ------
+    InputError
+        No such sample.
+    """
+    opened = Store.open(Path(store))
+    try:
+        evaluator, row = _evaluator(opened), opened.sample(index)
+    finally:
+        opened.close()
+    n = evaluator.settings.n
+    if not 0 <= index < n:
+        raise InputError(str(store), f"no sample {index}", f"0 .. {n - 1}")
+    started = time.perf_counter()
+    if row is None or row.status == LOST:
+        rows = evaluator.alone(index)
+    else:  # with its neighbours, as it was computed
+        first = index // evaluator.tile * evaluator.tile
+        rows = evaluator.rows(first, first + evaluator.tile)
+    place = index - rows.first
+    value = float(rows.values[place])
+    delta = decode_delta(evaluator.uncertain.blocks, rows.deltas[place])
+    again = evaluator.evaluate(delta)
+    stored = math.nan if row is None else row.value
+    identical = value == stored
+    kept = math.isnan(stored) or identical or bool(np.isclose(value, stored, rtol=1e-9, atol=0.0))
+    agrees = kept and evaluator.agrees(value, again.value, again.accurate)
+    settings = evaluator.settings
+    return Replay(
+        Status.CONVERGED if agrees else Status.INACCURATE,
+        index,
+        settings.kind,
+        settings.metric,
+        evaluator.unit,
+        stored,
+        rows.lost.get(index) or (row.reason if row else ""),
+        value,
+        again.value,
+        again.at,
+        evaluator.location,
+        identical,
+        delta,
+        evaluator.uncertain.physical(delta),
+        time.perf_counter() - started,
+    )
+
+
+# --- parts -----------------------------------------------------------------------------------------------------------
+
+
+def _check_means(workers: int | None, time_limit: float) -> None:
+    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
+        raise InputError("campaign", f"{workers!r} workers", "a whole number, at least 1")
+    if not time_limit > 0:
+        raise InputError("campaign", f"a time limit of {time_limit:g} s per sample", "a positive number")
+
+
+def _work(
+    store: Store,
+    evaluator: Evaluator,
+    workers: int | None,
+    cluster: str | None,
+    time_limit: float,
+    retry_lost: bool,
+    limit: float | None,
+    progress: Callable[[int], None],
+) -> CampaignResult:
+    """Fill an open, locked store, check its worst sample, read it, close it."""
+    finished = False
+    try:
+        if retry_lost:
+            store.forget_lost()
+        n, before = evaluator.settings.n, sum(store.counts())
+        progress(before)
+        if before < n or not store.facts():
+            store.put("owner", owner_text())
+            crew = _hire(Payload(store.identity, store.model), workers, cluster, n - before)
+            try:
+                compute_missing(store, evaluator, crew, time_limit, progress)
+                _note_end(store, evaluator, crew, time_limit)
+            except EnvironmentFault as fault:
+                go_on = f"robustlab campaign resume {store.where}"
+                hint = f"{fault.hint}; then {go_on}" if fault.hint else f"mend it, then {go_on}"
+                raise type(fault)(fault.where, fault.found, fault.expected, hint, fault.more) from fault
+            finally:
+                crew.close()
+        finished = True
+        return result_of(store, evaluator, limit)
+    finally:
+        store.close(finished=finished)
+
+
+def _hire(payload: Payload, workers: int | None, cluster: str | None, samples: int) -> Workers:
+    if cluster is not None:
+        from robustlab.campaign.cluster_workers import ClusterWorkers
+
+        return ClusterWorkers(payload, cluster)
+    from robustlab.campaign.local_workers import LocalWorkers
+
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return LocalWorkers(payload, min(workers or processors, max(1, samples)))
+
+
+def _note_end(store: Store, evaluator: Evaluator, crew: Workers, time_limit: float) -> None:
+    """Evaluate the worst sample and the nominal model through the second path; note this and the digest."""
+    worst = store.worst(evaluator.sense)
+    facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
+    if worst is not None:
+        again = evaluate_again(crew, tuple(worst.numbers.tolist()), time_limit)
+        zero = evaluate_again(crew, (0.0,) * evaluator.width, time_limit)
+        agrees = evaluator.agrees(worst.value, again.value, again.accurate)
+        facts.update(agrees=agrees, again=again.value, at=again.at, nominal=zero.value)
+    store.note_facts(facts)
+
+
+def _evaluator(store: Store) -> Evaluator:
+    identity = store.identity
+    uncertain = model_from_bytes(store.model, store.where)
+    if Identity.of(uncertain, identity.settings).model != identity.model:
+        raise InputError(store.where, "damaged campaign store: its model does not match its hash")
+    return Evaluator(uncertain, identity.settings)
+
+
+def _same_campaign(store: Store, identity: Identity) -> None:
+    """Refuse a store that belongs to another campaign."""
+    changes = differences(store.identity, identity)
+    if not changes:
+        return
+    since = "changed since sample 0" if sum(store.counts()) else "differs from the one that was begun"
+    store.close()
+    raise InputError(
+        store.where,
+        f"the campaign {since} ({changes[0]})",
+        None,
+        "--restart computes all samples anew, --fork keeps this store and begins another beside it",
+        tuple(f"{store.where}: {line}" for line in changes[1:]),
+    )
+
+
+def _free_name(path: Path) -> Path:
+    """``NAME-2.sqlite`` or the next number that is free."""
+    for number in range(2, 10_000):
+        candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
+        if not candidate.exists():
+            return candidate
+    raise EnvironmentFault(str(path), "has more than 9998 forks already")

@@ -1,0 +1,227 @@
+"""What a campaign computes, and the identity by which a store belongs to it: model, settings, code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib import metadata
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Literal
+
+from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.files.tree import Tree, canonical, content_sha256
+from robustlab.files.wire import receive, send_tree
+from robustlab.provenance import robustlab_version
+from robustlab.storage.problems import Problems
+from robustlab.storage.uncertain_models import decode_uncertain, encode_uncertain
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["CampaignSettings", "Identity", "code_identity", "differences", "model_from_bytes", "model_to_bytes"]
+
+KINDS = ("samples", "vertices", "search")
+MAX_SAMPLES = 10**12
+
+# What decides the value of a sample; a change elsewhere (reports, commands) leaves stored samples as good as they were.
+_CODE = (
+    "campaign/evaluation.py",
+    "dynamics/simulation.py",
+    "frequency.py",
+    "matrix_equations.py",
+    "norms.py",
+    "slicot.py",
+    "statespace.py",
+    "structural.py",
+    "uncertainty",
+    "worst_case_analysis",
+)
+
+
+@dataclass(frozen=True)
+class CampaignSettings:
+    """What is computed for each index 0 .. n - 1.
+
+    Attributes
+    ----------
+    metric
+        A metric of `robustlab.worst_case_analysis.worst_case`.
+    n
+        Number of samples, vertices, or searches.
+    kind
+        ``"samples"``: random members, drawn as `robustlab.worst_case_analysis.sample` draws them. ``"vertices"``:
+        every real delta is -1 or +1; index i is the i-th vertex of all, or a random one where there are more than n.
+        ``"search"``: index i is one whole worst-case search from starting points of its own.
+    seed
+        Seed of the random numbers; index i draws from ``SeedSequence(seed, spawn_key=(i,))``.
+    output, input
+        Signals that the metric looks at.
+    u
+        Input name -> number, or samples on the times; a unit step where left out.
+    t_end, points
+        End time in s and number of times; from the nominal poles where ``t_end`` is left out.
+    hold
+        What the input does between samples.
+    starts
+        For searches: Sobol points from which each one starts.
+    band
+        Share of the final value that counts as settled.
+
+    Raises
+    ------
+    UsageError, InputError
+        An unknown kind; numbers that are not what they must be.
+    """
+
+    metric: str
+    n: int
+    kind: Literal["samples", "vertices", "search"] = "samples"
+    seed: int = 0
+    output: str | None = None
+    input: str | None = None
+    u: Mapping[str, float | Sequence[float]] | None = None
+    t_end: float | None = None
+    points: int = 401
+    hold: Literal["zoh", "foh"] = "zoh"
+    starts: int = 64
+    band: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise UsageError(
+                "campaign", f"kind {self.kind!r}", f"one of {', '.join(KINDS)}", did_you_mean(self.kind, KINDS)
+            )
+        for name, low, high in (("n", 1, MAX_SAMPLES), ("seed", 0, 2**63), ("points", 2, 10**6), ("starts", 1, 10**6)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+                raise InputError("campaign", f"{name} is {value!r}", f"a whole number from {low} to {high}")
+        if self.t_end is not None and not 0 < self.t_end < float("inf"):
+            raise InputError("campaign", f"t_end is {self.t_end!r}", "a positive number of seconds")
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields as plain types."""
+        data = asdict(self)
+        if self.u is not None:
+            data["u"] = {
+                name: float(value) if isinstance(value, (int, float)) else [float(item) for item in value]
+                for name, value in self.u.items()
+            }
+        return data
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> CampaignSettings:
+        """Inverse of `to_json`."""
+        known = {field.name for field in fields(cls)}
+        return cls(**{name: value for name, value in data.items() if name in known})
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What the samples of a store belong to; two campaigns with equal identities have equal samples.
+
+    Attributes
+    ----------
+    model
+        SHA-256 of the uncertain model's content.
+    settings
+        What is computed.
+    code
+        Versions and source hash of the code that computes it; see `code_identity`.
+    """
+
+    model: str
+    settings: CampaignSettings
+    code: Mapping[str, str]
+
+    @classmethod
+    def of(cls, uncertain: UncertainModel, settings: CampaignSettings) -> Identity:
+        """The identity of a campaign with the installed code."""
+        return cls(content_sha256(_tree(uncertain)), settings, code_identity())
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over all three parts."""
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
+
+    def to_json(self) -> dict[str, Any]:
+        """The three parts as plain types."""
+        return {"model": self.model, "settings": self.settings.to_json(), "code": dict(self.code)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Identity:
+        """Inverse of `to_json`."""
+        code = {str(name): str(value) for name, value in data["code"].items()}
+        return cls(str(data["model"]), CampaignSettings.from_json(data["settings"]), code)
+
+
+def differences(old: Identity, new: Identity) -> list[str]:
+    """What changed from ``old`` to ``new``, one line each; empty where nothing did.
+
+    Examples
+    --------
+    >>> a = Identity("m", CampaignSettings("hinf", 10), {"numpy": "2.4.0"})
+    >>> differences(a, Identity("m", CampaignSettings("hinf", 20), {"numpy": "2.4.1"}))
+    ['settings.n: 10 -> 20', 'code.numpy: 2.4.0 -> 2.4.1']
+    """
+    lines = [] if old.model == new.model else [f"the uncertain model: {old.model[:12]} -> {new.model[:12]}"]
+    for part, before, after in (
+        ("settings", old.settings.to_json(), new.settings.to_json()),
+        ("code", dict(old.code), dict(new.code)),
+    ):
+        for name in dict.fromkeys([*before, *after]):
+            if before.get(name) != after.get(name):
+                lines.append(f"{part}.{name}: {_short(before.get(name))} -> {_short(after.get(name))}")
+    return lines
+
+
+def _short(value: Any) -> str:
+    text = "none" if value is None else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+@cache
+def code_identity() -> dict[str, str]:
+    """Versions of robustlab, numpy and scipy, and a hash over the sources that decide a sample's value."""
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for name in _CODE:
+        place = root / name
+        for file in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    versions = {name: metadata.version(name) for name in ("numpy", "scipy")}
+    return {"robustlab": robustlab_version(), **versions, "sources": digest.hexdigest()[:16]}
+
+
+def model_to_bytes(uncertain: UncertainModel) -> bytes:
+    """The model by value, for the store and for workers: a JSON header and plain arrays, no pickle."""
+    stream = BytesIO()
+    send_tree(stream, _tree(uncertain))
+    return stream.getvalue()
+
+
+def model_from_bytes(data: bytes, where: str) -> UncertainModel:
+    """Inverse of `model_to_bytes`.
+
+    Raises
+    ------
+    InputError
+        The bytes are no uncertain model.
+    """
+    try:
+        return decode_uncertain(receive(data, where), Problems(where))
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(where, f"the model in it cannot be read ({error})") from None
+
+
+def _tree(uncertain: UncertainModel) -> Tree:
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("campaign", type(uncertain).__name__, "an UncertainModel")
+    tree = Tree(file="campaign")
+    encode_uncertain(tree, uncertain)
+    for _, item in tree.walk():
+        item.attrs.update({name: canonical(value, tree.file) for name, value in item.attrs.items()})
+    return tree

@@ -1,0 +1,369 @@
+"""The store of a campaign: one SQLite file, one row per sample, in write-ahead mode.
+
+A piece of work is written in one transaction: after ``kill -9`` or a power cut each row is there whole or not at all.
+Only the process that holds the lock writes; anyone may read meanwhile.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sqlite3
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robustlab.campaign.rows import DONE, LOST, Rows
+from robustlab.campaign.settings import Identity
+from robustlab.errors import EnvironmentFault, InputError
+
+__all__ = ["Counts", "Sample", "Store"]
+
+FORMAT_VERSION = 1
+APPLICATION_ID = 0x524C4350  # "RLCP"
+MAGIC = b"SQLite format 3\x00"
+NEW = "robustlab campaign run --help"
+
+_TABLES = """
+CREATE TABLE campaign (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE sample (
+    idx INTEGER PRIMARY KEY,
+    status INTEGER NOT NULL,  -- 0 done, 1 lost
+    value REAL,               -- the metric; NULL where lost
+    delta BLOB NOT NULL,      -- normalised Delta, little-endian float64, see robustlab.campaign.rows.encode_delta
+    seconds REAL NOT NULL,
+    reason TEXT               -- why the sample is lost
+);
+"""
+_DAMAGED = {"SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT", "SQLITE_ERROR", "SQLITE_SCHEMA", "SQLITE_MISMATCH"}
+_MACHINE = {
+    "SQLITE_FULL": "no space left",
+    "SQLITE_READONLY": "no permission to write, or a read-only file system",
+    "SQLITE_CANTOPEN": "cannot be opened; no permission, or a read-only folder",
+    "SQLITE_PERM": "no permission",
+    "SQLITE_IOERR": "disk error",
+    "SQLITE_BUSY": "another program holds a lock on it",
+    "SQLITE_LOCKED": "another program holds a lock on it",
+    "SQLITE_NOMEM": "no memory left",
+}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A row: index, status (DONE or LOST), value (NaN where lost), Delta as numbers, seconds, reason."""
+
+    index: int
+    status: int
+    value: float
+    delta: bytes
+    seconds: float
+    reason: str
+
+    @property
+    def numbers(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Delta as `robustlab.campaign.rows.decode_delta` takes it."""
+        return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
+
+
+class Counts(NamedTuple):
+    """How many samples have a value, and how many are lost."""
+
+    done: int
+    lost: int
+
+
+class Store:
+    """An open store; use `create`, `open` and `close`."""
+
+    def __init__(self, path: Path, db: sqlite3.Connection) -> None:
+        self.path, self._db = path, db
+        self.where = str(path)
+
+    # --- opening and closing -----------------------------------------------------------------------------------------
+
+    @staticmethod
+    def is_there(path: Path) -> bool:
+        """True for a file with content; one of 0 bytes is what a process leaves that was killed before it began."""
+        return path.is_file() and path.stat().st_size > 0
+
+    @classmethod
+    def delete(cls, path: Path) -> None:
+        """Delete a store and what SQLite lays beside it; a damaged one too, but never a file of another kind.
+
+        Raises
+        ------
+        InputError
+            The file is no campaign.
+        EnvironmentFault
+            It cannot be deleted.
+        """
+        if cls.is_there(path):
+            _check_file(path)
+        try:
+            for suffix in ("", "-wal", "-shm", "-journal"):
+                path.with_name(path.name + suffix).unlink(missing_ok=True)
+        except OSError as error:
+            raise EnvironmentFault(str(path), f"cannot be replaced ({error.strerror or error})") from None
+
+    @classmethod
+    def create(cls, path: Path, identity: Identity, model: bytes) -> Store:
+        """A new store for a campaign; everything or nothing of it is on disk.
+
+        Raises
+        ------
+        EnvironmentFault
+            The file cannot be written.
+        """
+        with _named(path):
+            db = sqlite3.connect(path, isolation_level=None)
+            store = cls(path, db)
+            db.execute("BEGIN IMMEDIATE")
+            db.execute(f"PRAGMA application_id={APPLICATION_ID}")
+            db.execute(f"PRAGMA user_version={FORMAT_VERSION}")
+            for statement in _TABLES.split(";\n"):
+                if statement.strip():
+                    db.execute(statement)
+            store.put("identity", json.dumps(identity.to_json(), sort_keys=True))
+            store.put("hash", identity.hash)
+            store.put("model", model)
+            db.execute("COMMIT")
+            store._write_ahead()
+        return store
+
+    @classmethod
+    def open(cls, path: Path, *, write: bool = False) -> Store:
+        """Open the store of an earlier campaign, checked page by page.
+
+        Raises
+        ------
+        InputError
+            No such file, not a campaign, a newer version, damaged.
+        EnvironmentFault
+            No permission.
+        """
+        _check_file(path)
+        with _named(path):
+            mode = "rw" if write else "ro"
+            db = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None, timeout=10)
+            store = cls(path, db)
+            try:
+                store._check()
+                if write:
+                    store._write_ahead()
+            except BaseException:
+                db.close()
+                raise
+        return store
+
+    def _write_ahead(self) -> None:
+        self._db.execute("PRAGMA journal_mode=WAL")
+        self._db.execute("PRAGMA synchronous=FULL")
+
+    def _check(self) -> None:
+        (version,) = self._db.execute("PRAGMA user_version").fetchone()
+        if version > FORMAT_VERSION:
+            found = f"written by store version {version}, this robustlab reads <= {FORMAT_VERSION}; upgrade"
+            raise InputError(self.where, found, None, "pip install --upgrade robustlab")
+        (verdict,) = self._db.execute("PRAGMA quick_check(1)").fetchone()
+        if verdict != "ok":
+            raise _damaged(self.where, str(verdict).splitlines()[-1])
+        try:
+            hash_of_content = self.identity.hash
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise _damaged(self.where, f"its settings cannot be read ({error})") from None
+        if hash_of_content != self.get("hash"):
+            raise _damaged(self.where, "its settings do not match their hash")
+
+    def close(self, *, finished: bool = False) -> None:
+        """Close it; a finished campaign becomes one plain file, which a read-only folder can hold too."""
+        try:
+            if finished:
+                self._db.execute("PRAGMA journal_mode=DELETE")
+        except sqlite3.Error:
+            pass  # someone is reading it: the write-ahead file stays beside it, and nothing is lost
+        finally:
+            self._db.close()
+
+    # --- what the campaign is ----------------------------------------------------------------------------------------
+
+    def put(self, name: str, value: str | bytes) -> None:
+        """Write one entry of the campaign's own table."""
+        with _named(self.path):
+            self._db.execute("INSERT OR REPLACE INTO campaign VALUES (?, ?)", (name, value))
+
+    def get(self, name: str) -> Any:
+        """An entry of the campaign's own table, or None."""
+        with _named(self.path):
+            found = self._db.execute("SELECT value FROM campaign WHERE name = ?", (name,)).fetchone()
+        return found[0] if found else None
+
+    @property
+    def identity(self) -> Identity:
+        """What the samples in it belong to."""
+        return Identity.from_json(json.loads(self.get("identity")))
+
+    @property
+    def model(self) -> bytes:
+        """The uncertain model, see `robustlab.campaign.settings.model_to_bytes`."""
+        content = self.get("model")
+        if not isinstance(content, bytes):
+            raise _damaged(self.where, "it holds no model")
+        return content
+
+    def facts(self) -> dict[str, Any]:
+        """What was noted when the campaign ended: digest, check of the worst sample; empty before."""
+        text = self.get("finished")
+        return json.loads(text) if text else {}
+
+    def note_facts(self, facts: Mapping[str, Any]) -> None:
+        """Note what is known of the finished campaign."""
+        self.put("finished", json.dumps(dict(facts)))
+
+    # --- samples -----------------------------------------------------------------------------------------------------
+
+    def save(self, rows: Rows) -> None:
+        """Write samples in one transaction."""
+        deltas = rows.deltas.astype("<f8")
+        values: list[tuple[Any, ...]] = []
+        for i, (value, seconds) in enumerate(zip(rows.values.tolist(), rows.seconds.tolist(), strict=True)):
+            index = rows.first + i
+            reason = rows.lost.get(index)
+            status, number = (DONE, value) if reason is None else (LOST, None)
+            values.append((index, status, number, deltas[i].tobytes(), seconds, reason))
+        with _named(self.path):
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                self._db.executemany("INSERT OR REPLACE INTO sample VALUES (?, ?, ?, ?, ?, ?)", values)
+                self._db.execute("COMMIT")
+            except sqlite3.Error:
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+                raise
+
+    def forget_lost(self) -> int:
+        """Delete the rows of lost samples, so that they are computed again; how many there were."""
+        with _named(self.path):
+            self._db.execute("BEGIN IMMEDIATE")
+            count = self._db.execute("DELETE FROM sample WHERE status = ?", (LOST,)).rowcount
+            if count:  # what was noted at its end holds no more
+                self._db.execute("DELETE FROM campaign WHERE name = 'finished'")
+            self._db.execute("COMMIT")
+        return count
+
+    def missing(self, n: int) -> list[tuple[int, int]]:
+        """Gaps ``(first, last)`` in 0 .. n - 1, each without its last index; a few, however many samples there are."""
+        gaps, expected = [], 0
+        with _named(self.path):
+            for (index,) in self._db.execute("SELECT idx FROM sample WHERE idx BETWEEN 0 AND ? ORDER BY idx", (n - 1,)):
+                if index > expected:
+                    gaps.append((expected, index))
+                expected = index + 1
+        return [*gaps, (expected, n)] if expected < n else gaps
+
+    def counts(self) -> Counts:
+        """How many samples are there."""
+        with _named(self.path):
+            found = dict(self._db.execute("SELECT status, COUNT(*) FROM sample GROUP BY status"))
+        return Counts(found.get(DONE, 0), found.get(LOST, 0))
+
+    def sample(self, index: int) -> Sample | None:
+        """One row, or None where it is not there yet."""
+        return next(self._samples("WHERE idx = ?", (index,)), None)
+
+    def samples(self) -> Iterator[Sample]:
+        """All rows in the order of their indices, streamed."""
+        return self._samples("ORDER BY idx")
+
+    def lost(self, most: int) -> list[Sample]:
+        """The first lost samples."""
+        return list(self._samples("WHERE status = ? ORDER BY idx LIMIT ?", (LOST, most)))
+
+    def worst(self, sense: int) -> Sample | None:
+        """The sample with the largest ``sense * value``; the first of them where several have it."""
+        return next(self._samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", (DONE, sense)), None)
+
+    def unbounded(self) -> int:
+        """How many samples have an infinite value."""
+        with _named(self.path):
+            found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?", (DONE, np.inf))
+            return int(found.fetchone()[0])
+
+    def sorted_values(self, sense: int) -> Iterator[float]:
+        """Values from the best to the worst, streamed; SQLite sorts on disk where they are many."""
+        with _named(self.path):
+            question = "SELECT value FROM sample WHERE status = ? ORDER BY value * ?"
+            for (value,) in self._db.execute(question, (DONE, sense)):
+                yield value
+
+    def seconds(self) -> float:
+        """Time that all samples took together."""
+        with _named(self.path):
+            return float(self._db.execute("SELECT TOTAL(seconds) FROM sample").fetchone()[0])
+
+    def digest(self) -> str:
+        """SHA-256 over index, status, value, Delta and reason of all rows by index: equal results, equal digests.
+
+        Times and the order in which rows were written do not count.
+        """
+        digest = hashlib.sha256()
+        for row in self.samples():
+            digest.update(struct.pack("<qBd", row.index, row.status, row.value if row.status == DONE else np.nan))
+            reason = row.reason.encode()
+            digest.update(row.delta + struct.pack("<q", len(reason)) + reason)
+        return digest.hexdigest()
+
+    def _samples(self, condition: str, values: tuple[Any, ...] = ()) -> Iterator[Sample]:
+        with _named(self.path):
+            for index, status, value, delta, seconds, reason in self._db.execute(
+                f"SELECT idx, status, value, delta, seconds, reason FROM sample {condition}",  # noqa: S608  our own texts
+                values,
+            ):
+                yield Sample(index, status, np.nan if value is None else value, delta, seconds, reason or "")
+
+
+def _check_file(path: Path) -> None:
+    from robustlab.files.signature import require_file
+
+    head = require_file(path)
+    if not head.startswith(MAGIC):
+        raise InputError(str(path), f"not a campaign store (first bytes {head[:4].hex(' ')})", "an SQLite file", NEW)
+    if head[68:72] != APPLICATION_ID.to_bytes(4, "big"):  # where SQLite's header has the application's number
+        raise InputError(str(path), "an SQLite file, but no campaign of robustlab", "a campaign store", NEW)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Say which file an error of SQLite is about, and whose fault it is."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        name = getattr(error, "sqlite_errorname", "") or "SQLITE_ERROR"
+        kind = "_".join(name.split("_")[:2])
+        if kind in _MACHINE:
+            reason = _MACHINE[kind]
+            if kind == "SQLITE_IOERR" and _disk_is_full(path):
+                reason = _MACHINE["SQLITE_FULL"]
+            raise EnvironmentFault(str(path), f"{reason}; the samples saved before are kept") from error
+        if kind in _DAMAGED or isinstance(error, (sqlite3.DataError, sqlite3.IntegrityError)):
+            raise _damaged(str(path), str(error)) from error
+        raise
+
+
+def _disk_is_full(path: Path) -> bool:
+    try:
+        state = os.statvfs(path.absolute().parent)
+    except (OSError, AttributeError):
+        return False
+    return state.f_bavail == 0
+
+
+def _damaged(where: str, what: str) -> InputError:
+    return InputError(
+        where, f"damaged campaign store: {what}", None, "copy it again from a backup, or start with --restart"
+    )

@@ -1,0 +1,279 @@
+"""``robustlab campaign``: many samples or searches in worker processes, stored one by one, resumed after anything."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from math import isnan
+from typing import Annotated, Any
+
+import typer
+
+from robustlab.cli.console import JsonOption, SeedOption, assignments, emit, note, progress, table
+from robustlab.cli.uncertain import EndOption, InputOption, PointsOption, UncertainArgument, load_uncertain
+from robustlab.errors import EXIT_INTERRUPTED, UsageError
+
+app = typer.Typer(help="Run samples and searches of any size, stored one by one.", no_args_is_help=True)
+
+SHOWN_BLOCKS, SHOWN_LOST = 40, 10
+
+StoreArgument = Annotated[str, typer.Argument(help="Store of a campaign (SQLite).", metavar="STORE")]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", "-w", help="Processes on this machine.  [default: one per processor]")
+]
+ClusterOption = Annotated[
+    str | None, typer.Option("--cluster", help="Dask scheduler whose workers are used, such as tcp://host:8786.")
+]
+LimitOption = Annotated[
+    float, typer.Option("--time-limit-per-sample", help="Seconds after which a sample's worker is killed.")
+]
+RetryOption = Annotated[bool, typer.Option("--retry-lost", help="Compute the lost samples of earlier runs again.")]
+BoundOption = Annotated[float | None, typer.Option("--limit", help="Count how often the metric is worse than this.")]
+
+
+@app.command()
+def run(
+    file: UncertainArgument,
+    store: Annotated[str, typer.Option("--store", help="SQLite file to write; an unfinished one is gone on with.")],
+    metric: Annotated[
+        str, typer.Option("--metric", help="A metric of robustlab worst-case --help.")
+    ] = "peak-deviation",
+    n: Annotated[int, typer.Option("-n", "--samples", help="How many samples, vertices or searches.")] = 1000,
+    kind: Annotated[str, typer.Option("--kind", help="samples, vertices or search.")] = "samples",
+    seed: SeedOption = 0,
+    output: Annotated[str | None, typer.Option("--output", help="Output to look at.", show_default=False)] = None,
+    from_input: Annotated[
+        str | None, typer.Option("--from", help="For norms and controllability: input to look from; all if left out.")
+    ] = None,
+    inputs: InputOption = None,
+    t_end: EndOption = None,
+    points: PointsOption = 401,
+    band: Annotated[float, typer.Option("--band", help="Share of the final value that counts as settled.")] = 0.02,
+    starts: Annotated[int, typer.Option("--starts", help="For searches: points each one starts from.")] = 64,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
+    time_limit: LimitOption = 60.0,
+    retry_lost: RetryOption = False,
+    restart: Annotated[bool, typer.Option("--restart", help="Delete what the store holds and begin anew.")] = False,
+    fork: Annotated[bool, typer.Option("--fork", help="Keep the store, begin another one beside it.")] = False,
+    bound: BoundOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
+
+    A sample that crashes or hangs is lost alone. Exit code 4: more than 1 % are lost, or the worst sample could not be
+    confirmed.
+
+    Example: robustlab campaign run motor.h5 --output omega --input u=42 --t-end 0.1 -n 100000 --store motor.sqlite
+    """
+    from robustlab.campaign import CampaignSettings, run_campaign
+
+    if restart and fork:
+        raise UsageError("campaign run", "--restart and --fork", "one of them")
+    settings = CampaignSettings(
+        metric,
+        n,
+        kind,  # pyright: ignore[reportArgumentType]  the settings say which kinds there are
+        seed,
+        output,
+        from_input,
+        assignments("--input", inputs) or None,
+        t_end,
+        points,
+        starts=starts,
+        band=band,
+    )
+    model = load_uncertain(file)
+    with _guarded(store, n) as advance:
+        result = run_campaign(
+            model,
+            settings,
+            store,
+            workers=workers,
+            cluster=cluster,
+            time_limit=time_limit,
+            existing="restart" if restart else "fork" if fork else "resume",
+            retry_lost=retry_lost,
+            limit=bound,
+            progress=advance,
+        )
+    _print("campaign run", result, as_json, {"file": file})
+
+
+@app.command()
+def resume(
+    store: StoreArgument,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
+    time_limit: LimitOption = 60.0,
+    retry_lost: RetryOption = False,
+    bound: BoundOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go on with a campaign where it was interrupted; model and settings are in the store.
+
+    Example: robustlab campaign resume motor.sqlite --workers 2
+    """
+    from robustlab.campaign import resume_campaign
+
+    with _guarded(store, None) as advance:
+        result = resume_campaign(
+            store,
+            workers=workers,
+            cluster=cluster,
+            time_limit=time_limit,
+            retry_lost=retry_lost,
+            limit=bound,
+            progress=advance,
+        )
+    _print("campaign resume", result, as_json, {})
+
+
+@app.command()
+def show(store: StoreArgument, bound: BoundOption = None, as_json: JsonOption = False) -> None:
+    """Print what a store holds: counts, worst sample, quantiles, lost samples; also while a run writes it.
+
+    Exit code 4 as long as samples are missing.
+
+    Example: robustlab campaign show motor.sqlite --limit 34
+    """
+    from robustlab.campaign import read_campaign
+
+    _print("campaign show", read_campaign(store, bound), as_json, {})
+
+
+@app.command()
+def replay(
+    store: StoreArgument,
+    index: Annotated[int, typer.Argument(help="Number of the sample.", min=0)],
+    as_json: JsonOption = False,
+) -> None:
+    """Compute one sample again in this process, without time limit: what crashed or hung there does so here.
+
+    Example: robustlab campaign replay motor.sqlite 4711
+    """
+    from robustlab.campaign import replay_sample
+
+    found = replay_sample(store, index)
+    lines = [
+        f"sample {found.index}: {found.metric} {_valued(found.value, found.unit)}",
+        f"in the store: {_valued(found.stored, found.unit) if not isnan(found.stored) else 'no value'}"
+        + (" (the same bits)" if found.identical else ""),
+        f"through the second path: {_valued(found.again, found.unit)}{_place(found.at, found.location)}",
+    ]
+    if found.reason:
+        lines.append(f"lost: {found.reason}")
+    lines += [f"status: {found.status}, {found.seconds:.3g} s", *_delta_table(found.delta, found.physical)]
+    emit("campaign replay", {"store": store, **found.to_json()}, "\n".join(lines), as_json)
+    if not found.status.trustworthy:
+        raise typer.Exit(4)
+
+
+# --- running ---------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _guarded(store: str, n: int | None) -> Iterator[Callable[[int], None]]:
+    """A progress bar, and for Ctrl-C the word of what is saved and how to go on."""
+    try:
+        with progress("campaign", n) as advance:
+            yield advance
+    except KeyboardInterrupt:
+        _say_interrupted(store)
+        # The parser would turn the interrupt into a bare "interrupted".
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def _say_interrupted(store: str) -> None:
+    from robustlab.campaign import saved_samples
+    from robustlab.errors import RobustlabError
+
+    try:
+        saved, n = saved_samples(store)
+    except RobustlabError:
+        note("interrupted before anything was saved")
+        return
+    note(f"interrupted: {saved} of {n} samples saved; resume with robustlab campaign resume {store}")
+
+
+# --- printing --------------------------------------------------------------------------------------------------------
+
+
+def _print(command: str, result: Any, as_json: bool, more: Mapping[str, Any]) -> None:
+    emit(command, {**more, **result.to_json()}, _text(result), as_json)
+    if not result.status.trustworthy:
+        raise typer.Exit(4)
+
+
+def _text(result: Any) -> str:
+    missing = result.n - result.done - result.lost
+    counts = f"{result.done} of {result.n} {_counted(result.kind)}"
+    counts += f", {result.lost} lost" if result.lost else ""
+    counts += f", {missing} missing yet" if missing else ""
+    lines = [f"{result.store}: {result.metric}, {counts}, seed {result.seed}"]
+    if result.done:
+        place = f" in {_one(result.kind)} {result.worst_index}{_place(result.at, result.location)}"
+        lines.append(f"worst: {_valued(result.worst, result.unit)}{place} ({result.label})")
+        if not isnan(result.again):
+            lines.append(f"through the second path: {_valued(result.again, result.unit)}")
+        if not isnan(result.nominal):
+            lines.append(f"nominal: {_valued(result.nominal, result.unit)}")
+    if result.unbounded:
+        lines.append(f"{result.unbounded} of them have no bounded value")
+    if not isnan(result.unseen):
+        lines.append(f"members worse than all of these: at most {result.unseen:.3g} of the set, with 95 % confidence")
+    if result.violation is not None:
+        v = result.violation
+        bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
+        lines.append(f"worse than {v.limit:.9g}: {v.count} of {v.of} (lost ones counted); {bounds}")
+    lines.append(f"status: {result.status}, {result.seconds:.3g} s of work")
+    lines.append(f"digest: {result.digest}")
+    if result.quantiles:
+        rows = [(f"{100 * q.share:g} %", f"{q.value:.9g}", f"{q.bound:.9g}") for q in result.quantiles]
+        lines += ["", table(rows, ("share", "not worse than", "with 95 % confidence"))]
+    if result.done:
+        lines += _delta_table(result.delta, result.physical)
+    if result.lost:
+        rows = [(str(sample.index), sample.reason) for sample in result.lost_samples[:SHOWN_LOST]]
+        lines += ["", table(rows, ("lost", "reason"))]
+        if result.lost > len(rows):
+            lines.append(f"... and {result.lost - len(rows)} more (the first hundred with --json)")
+        lines.append(f"robustlab campaign replay {result.store} {result.lost_samples[0].index}")
+    return "\n".join(lines)
+
+
+def _delta_table(delta: Mapping[str, Any], physical: Mapping[str, Any]) -> list[str]:
+    names = list(delta)[:SHOWN_BLOCKS]
+    rows = []
+    for name in names:
+        stands_for = "{:.6g} {}".format(*physical[name]).rstrip() if name in physical else "-"
+        rows.append((name, _number(delta[name]), stands_for))
+    if not rows:
+        return []
+    lines = ["", table(rows, ("block", "delta", "stands for"))]
+    hidden = len(delta) - len(names)
+    return [*lines, f"... and {hidden} more blocks (all with --json)"] if hidden else lines
+
+
+def _number(value: Any) -> str:
+    if getattr(value, "ndim", 0):
+        return f"{value.shape[0]} x {value.shape[1]} matrix"
+    return f"{value:.6g}"
+
+
+def _valued(value: float, unit: str) -> str:
+    return f"{value:.9g} {unit}".rstrip()
+
+
+def _place(at: float, location: str) -> str:
+    what, _, unit = location.partition(" ")
+    return f" at {what} = {at:.6g} {unit.strip('[]')}" if what and not isnan(at) else ""
+
+
+def _counted(kind: str) -> str:
+    return "searches" if kind == "search" else kind
+
+
+def _one(kind: str) -> str:
+    return {"samples": "sample", "vertices": "vertex"}.get(kind, kind)

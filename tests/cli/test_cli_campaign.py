@@ -1,0 +1,108 @@
+"""``robustlab campaign`` and the page about it: what is printed there can be typed, and prints that."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import robustlab as rl
+from robustlab.cli.console import main_guard
+from robustlab.cli.main import run
+
+PAGE = (Path(__file__).parents[2] / "docs" / "campaigns.md").read_text(encoding="utf-8")
+COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S).group(1).splitlines()
+SHOWN = re.search(r"`show` prints\n\n```\n(.*?)```", PAGE, re.S).group(1)
+
+
+def call(capsys, *words):
+    code = main_guard(lambda: run(list(words)))
+    done = capsys.readouterr()
+    return code, done.out, done.err
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("page")
+
+
+def test_the_page_in_order(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    printed = {}
+    for command in COMMANDS:
+        words = command.split()
+        code, printed[words[2], words[-1]], err = call(capsys, *words[1:])
+        assert (code, err) == (0, ""), command
+    assert printed["show", "34"].startswith(SHOWN)
+    assert "(the same bits)" in printed["replay", "675"]
+    assert printed["resume", "motor.sqlite"].startswith(SHOWN.splitlines()[0])
+    assert "4 of 4 vertices" in printed["run", "vertices.sqlite"]
+    assert "2 of 2 searches" in printed["run", "searches.sqlite"]
+    # The page's code does what the commands did.
+    names = {}
+    exec(re.search(r"```python\n(.*?)```", PAGE, re.S).group(1), names)
+    assert f"worst: {names['result'].worst:.9g} rad/s in sample 675" in SHOWN
+    assert f"{names['result'].violation.upper:.4g}" in SHOWN
+
+
+def test_json(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    code, text, _ = call(capsys, "campaign", "show", "motor.sqlite", "--json", "--limit", "34")
+    data = json.loads(text)
+    assert code == 0
+    assert (data["schema"], data["command"]) == ("robustlab.result/1", "campaign show")
+    assert (data["done"], data["worst_index"], data["violation"]["count"]) == (2000, 675, 11)
+    code, text, _ = call(capsys, "campaign", "replay", "motor.sqlite", "3", "--json")
+    assert json.loads(text)["delta"] == rl.sample(rl.load("motor.h5"), 4, seed=1).deltas[3]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (("run", "motor.h5", "--store", "x.sqlite", "--kind", "sample"), 2, "did you mean samples?"),
+        (("run", "motor.h5", "--store", "x.sqlite", "--restart", "--fork"), 2, "--restart and --fork"),
+        (("run", "motor.h5"), 2, "--store"),
+        (("run", "motor.h5", "--store", "motor.h5", "--restart"), 3, "not a campaign store"),
+        (("run", "motor.h5", "--store", "motor.sqlite", "--seed", "2"), 3, "changed since sample 0"),
+        (("show", "nothing.sqlite"), 3, "no such file"),
+        (("replay", "motor.sqlite", "2000"), 3, "no sample 2000, expected 0 .. 1999"),
+    ],
+)
+def test_refusals(folder, words, code, text, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    found, out, err = call(capsys, "campaign", *words)
+    assert (found, out) == (code, "")
+    assert text in err
+
+
+def test_the_recipe_of_the_page(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recipe = re.search(r"```toml\n(.*?)```", PAGE, re.S).group(1)
+    Path("motor.toml").write_text(
+        recipe.replace("n = 2000", "n = 1900").replace("workers = 2", "workers = 1"), encoding="utf-8"
+    )
+    # As if a run had been interrupted: the store of the unfinished campaign is gone on with.
+    from robustlab.campaign import runs
+
+    def interrupted(*_args, **_options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "compute_missing", interrupted)
+        code, _, err = call(capsys, "run", "motor.toml")
+    assert (code, err.splitlines()[-1]) == (130, "interrupted")
+    (unfinished,) = Path("out/.motor-campaign-unfinished").glob("deviation-*.sqlite")
+    inode = unfinished.stat().st_ino
+    code, out, _ = call(capsys, "run", "motor.toml")
+    assert code == 0
+    assert "1 of 1 requirements met" in out
+    kept = Path("out/motor-campaign/evidence/deviation.sqlite")
+    assert kept.stat().st_ino == inode
+    assert not Path("out/.motor-campaign-unfinished").exists()
+    step = json.loads(Path("out/motor-campaign/result.json").read_text(encoding="utf-8"))["steps"][-1]
+    assert (step["status"], step["numbers"]["done"], step["numbers"]["lost"]) == ("converged", 1900, 0)
+    assert [figure["stem"] for figure in step["figures"]] == ["deviation-peak-deviation"]
+    code, out, _ = call(capsys, "campaign", "show", str(kept))
+    assert step["numbers"]["digest"] in out

@@ -1,0 +1,369 @@
+"""Campaigns under bad stores, bad folders, crashing and hanging samples, two runs at once, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.campaign import CampaignSettings, read_campaign, resume_campaign, run_campaign, saved_samples
+from robustlab.campaign.lock import locked
+from robustlab.campaign.rows import Rows
+from robustlab.campaign.settings import Identity, model_to_bytes
+from robustlab.campaign.store import Store
+from robustlab.errors import DependencyMissing, EnvironmentFault, InputError
+
+ROOT = Path(__file__).parents[2]
+
+# In every interpreter of the run: samples that crash, hang, or raise when they are computed.
+SABOTAGE = """\
+import os, signal, sys, time
+
+plan = {int(k): v for k, v in (part.split(":") for part in os.environ.get("SABOTAGE", "").split(",") if part)}
+concerned = {"robustlab.campaign.worker_process", "replay"}
+
+
+def strike(first, last):
+    for index in range(first, last):
+        what = plan.get(index)
+        if what == "raise":
+            raise ValueError(f"sample {index} is evil")
+        if what == "hang":
+            time.sleep(1000)
+        if what:
+            os.kill(os.getpid(), getattr(signal, what))
+
+
+if plan and concerned & set(sys.orig_argv):
+    from robustlab.campaign import evaluation, runs, work
+
+    class Sabotaged(evaluation.Evaluator):
+        def _values(self, deltas):
+            strike(*self.now)
+            return super()._values(deltas)
+
+        def _tile(self, first):
+            self.now = first, first + self.tile
+            return super()._tile(first)
+
+        def _guarded(self, index):
+            self.now = index, index + 1
+            return super()._guarded(index)
+
+    work.Evaluator = runs.Evaluator = Sabotaged
+"""
+
+
+@pytest.fixture(scope="module")
+def motor():
+    return rl.plant("dc-motor", Kf=(4.8e-5, 0.35), R=(2.07, 0.1)).uncertain(outputs=["omega"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, motor):
+    """A folder with the motor and the saboteur."""
+    place = tmp_path_factory.mktemp("campaign")
+    rl.save(place / "motor.h5", motor)
+    (place / "spy").mkdir()
+    (place / "spy" / "sitecustomize.py").write_text(SABOTAGE, encoding="utf-8")
+    return place
+
+
+TASK = ("--input", "u=42", "--t-end", "0.1", "--points", "51", "--workers", "1")
+
+
+def start(folder, *arguments, sabotage=""):
+    path = os.pathsep.join([str(folder / "spy"), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return subprocess.Popen(
+        [sys.executable, "-m", "robustlab.cli.main", "campaign", *map(str, arguments)],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path, "SABOTAGE": sabotage},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def settings_of(n=300, **more):
+    return CampaignSettings("peak-deviation", n, **{"u": {"u": 42.0}, "t_end": 0.1, "points": 51, **more})
+
+
+def begun(path, motor, n=300, saved=64, **more):
+    """A store of an unfinished campaign."""
+    settings = settings_of(n, **more)
+    store = Store.create(path, Identity.of(motor, settings), model_to_bytes(motor))
+    store.save(Rows(0, np.arange(float(saved)), np.zeros((saved, 2)), np.ones(saved)))
+    store.close(finished=True)
+    return path
+
+
+# --- samples that crash and hang -----------------------------------------------------------------------------------
+
+
+def test_crashed_hung_and_raising_samples_are_lost_alone_and_can_be_replayed(folder):
+    sabotage = "7:SIGSEGV,8:hang,140:raise"
+    store = folder / "evil.sqlite"
+    arguments = ("run", "motor.h5", *TASK, "-n", 320, "--store", store, "--time-limit-per-sample", 1.0, "--json")
+    run = start(folder, *arguments, sabotage=sabotage)
+    out, err = run.communicate(timeout=120)
+    assert run.returncode == 0, err
+    result = json.loads(out)
+    assert (result["done"], result["lost"], result["status"]) == (317, 3, "converged")
+    assert {row["index"]: row["reason"] for row in result["lost_samples"]} == {
+        7: "worker crashed (signal 11)",
+        8: "no answer in 1 s",
+        140: "ValueError: sample 140 is evil",
+    }
+    assert result["lost_samples"][0]["delta"] == rl.sample(rl.load(folder / "motor.h5"), 8).deltas[7]
+    crash = start(folder, "replay", store, 7, sabotage=sabotage)
+    crash.communicate(timeout=60)
+    assert crash.returncode == -signal.SIGSEGV
+    # Once the cause is mended, the lost samples are computed again, and nothing else.
+    again = resume_campaign(store, workers=1, retry_lost=True)
+    assert (again.done, again.lost) == (320, 0)
+
+
+# --- two runs, Ctrl-C, a dead owner ---------------------------------------------------------------------------------
+
+
+def wait_until_saved(store, run):
+    until = time.monotonic() + 60
+    while time.monotonic() < until and run.poll() is None:
+        try:
+            if saved_samples(store)[0]:
+                return
+        except (InputError, EnvironmentFault):
+            pass
+        time.sleep(0.05)
+    pytest.fail(f"nothing was saved: {run.communicate()}")
+
+
+def test_a_second_run_is_refused_ctrl_c_says_how_to_go_on_and_a_dead_pid_is_freed(folder, motor):
+    store = folder / "long.sqlite"
+    run = start(folder, "run", "motor.h5", *TASK, "-n", 1_000_000, "--store", store)
+    wait_until_saved(store, run)
+    with pytest.raises(EnvironmentFault, match=rf"locked by pid {run.pid} \(main.py campaign run motor.h5 .* since 20"):
+        resume_campaign(store)
+    assert read_campaign(store).status == rl.Status.INCONCLUSIVE  # reading is free
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    saved, n = saved_samples(store)
+    assert (run.returncode, out) == (130, "")
+    assert err == f"interrupted: {saved} of {n} samples saved; resume with robustlab campaign resume {store}\n"
+    run = start(folder, "resume", store, "--workers", 1)
+    deadline = time.monotonic() + 60
+    while saved_samples(store)[0] == saved:
+        assert time.monotonic() < deadline
+        assert run.poll() is None
+        time.sleep(0.05)
+    run.kill()
+    run.communicate()
+    # Its lock is gone with it.
+    with locked(store):
+        pass
+
+
+# --- what changed ---------------------------------------------------------------------------------------------------
+
+
+def test_changed_settings_model_and_code_are_refused_by_name(tmp_path, motor):
+    path = begun(tmp_path / "s.sqlite", motor)
+    with pytest.raises(InputError, match=r"changed since sample 0 \(settings.seed: 0 -> 1\)") as caught:
+        run_campaign(motor, settings_of(seed=1), path)
+    assert "--restart" in str(caught.value)
+    assert "--fork" in str(caught.value)
+    stiffer = rl.plant("dc-motor", Kf=(4.8e-5, 0.30), R=(2.07, 0.1)).uncertain(outputs=["omega"])
+    with pytest.raises(InputError, match=r"changed since sample 0 \(the uncertain model: "):
+        run_campaign(stiffer, settings_of(), path)
+    store = Store.open(path, write=True)
+    old = store.identity
+    older = Identity(old.model, old.settings, {**old.code, "numpy": "1.0"})
+    store.put("identity", json.dumps(older.to_json()))
+    store.put("hash", older.hash)
+    store.close()
+    with pytest.raises(InputError, match=r"changed since sample 0 \(code.numpy: 1.0 -> 2"):
+        resume_campaign(path)
+    assert saved_samples(path) == (64, 300)
+
+
+def test_restart_and_fork(tmp_path, motor):
+    path = begun(tmp_path / "s.sqlite", motor, n=64)
+    fork = run_campaign(motor, settings_of(n=65), path, existing="fork", workers=1)
+    assert Path(fork.store).name == "s-2.sqlite"
+    assert (fork.done, saved_samples(path)) == (65, (64, 64))
+    assert read_campaign(path).worst == 63.0  # what `begun` wrote
+    fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", workers=1)
+    assert (fresh.store, fresh.done) == (str(path), 64)
+    assert fresh.worst < 63.0
+
+
+# --- stores that are none -------------------------------------------------------------------------------------------
+
+
+def test_what_is_no_store_is_said(tmp_path, motor):
+    cases = {
+        "missing.sqlite": "no such file",
+        "folder.sqlite": "is a directory",
+        "text.sqlite": r"not a campaign store \(first bytes 68 65 6c 6c\)",
+        "other.sqlite": "an SQLite file, but no campaign of robustlab",
+    }
+    (tmp_path / "folder.sqlite").mkdir()
+    (tmp_path / "text.sqlite").write_text("hello", encoding="utf-8")
+    with closing(sqlite3.connect(tmp_path / "other.sqlite")) as db:
+        db.execute("CREATE TABLE sample (idx)")
+        db.commit()
+    for name, text in cases.items():
+        for call in (read_campaign, resume_campaign, saved_samples):
+            with pytest.raises(InputError, match=text):
+                call(tmp_path / name)
+    assert not list(tmp_path.glob("*.lock"))
+
+
+@pytest.mark.parametrize("existing", ["resume", "restart"])
+def test_a_file_of_another_kind_is_never_overwritten(tmp_path, motor, existing):
+    path = tmp_path / "precious.h5"
+    rl.save(path, motor)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="not a campaign store"):
+        run_campaign(motor, settings_of(), path, existing=existing)
+    assert path.read_bytes() == before
+
+
+def test_an_empty_file_is_begun_and_a_value_changed_after_the_end_is_noticed(tmp_path, motor):
+    path = tmp_path / "s.sqlite"
+    path.touch()
+    assert run_campaign(motor, settings_of(n=64), path, workers=1).done == 64
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("UPDATE sample SET value = value * 1.0000001 WHERE idx = 5")
+        db.commit()
+    with pytest.raises(InputError, match="rows were changed after the campaign ended"):
+        read_campaign(path)
+
+
+def test_a_newer_store(tmp_path, motor):
+    path = begun(tmp_path / "s.sqlite", motor)
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("PRAGMA user_version=2")
+    with pytest.raises(InputError, match="written by store version 2, this robustlab reads <= 1; upgrade") as caught:
+        read_campaign(path)
+    assert "pip install --upgrade robustlab" in str(caught.value)
+
+
+def damaged_page(path, page, motor):
+    size = 4096
+    data = bytearray(path.read_bytes())
+    data[page * size : (page + 1) * size] = b"\xa5" * size
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("page", [1, 2, 3])
+def test_a_damaged_page_is_named(tmp_path, motor, page):
+    path = begun(tmp_path / "s.sqlite", motor, saved=200)
+    damaged_page(path, page, motor)
+    with pytest.raises(InputError, match=r"s\.sqlite: damaged campaign store: "):
+        read_campaign(path)
+
+
+def test_a_truncated_store(tmp_path, motor):
+    path = begun(tmp_path / "s.sqlite", motor, saved=200)
+    with path.open("r+b") as stream:
+        stream.truncate(path.stat().st_size // 2)
+    with pytest.raises(InputError, match="damaged campaign store"):
+        read_campaign(path)
+
+
+@pytest.mark.parametrize("entry", ["identity", "hash", "model"])
+def test_a_changed_entry_is_damage(tmp_path, motor, entry):
+    path = begun(tmp_path / "s.sqlite", motor)
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("UPDATE campaign SET value = '{}' WHERE name = ?", (entry,))
+        db.commit()
+    with pytest.raises(InputError, match=r"s.sqlite: "):
+        read_campaign(path)
+
+
+# --- the machine ----------------------------------------------------------------------------------------------------
+
+
+def test_a_full_disk_keeps_what_was_saved(tmp_path, motor):
+    path = begun(tmp_path / "s.sqlite", motor, n=100_000)
+    store = Store.open(path, write=True)
+    (pages,) = store._db.execute("PRAGMA page_count").fetchone()
+    store._db.execute(f"PRAGMA max_page_count={pages}")
+    with pytest.raises(EnvironmentFault, match=r"s\.sqlite: no space left; the samples saved before are kept"):
+        store.save(Rows(64, np.zeros(5000), np.zeros((5000, 2)), np.zeros(5000)))
+    store.close()
+    assert saved_samples(path) == (64, 100_000)
+
+
+def test_no_space_in_the_middle_of_a_run_says_how_to_go_on(tmp_path, motor, monkeypatch):
+    def save(self, rows):
+        raise EnvironmentFault(self.where, "no space left; the samples saved before are kept")
+
+    monkeypatch.setattr(Store, "save", save)
+    path = tmp_path / "s.sqlite"
+    with pytest.raises(EnvironmentFault) as caught:
+        run_campaign(motor, settings_of(n=64), path, workers=1)
+    assert f"robustlab campaign resume {path}" in str(caught.value)
+
+
+def test_folders_that_cannot_be_written(tmp_path, motor, monkeypatch):
+    with pytest.raises(EnvironmentFault, match="no such folder"):
+        run_campaign(motor, settings_of(), tmp_path / "nowhere" / "s.sqlite")
+
+    error = sqlite3.OperationalError("unable to open database file")
+    error.sqlite_errorname = "SQLITE_CANTOPEN"
+
+    def cannot_open(*_args, **_options):
+        raise error
+
+    monkeypatch.setattr(sqlite3, "connect", cannot_open)
+    with pytest.raises(EnvironmentFault, match="cannot be opened; no permission"):
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder(tmp_path, motor):
+    path = begun(tmp_path / "s.sqlite", motor)
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(EnvironmentFault):
+            resume_campaign(path)
+        assert read_campaign(path).done == 64
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_workers_that_cannot_begin_are_an_environment_fault(tmp_path, motor, monkeypatch):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    with pytest.raises(EnvironmentFault, match="a worker cannot be started"):
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=2)
+    script = tmp_path / "python"
+    script.write_text("#!/bin/sh\necho no module named robustlab >&2\nexit 3\n", encoding="utf-8")
+    script.chmod(0o700)
+    with pytest.raises(EnvironmentFault, match="no worker can begin; the last worker left with exit code 3: no module"):
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=2)
+
+
+def test_the_missing_extra_is_named_with_its_command(tmp_path, motor, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(DependencyMissing, match=r"needs dask\.distributed") as caught:
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", cluster="tcp://127.0.0.1:1")
+    assert "pip install 'robustlab[cluster]'" in str(caught.value)
+    assert caught.value.exit_code == 5
+
+
+@pytest.mark.parametrize("workers", [0, -1, 1.5, True])
+def test_workers_are_a_whole_number(tmp_path, motor, workers):
+    with pytest.raises(InputError, match="workers"):
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=workers)

@@ -1,0 +1,538 @@
+"""Campaigns: samples are pure functions of their index, stores give back what was put in, failures stay alone."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import beta, binom
+
+import robustlab as rl
+from robustlab.campaign import CampaignSettings, read_campaign, replay_sample, runs
+from robustlab.campaign.dispatch import compute_missing
+from robustlab.campaign.evaluation import TILE, Evaluator
+from robustlab.campaign.local_workers import LocalWorkers
+from robustlab.campaign.rows import Rows, decode_delta, delta_width, encode_delta
+from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
+from robustlab.campaign.statistics import (
+    SHARES,
+    _upper_rank,
+    exceedance_curve,
+    probability_bounds,
+    quantiles,
+    share_beyond,
+)
+from robustlab.campaign.store import Store
+from robustlab.campaign.work import Failure, Outcome, Payload, Piece, perform
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
+from robustlab.worst_case_analysis import METRICS
+from robustlab.worst_case_analysis.draws import delta_of_sample
+
+
+@pytest.fixture(scope="module")
+def motor():
+    return rl.plant("dc-motor", Kf=(4.8e-5, 0.35), R=(2.07, 0.1)).uncertain(outputs=["omega"])
+
+
+def settings_of(n, **more):
+    return CampaignSettings("peak-deviation", n, **{"u": {"u": 42.0}, "t_end": 0.1, "points": 51, **more})
+
+
+class InlineWorkers:
+    """Workers in this process: `fault(piece)` gives a failure instead of an answer where it wants to."""
+
+    def __init__(self, evaluator, count=2, fault=lambda piece: None, order=None):
+        self.evaluator, self.count, self.fault = evaluator, count, fault
+        self.pieces, self.begun, self.order = deque(), [], order
+
+    def idle(self):
+        return self.count - len(self.pieces)
+
+    def start(self, piece):
+        self.begun.append(piece)
+        self.pieces.append(piece)
+
+    def wait(self, seconds):
+        if not self.pieces:
+            return []
+        piece = self.pieces.pop() if self.order == "last first" else self.pieces.popleft()
+        answer = self.fault(piece) or perform(self.evaluator, {**piece.to_json(), "limit": None})
+        return [Outcome(piece, answer, 0.01)]
+
+    def close(self):
+        self.pieces.clear()
+
+
+def new_store(path, model, asked):
+    return Store.create(path, Identity.of(model, asked), model_to_bytes(model))
+
+
+def filled(path, model, asked, limit=10.0, **workers):
+    """A store computed in this process, and the workers that did it."""
+    store, evaluator = new_store(path, model, asked), Evaluator(model, asked)
+    crew = InlineWorkers(evaluator, **workers)
+    compute_missing(store, evaluator, crew, limit, lambda _: None)
+    return store, crew
+
+
+def kinds_of_blocks():
+    return [rl.RealScalar("k", 2), rl.ComplexScalar("c", 3), rl.FullBlock("F", 2, 3)]
+
+
+# --- a sample is a pure function of its index ---------------------------------------------------------------------
+
+
+def test_a_sample_is_the_one_that_rl_sample_draws(motor):
+    evaluator = Evaluator(motor, settings_of(100, seed=5))
+    assert [evaluator.delta(i) for i in range(3)] == list(rl.sample(motor, 3, seed=5).deltas)
+    assert delta_of_sample(motor.blocks, 5, 2) == rl.sample(motor, 3, seed=5).deltas[2]
+
+
+def test_values_are_peak_deviations_of_single_simulations(motor):
+    rows = Evaluator(motor, settings_of(TILE)).rows(0, TILE)
+    t = np.linspace(0, 0.1, 51)
+    nominal = rl.simulate(motor.nominal, t, np.full(51, 42.0))["omega"]
+    for i in (0, 1, 17, TILE - 1):
+        member = motor.evaluate(delta_of_sample(motor.blocks, 0, i))
+        peak = np.abs(rl.simulate(member, t, np.full(51, 42.0))["omega"] - nominal).max()
+        assert rows.values[i] == pytest.approx(peak, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, TILE - 1, TILE, TILE + 1, 5 * TILE + 7])
+def test_same_digest_for_1_2_7_workers_in_any_order(tmp_path, motor, n):
+    digests = set()
+    for count, order in ((1, None), (2, None), (7, "last first")):
+        store, _ = filled(tmp_path / f"{count}.sqlite", motor, settings_of(n), count=count, order=order)
+        assert store.counts() == (n, 0)
+        assert store.missing(n) == []
+        digests.add(store.digest())
+        store.close()
+    assert len(digests) == 1
+
+
+def test_samples_do_not_depend_on_how_many_there_are(tmp_path, motor):
+    few, _ = filled(tmp_path / "few.sqlite", motor, settings_of(10))
+    many, _ = filled(tmp_path / "many.sqlite", motor, settings_of(200))
+    assert [(row.value, row.delta) for row in few.samples()] == [
+        (row.value, row.delta) for row in list(many.samples())[:10]
+    ]
+    few.close()
+    many.close()
+
+
+def test_another_seed_gives_another_digest(tmp_path, motor):
+    first, _ = filled(tmp_path / "1.sqlite", motor, settings_of(10, seed=1))
+    second, _ = filled(tmp_path / "2.sqlite", motor, settings_of(10, seed=2))
+    assert first.digest() != second.digest()
+    first.close()
+    second.close()
+
+
+def test_all_vertices_are_met_once_and_hold_the_worst_case(tmp_path, motor):
+    store, _ = filled(tmp_path / "v.sqlite", motor, settings_of(4, kind="vertices"))
+    found = {tuple(decode_delta(motor.blocks, row.numbers).values()) for row in store.samples()}
+    assert found == {(a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)}
+    worst = rl.worst_case(motor, u={"u": 42.0}, t=np.linspace(0, 0.1, 51), n=16)
+    assert store.worst(1).value == pytest.approx(worst.value, rel=1e-9)
+    store.close()
+
+
+def test_more_real_deltas_than_vertices_asked_for(motor):
+    evaluator = Evaluator(motor, settings_of(3, kind="vertices"))
+    signs = [tuple(evaluator.delta(i).values()) for i in range(3)]
+    assert all(abs(sign) == 1.0 for row in signs for sign in row)
+    assert signs == [tuple(evaluator.delta(i).values()) for i in range(3)]
+
+
+def test_searches_find_what_worst_case_finds(tmp_path, motor):
+    asked = CampaignSettings("hinf", 2, kind="search", starts=2)
+    store, _ = filled(tmp_path / "s.sqlite", motor, asked)
+    best = rl.worst_case(motor, "hinf", n=4)
+    assert [row.value for row in store.samples()] == pytest.approx([best.value] * 2, rel=1e-6)
+    assert decode_delta(motor.blocks, store.worst(1).numbers) == pytest.approx(best.delta)
+    store.close()
+
+
+# --- failures ------------------------------------------------------------------------------------------------------
+
+
+def guilty(*indices, timeout=False):
+    def fault(piece):
+        bad = [i for i in indices if piece.first <= i < piece.last]
+        return Failure("no answer in 10 s" if timeout else "worker crashed (signal 11)", timeout) if bad else None
+
+    return fault
+
+
+@pytest.mark.parametrize("timeout", [False, True])
+def test_a_guilty_sample_is_lost_alone(tmp_path, motor, timeout):
+    n = 20 * TILE
+    whole, _ = filled(tmp_path / "whole.sqlite", motor, settings_of(n))
+    store, crew = filled(tmp_path / "lost.sqlite", motor, settings_of(n), fault=guilty(700, timeout=timeout))
+    assert store.counts() == (n - 1, 1)
+    (lost,) = store.lost(10)
+    assert lost.index == 700
+    assert lost.reason.startswith("no answer" if timeout else "worker crashed")
+    assert decode_delta(motor.blocks, lost.numbers) == delta_of_sample(motor.blocks, 0, 700)
+    tries = [piece for piece in crew.begun if piece.first <= 700 < piece.last]
+    assert len([piece for piece in tries if piece.alone]) == (1 if timeout else 2)
+    rest = {row.index: row.value for row in whole.samples() if row.index != 700}
+    mine = {row.index: row.value for row in store.samples() if row.index != 700}
+    tile = range(700 // TILE * TILE, 700 // TILE * TILE + TILE)
+    assert {i: v for i, v in mine.items() if i not in tile} == {i: v for i, v in rest.items() if i not in tile}
+    np.testing.assert_allclose([mine[i] for i in rest], list(rest.values()), rtol=1e-12)
+    whole.close()
+    store.close()
+
+
+def test_a_worker_killed_for_no_fault_of_a_sample_loses_nothing(tmp_path, motor):
+    n = 10 * TILE
+    whole, _ = filled(tmp_path / "whole.sqlite", motor, settings_of(n))
+    killed = {2, 4}
+
+    def fault(piece):
+        return Failure("worker crashed (signal 9)") if piece.attempts == 0 and len(crew_begun) in killed else None
+
+    store = new_store(tmp_path / "killed.sqlite", motor, settings_of(n))
+    evaluator = Evaluator(motor, settings_of(n))
+    crew = InlineWorkers(evaluator, fault=fault)
+    crew_begun = crew.begun
+    compute_missing(store, evaluator, crew, 10.0, lambda _: None)
+    assert any(piece.attempts for piece in crew.begun)
+    assert store.digest() == whole.digest()
+    whole.close()
+    store.close()
+
+
+def test_more_than_one_percent_lost_stops(tmp_path, motor):
+    n = 300
+    store, evaluator = new_store(tmp_path / "s.sqlite", motor, settings_of(n)), Evaluator(motor, settings_of(n))
+    with pytest.raises(NoTrustworthyNumber, match="4 of 300 samples are lost, more than 1 %") as caught:
+        compute_missing(store, evaluator, InlineWorkers(evaluator, fault=guilty(1, 2, 3, 4)), 10.0, lambda _: None)
+    assert "campaign replay" in str(caught.value)
+    assert "worker crashed (signal 11)" in str(caught.value)
+    # Three of 300 are not more than one percent.
+    store.forget_lost()
+    compute_missing(store, evaluator, InlineWorkers(evaluator, fault=guilty(1, 2, 3)), 10.0, lambda _: None)
+    assert store.counts() == (n - 3, 3)
+    # A tile that was narrowed down is finished sample by sample: what is lost stays lost until it is asked for again.
+    assert store.missing(n) == []
+    assert store.forget_lost() == 3
+    assert store.missing(n) == [(1, 4)]
+    crew = InlineWorkers(evaluator)
+    compute_missing(store, evaluator, crew, 10.0, lambda _: None)
+    assert [(piece.first, piece.alone) for piece in crew.begun] == [(1, True), (2, True), (3, True)]
+    store.close()
+
+
+def test_an_exception_in_a_stack_costs_only_its_own_sample(motor, monkeypatch):
+    evaluator = Evaluator(motor, settings_of(TILE))
+    whole = evaluator.rows(0, TILE)
+    bad = evaluator.delta(9)
+
+    def values(deltas, original=evaluator._values):
+        if bad in deltas:
+            raise ZeroDivisionError("no\x1b[31mgood")
+        return original(deltas)
+
+    monkeypatch.setattr(evaluator, "_values", values)
+    rows = evaluator.rows(0, TILE)
+    assert rows.lost == {9: "ZeroDivisionError: no\\x1b[31mgood"}
+    assert math.isnan(rows.values[9])
+    np.testing.assert_allclose(np.delete(rows.values, 9), np.delete(whole.values, 9), rtol=1e-12)
+
+
+def test_a_metric_that_is_not_a_number_is_a_lost_sample(motor, monkeypatch):
+    evaluator = Evaluator(motor, settings_of(TILE))
+    original = evaluator._values
+    monkeypatch.setattr(evaluator, "_values", lambda deltas: np.where(original(deltas) > 30, np.nan, original(deltas)))
+    rows = evaluator.rows(0, TILE)
+    assert set(rows.lost.values()) == {"the metric is not a number"}
+    assert sorted(rows.lost) == np.flatnonzero(np.isnan(rows.values)).tolist()
+
+
+def test_an_answer_about_other_samples_is_no_answer(tmp_path, motor):
+    store, evaluator = new_store(tmp_path / "s.sqlite", motor, settings_of(300)), Evaluator(motor, settings_of(300))
+    wrong = evaluator.rows(TILE, 2 * TILE).to_bytes()
+    with pytest.raises(NoTrustworthyNumber, match=r"answered with samples 64 \.\. 127"):
+        compute_missing(store, evaluator, InlineWorkers(evaluator, fault=lambda _: wrong), 10.0, lambda _: None)
+    store.close()
+
+
+# --- what is stored and sent ---------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**40), st.lists(st.floats(allow_nan=False), min_size=1, max_size=5), st.integers(0, 3))
+def test_rows_survive_the_wire(first, values, width):
+    k = len(values)
+    rows = Rows(
+        first, np.array(values), np.arange(k * width, dtype=float).reshape(k, width), np.ones(k), {first: "é\n"}
+    )
+    back = Rows.from_bytes(rows.to_bytes())
+    assert (back.first, back.lost, back.deltas.shape) == (first, {first: "é\n"}, (k, width))
+    np.testing.assert_array_equal(back.values, rows.values)
+    np.testing.assert_array_equal(back.deltas, rows.deltas)
+    with pytest.raises(ValueError, match="numbers for"):
+        Rows.from_bytes(rows.to_bytes()[:-8])
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**40), st.integers(0, 2**40))
+def test_deltas_of_every_kind_survive(seed, index):
+    blocks = kinds_of_blocks()
+    delta = delta_of_sample(blocks, seed, index)
+    numbers = encode_delta(blocks, delta)
+    assert len(numbers) == delta_width(blocks) == 1 + 2 + 12
+    back = decode_delta(blocks, numbers)
+    assert (back["k"], back["c"]) == (delta["k"], delta["c"])
+    np.testing.assert_array_equal(back["F"], delta["F"])
+
+
+def test_the_model_survives(motor):
+    back = model_from_bytes(model_to_bytes(motor), "x")
+    assert back.blocks == motor.blocks
+    np.testing.assert_array_equal(back.M.A, motor.M.A)
+    with pytest.raises(InputError, match="cannot be read"):
+        model_from_bytes(b"nonsense", "x")
+
+
+def test_identity_tells_what_changed(motor):
+    old = Identity.of(motor, settings_of(10))
+    assert Identity.from_json(json.loads(json.dumps(old.to_json()))) == old
+    assert old.hash == Identity.of(motor, settings_of(10)).hash
+    wider = rl.plant("dc-motor", Kf=(4.8e-5, 0.36), R=(2.07, 0.1)).uncertain(outputs=["omega"])
+    assert differences(old, Identity.of(wider, settings_of(10)))[0].startswith("the uncertain model: ")
+    assert differences(old, Identity.of(motor, settings_of(10, seed=3))) == ["settings.seed: 0 -> 3"]
+    newer = Identity(old.model, old.settings, {**code_identity(), "numpy": "9.9"})
+    assert differences(old, newer)[0].endswith("-> 9.9")
+
+
+def test_gaps_are_found(tmp_path, motor):
+    store = new_store(tmp_path / "s.sqlite", motor, settings_of(300))
+    assert store.missing(300) == [(0, 300)]
+    store.save(Rows(64, np.zeros(64), np.zeros((64, 2)), np.zeros(64)))
+    store.save(Rows(200, np.zeros(1), np.zeros((1, 2)), np.zeros(1)))
+    assert store.missing(300) == [(0, 64), (128, 200), (201, 300)]
+    assert store.missing(128) == [(0, 64)]
+    store.close()
+
+
+def test_a_transaction_that_fails_leaves_nothing(tmp_path, motor):
+    store = new_store(tmp_path / "s.sqlite", motor, settings_of(300))
+    store._db.execute(
+        "CREATE TRIGGER full BEFORE INSERT ON sample WHEN NEW.idx = 5 BEGIN SELECT RAISE(ABORT, 'no'); END"
+    )
+    with pytest.raises(InputError):
+        store.save(Rows(0, np.zeros(10), np.zeros((10, 2)), np.zeros(10)))
+    assert store.counts() == (0, 0)
+    store.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "text"),
+    [
+        ({"kind": "sample"}, UsageError, "did you mean samples?"),
+        ({"n": 0}, InputError, "n is 0"),
+        ({"n": 2.5}, InputError, "n is 2.5"),
+        ({"seed": -1}, InputError, "seed is -1"),
+        ({"points": 1}, InputError, "points is 1"),
+        ({"t_end": -1.0}, InputError, "t_end is -1.0"),
+        ({"t_end": math.nan}, InputError, "t_end is nan"),
+    ],
+)
+def test_settings_that_are_refused(change, error, text):
+    with pytest.raises(error, match="campaign") as caught:
+        CampaignSettings(**{"metric": "hinf", "n": 10, **change})
+    assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("asked", "error", "text"),
+    [
+        (CampaignSettings("hinff", 10), UsageError, "did you mean hinf?"),
+        (settings_of(10, output="speed"), InputError, "no such signal"),
+        (settings_of(10, u={"v": 1.0}), InputError, "no such input"),
+    ],
+)
+def test_what_the_metric_refuses_is_said_before_any_worker_starts(motor, asked, error, text, tmp_path):
+    with pytest.raises(error) as caught:
+        runs.run_campaign(motor, asked, tmp_path / "s.sqlite")
+    assert text in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+# --- statistics ----------------------------------------------------------------------------------------------------
+
+
+def store_of(path, model, values, lost=0):
+    n = len(values) + lost
+    store = new_store(path, model, settings_of(n))
+    reasons = dict.fromkeys(range(len(values), n), "gone")
+    everything = np.concatenate([values, np.full(lost, np.nan)])
+    store.save(Rows(0, everything, np.zeros((n, 2)), np.ones(n), reasons))
+    return store
+
+
+def test_bounds_are_clopper_and_pearsons():
+    for k, n in ((0, 10), (3, 50), (50, 50)):
+        low, high = probability_bounds(k, n)
+        assert low == pytest.approx(beta.ppf(0.05, k, n - k + 1) if k else 0.0)
+        assert high == pytest.approx(beta.ppf(0.95, k + 1, n - k) if k < n else 1.0)
+
+
+def test_quantiles_are_order_statistics_with_binomial_bounds(tmp_path, motor):
+    rng = np.random.default_rng(3)
+    values = rng.standard_normal(2000)
+    store = store_of(tmp_path / "s.sqlite", motor, values)
+    for q in quantiles(store, 1, 2000, 0):
+        assert q.value == np.sort(values)[math.ceil(q.share * 2000) - 1]
+        rank = int(binom.ppf(0.95, 2000, q.share)) + 1
+        assert q.bound == (np.sort(values)[rank - 1] if rank <= 2000 else math.inf)
+    assert [q.share for q in quantiles(store, 1, 2000, 0)] == list(SHARES)
+    store.close()
+
+
+def test_lost_samples_count_as_the_worst(tmp_path, motor):
+    store = store_of(tmp_path / "s.sqlite", motor, np.arange(97.0), lost=3)
+    found = share_beyond(store, 1, 95.5, 97, 3)
+    assert (found.count, found.of) == (4, 100)
+    assert found.upper == pytest.approx(beta.ppf(0.95, 5, 96))
+    assert found.lower == pytest.approx(beta.ppf(0.05, 1, 100))
+    assert quantiles(store, 1, 97, 3)[-1].bound == math.inf
+    store.close()
+
+
+def test_where_the_smallest_is_the_worst_everything_is_mirrored(tmp_path, motor):
+    values = np.random.default_rng(4).standard_normal(300)
+    largest = store_of(tmp_path / "largest.sqlite", motor, values)
+    smallest = store_of(tmp_path / "smallest.sqlite", motor, -values)
+    assert smallest.worst(-1).value == -largest.worst(1).value
+    for q, mirrored in zip(quantiles(largest, 1, 300, 0), quantiles(smallest, -1, 300, 0), strict=True):
+        assert (q.value, q.bound) == (-mirrored.value, -mirrored.bound)
+    assert share_beyond(smallest, -1, -1.5, 300, 0).count == share_beyond(largest, 1, 1.5, 300, 0).count > 0
+    for ours, mirrored in zip(
+        exceedance_curve(largest, 1, 300, 0), exceedance_curve(smallest, -1, 300, 0), strict=True
+    ):
+        np.testing.assert_array_equal(np.abs(ours), np.abs(mirrored))
+    largest.close()
+    smallest.close()
+
+
+def test_the_bound_of_a_quantile_holds_as_often_as_it_says():
+    draws = np.sort(np.random.default_rng(0).random((2000, 200)), axis=1)
+    held = (draws[:, _upper_rank(200, 0.9) - 1] >= 0.9).mean()
+    assert 0.94 <= held <= 0.99  # at least 95 %, and not without end
+
+
+def test_the_curve_falls_from_one_to_the_worst(tmp_path, motor):
+    values = np.random.default_rng(1).standard_normal(5000)
+    store = store_of(tmp_path / "s.sqlite", motor, values)
+    at, share, upper = exceedance_curve(store, 1, 5000, 0)
+    assert (np.diff(at) >= 0).all()
+    assert (np.diff(share) <= 0).all()
+    assert (at[-1], share[-1]) == (values.max(), 0.0)
+    for value, part in zip(at[::20], share[::20], strict=True):
+        assert part == (values > value).mean()
+    assert (upper > share).all()
+    store.close()
+
+
+# --- from end to end, in real processes ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, motor):
+    """A campaign of 300 samples in a real worker process."""
+    path = tmp_path_factory.mktemp("finished") / "motor.sqlite"
+    seen = []
+    result = runs.run_campaign(motor, settings_of(300), path, workers=1, limit=30.0, progress=seen.append)
+    assert sum(seen) == 300
+    return path, result
+
+
+def test_the_result_is_that_of_this_process(finished, motor, tmp_path):
+    path, result = finished
+    store, _ = filled(tmp_path / "inline.sqlite", motor, settings_of(300))
+    assert result.digest == store.digest()
+    assert (result.status, result.done, result.lost) == (rl.Status.CONVERGED, 300, 0)
+    assert result.worst == max(row.value for row in store.samples())
+    assert result.again == pytest.approx(result.worst, rel=1e-9)
+    assert result.nominal == 0.0
+    assert result.physical["R"][0] == pytest.approx(2.07 * (1 + 0.1 * result.delta["R"]))
+    assert result.unseen == pytest.approx(1 - 0.05 ** (1 / 300))
+    assert result.violation.count == sum(row.value > 30.0 for row in store.samples())
+    store.close()
+    assert [file.name for file in path.parent.iterdir() if "wal" in file.name or "shm" in file.name] == []
+
+
+def test_a_finished_campaign_is_not_computed_again(finished, motor, monkeypatch):
+    path, result = finished
+    monkeypatch.setattr(runs, "_hire", lambda *_: pytest.fail("workers were hired"))
+    again = runs.run_campaign(motor, settings_of(300), path)
+    assert (again.digest, again.worst) == (result.digest, result.worst)
+    assert read_campaign(path).digest == result.digest
+    assert runs.resume_campaign(path).digest == result.digest
+    assert runs.saved_samples(path) == (300, 300)
+
+
+def test_a_sample_is_replayed_with_the_same_bits(finished):
+    path, result = finished
+    replay = replay_sample(path, result.worst_index)
+    assert replay.identical
+    assert replay.status == rl.Status.CONVERGED
+    assert replay.value == result.worst
+    assert replay.delta == result.delta
+    with pytest.raises(InputError, match=r"no sample 300, expected 0 .. 299"):
+        replay_sample(path, 300)
+
+
+def test_a_hung_worker_is_killed_at_its_limit_and_replaced(motor):
+    asked = settings_of(300)
+    crew = LocalWorkers(Payload(Identity.of(motor, asked), model_to_bytes(motor)), 1)
+    try:
+        while not crew.idle():
+            crew.wait(1.0)
+        (first,) = crew.pids
+        crew.start(Piece(0, 64_000, limit=0.3))
+        outcomes = crew.wait(5.0)
+        while not outcomes:
+            outcomes = crew.wait(5.0)
+        assert outcomes[0].answer == Failure("no answer in 0.3 s", timeout=True)
+        assert crew.pids != [first]
+    finally:
+        crew.close()
+    assert crew.pids == []
+
+
+def test_tiles_of_large_models_are_smaller(motor):
+    rng = np.random.default_rng(0)
+    n = 300
+    A = rng.standard_normal((n, n)) / 20 - 3 * np.eye(n)
+    M = rl.StateSpaceModel(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n)), np.zeros((2, 2)))
+    large = rl.UncertainModel(M, [rl.RealScalar("k")])
+    assert Evaluator(motor, settings_of(10)).tile == TILE
+    assert 1 <= Evaluator(large, CampaignSettings("spectral-abscissa", 10)).tile < TILE / 4
+    assert Evaluator(motor, CampaignSettings("hinf", 10, kind="search")).tile == 1
+
+
+@pytest.mark.parametrize("metric", sorted(METRICS))
+def test_every_metric_of_the_search_is_one_of_campaigns(tmp_path, metric):
+    chain = rl.plant("mass-spring-damper", m=(1.0, 0.2), c=(0.5, 0.3), k=(4.0, 0.2)).uncertain(outputs=["q"])
+    needs_a_response = metric in ("peak-deviation", "peak", "rms", "overshoot", "settling-time")
+    drive = {"t_end": 60.0, "u": {"f": 1.0}} if needs_a_response else {}
+    asked = CampaignSettings(metric, 8, kind="vertices", output="q", **drive)
+    store, _ = filled(tmp_path / "s.sqlite", chain, asked)
+    evaluator = Evaluator(chain, asked)
+    worst = store.worst(evaluator.sense)
+    again = evaluator.evaluate(decode_delta(chain.blocks, worst.numbers))
+    assert store.counts() == (8, 0)
+    assert evaluator.agrees(worst.value, again.value, again.accurate)
+    values = [evaluator.sense * row.value for row in store.samples()]
+    assert evaluator.sense * worst.value == max(values)
+    store.close()
