@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.certificate import has_structure
 from robustlab.mu_analysis.decomposition import components
-from robustlab.mu_analysis.lower import lower_bound
+from robustlab.mu_analysis.lower import lower_bounds
 from robustlab.mu_analysis.upper import upper_bounds
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
+from robustlab.uncertainty.blocks import Block, RealScalar, as_blocks, structure_size
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
 
@@ -43,6 +44,10 @@ class MuBounds:
         matrix.
     blocks
         The blocks of Delta.
+    scaled
+        The bound that D and G prove: equal to ``upper``, unless branch and bound has lowered that.
+    boxes
+        Boxes of the real parameters that branch and bound has proved one by one for ``upper``; 0 without it.
     """
 
     lower: Any
@@ -53,22 +58,36 @@ class MuBounds:
     D_z: ComplexArray
     status: Status
     blocks: tuple[Block, ...]
+    scaled: Any = None
+    boxes: Any = 0
+
+    def __post_init__(self) -> None:
+        if self.scaled is None:
+            object.__setattr__(self, "scaled", self.upper)
 
     def to_json(self) -> dict[str, Any]:
         """All attributes; arrays stay arrays."""
         names = [b.name for b in self.blocks]
-        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status")
+        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status", "scaled", "boxes")
         return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
 
 
-def mu(M: ArrayLike, blocks: Any, seed: int = 0, certify: bool = False) -> MuBounds:
+def mu(
+    M: ArrayLike,
+    blocks: Any,
+    seed: int = 0,
+    certify: bool = False,
+    tolerance: float | None = None,
+    time_limit: float = 60.0,
+) -> MuBounds:
     r"""Bounds of the structured singular value.
 
     .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}, \qquad \mu = 0 \text{ where no } \Delta
     \text{ does}
 
     The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an
-    explicit Delta. What lies between them is not known.
+    explicit Delta. What lies between them is not known; with ``tolerance`` branch and bound over the real parameters
+    closes it.
 
     Parameters
     ----------
@@ -79,6 +98,11 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0, certify: bool = False) -> MuBou
         ``[r, c]`` full.
     seed
         Seed of the starting points of the lower bound.
+    tolerance
+        Relative gap between the bounds that branch and bound over the real scalars aims at; none where left out. It
+        needs a Delta to start from: where ``lower`` is zero, nothing is cut.
+    time_limit
+        Time in s for branch and bound, for all matrices of a stack together.
     certify
         Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
 
@@ -105,11 +129,13 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0, certify: bool = False) -> MuBou
     structure = as_blocks(blocks)
     _refuse_asymmetric(structure)
     stack, single = matrix_stack(M, structure)
+    if tolerance is not None and not (tolerance > 0 and time_limit >= 0):
+        raise InputError("mu", f"tolerance {tolerance}, time_limit {time_limit}", "tolerance > 0, time_limit >= 0")
     # Scaling by powers of two is exact, and keeps the squares of the entries inside the range of floating point.
     scale = np.exp2(-_exponents(stack))
     stack = stack * scale[:, None, None]
     uppers = upper_bounds(stack, structure)
-    lowers = [lower_bound(m, structure, seed) for m in stack]
+    lowers = lower_bounds(stack, structure, seed)
     q, p = structure_size(structure)
     zero = np.zeros((q, p), dtype=complex)
     lower = np.array([value for value, _ in lowers])
@@ -125,6 +151,7 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0, certify: bool = False) -> MuBou
     parts: dict[str, Any] = {
         "lower": lower / scale,
         "upper": upper / scale,
+        "scaled": upper / scale,
         "delta": _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size,
         "D": _stacked([b.Dw for b in uppers], (q, q)),
         "G": _stacked([b.G for b in uppers], (q, p)) / size,
@@ -132,13 +159,41 @@ def mu(M: ArrayLike, blocks: Any, seed: int = 0, certify: bool = False) -> MuBou
     }
     if certify:
         _confirm(stack / size, parts, structure)
+    if tolerance is not None:
+        _close(stack, scale, parts, structure, tolerance, time.monotonic() + time_limit)
     if single:
         parts = {key: value[0] for key, value in parts.items()}
-        parts.update(lower=float(parts["lower"]), upper=float(parts["upper"]))
+        parts.update({key: float(parts[key]) for key in ("lower", "upper", "scaled")})
+        parts.update(boxes=int(parts.get("boxes", 0)))
     for value in parts.values():
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
     return MuBounds(**parts, status=status, blocks=structure)
+
+
+def _close(
+    stack: ComplexArray,
+    scale: NDArray[np.float64],
+    parts: dict[str, Any],
+    blocks: tuple[Block, ...],
+    tolerance: float,
+    until: float,
+) -> None:
+    """Branch and bound of each matrix whose bounds are further apart than the tolerance."""
+    from robustlab.mu_analysis.branch_and_bound import MatrixProblem, tighten
+
+    boxes = np.zeros(len(stack), dtype=int)
+    some_real = any(isinstance(b, RealScalar) for b in blocks)
+    for k, m in enumerate(stack):
+        lower, upper = parts["lower"][k] * scale[k], parts["upper"][k] * scale[k]
+        if not some_real or not 0 < lower * (1 + tolerance) < upper:
+            continue
+        left = max(until - time.monotonic(), 0.0) / (len(stack) - k)
+        proof = tighten(MatrixProblem(m, blocks), lower, upper, tolerance, time.monotonic() + left)
+        parts["upper"][k], boxes[k] = proof.upper / scale[k], len(proof.leaves)
+        if proof.values is not None:
+            parts["lower"][k], parts["delta"][k] = proof.lower / scale[k], proof.values * scale[k]
+    parts["boxes"] = boxes
 
 
 def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, bool]:

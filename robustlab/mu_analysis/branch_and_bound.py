@@ -24,8 +24,10 @@ from numpy.typing import NDArray
 
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.certificate import delta_norm, singularity
 from robustlab.mu_analysis.gain import ascend_corners
 from robustlab.mu_analysis.intervals import AxisCover, extend
+from robustlab.mu_analysis.lower import SINGULAR, lower_bound
 from robustlab.mu_analysis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.scalings import hermitian
 from robustlab.mu_analysis.upper import UpperBound, points_below
@@ -40,15 +42,19 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 BATCH = 16  # regions solved together
 INSIDE = 0.98  # level aimed at in a region, so that its D, G hold on an interval worth having
 PROVED = 0.9999  # a level below this proves the point
+SEARCHED = 2  # regions of a batch in which a Delta is searched for, where the problem is one matrix
 NARROW = 1e-7  # relative width below which a box is not cut again: rounding decides there
 
 
 @dataclass(frozen=True)
 class Improved:
-    """A better lower bound met on the way: its level and the entries of Delta that attain it (complex blocks: 0)."""
+    """A better lower bound met on the way: its level, and the Delta that attains it.
+
+    ``values`` are the entries of the real blocks (complex ones are 0); for a constant matrix the whole Delta (q, p).
+    """
 
     level: float
-    values: Array
+    values: NDArray[Any]
 
 
 @dataclass
@@ -69,7 +75,7 @@ class Proof:
     lower, upper
         Bounds of the level (mu, or the worst gain).
     values
-        Entries of Delta that attain ``lower``; None where the lower bound that was given is still the best.
+        What attains ``lower``, as in `Improved`; None where the lower bound that was given is still the best.
     leaves
         Regions proved, each with the frequencies that its ancestors had left to it.
     solves
@@ -78,7 +84,7 @@ class Proof:
 
     lower: float
     upper: float
-    values: Array | None = None
+    values: NDArray[Any] | None = None
     leaves: list[Region] = field(default_factory=list)
     solves: int = 0
 
@@ -208,30 +214,46 @@ class MatrixProblem:
 
     def __init__(self, M: ComplexArray, blocks: Sequence[Block]) -> None:
         self.M, self.blocks = M, tuple(blocks)
+        self._found: Improved | None = None
 
     def root(self, level: float) -> Region:
         """All Delta of size ``1 / level``."""
         return Region(root_box(self.blocks, 1 / level), [(0.0, 0.0)])
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """A region is proved where its D-G bound is below one."""
+        """A region is proved where its D-G bound is below one; the worst others are searched for a Delta."""
         stack = box_matrices(self.M, self.blocks, [r.box for r in regions])
         sound = [bool(np.isfinite(matrix).all()) for matrix in stack]
         bounds = iter(points_below(stack[sound], self.blocks, 1.0) if any(sound) else [])
         result: list[Array | None] = []
-        for region, matrix, good in zip(regions, stack, sound, strict=True):
-            if not good:
-                result.append(np.ones(len(self.blocks)))
-                continue
-            bound = next(bounds)
-            if bound.beta < 1:
+        failed: list[tuple[float, int]] = []
+        for k, (region, matrix, good) in enumerate(zip(regions, stack, sound, strict=True)):
+            bound = next(bounds) if good else None
+            if bound is not None and bound.beta < 1:
                 region.open.clear()
-            result.append(None if bound.beta < 1 else _weights(matrix, bound, self.blocks))
+                result.append(None)
+                continue
+            result.append(np.ones(len(self.blocks)) if bound is None else _weights(matrix, bound, self.blocks))
+            if bound is not None:
+                failed.append((-bound.beta, k))
+        for _, k in sorted(failed)[:SEARCHED]:
+            self._search(stack[k], regions[k].box)
         return result
 
+    def _search(self, matrix: ComplexArray, box: Box) -> None:
+        """A singular Delta inside the box, if a short search finds one."""
+        value, delta = lower_bound(matrix, self.blocks, 0, restarts=2, steps=15)
+        if delta is None or value < 1:
+            return
+        half = np.repeat(box.half, [b.rows for b in self.blocks])
+        whole = centre_matrix(self.blocks, box.centre) + half[:, None] * delta
+        size = delta_norm(self.blocks, whole)
+        if singularity(self.M, whole) <= SINGULAR and (self._found is None or 1 / size > self._found.level):
+            self._found = Improved(1 / size, whole)
+
     def attack(self, region: Region) -> Improved | None:
-        """None: at a matrix, the search for Delta belongs to whoever holds the complex blocks too."""
-        return None
+        """The worst Delta that the search of open regions has met."""
+        return self._found
 
 
 # --- the whole frequency axis ----------------------------------------------------------------------------------------

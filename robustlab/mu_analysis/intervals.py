@@ -33,6 +33,8 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 # The Hamiltonian is that of a beta smaller by this much: a double root blurred by rounding costs far less.
 SLACK = 1e-5
 BATCH = 8
+# Frequencies at which the sign is probed, to find an end or to see what the eigenvalues of H have missed.
+PROBES = 12
 
 
 @dataclass(frozen=True)
@@ -179,10 +181,47 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
         first -= 1
     while last < len(middles) - 1 and at_end[last + 1] and inside[last + 1]:
         last += 1
-    # Eigenvalues are accurate to rounding only: stay a little inside, and do not count an end where the sign is wrong.
-    low = float(ends[first]) * (1 + 1e-9) if first or at_end[0] else float(ends[1]) * 1e-6
-    high = float(ends[last + 1]) * (1 - 1e-9) if last + 1 < len(ends) - 1 or at_end[-1] else 2 * float(middles[-1])
+    # A candidate is where the stricter level is met: the sign has to be right there, or rounding has moved it.
+    tested = beta * (1 - SLACK / 2)
+    low, high = float(ends[first]), float(ends[last + 1])
+    if not at_end[first]:
+        low = _edge(model, bound, tested, bad=low, good=float(middles[first]))
+    if not at_end[last + 1]:
+        far = high if np.isfinite(high) else 1e6 * float(middles[-1])
+        high = _edge(model, bound, tested, bad=far, good=float(middles[last]))
+    low, high = _between_failures(model, bound, tested, low * (1 + 1e-9), high * (1 - 1e-9), omega)
     return Piece(low, high, beta, bound) if low < high else None
+
+
+def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float, good: float) -> float:
+    """Where the sign changes between a frequency at which it is wrong and one at which it is right; a right one."""
+    for _ in range(4):
+        points = np.linspace(good, bad, PROBES + 2)[1:-1]
+        wrong = np.flatnonzero(~_negative(model, bound, beta, points))
+        stop = int(wrong[0]) if len(wrong) else PROBES
+        good, bad = float(points[stop - 1]) if stop else good, float(points[stop]) if stop < PROBES else bad
+    return good
+
+
+def _between_failures(
+    model: StateSpaceModel, bound: UpperBound, beta: float, low: float, high: float, omega: float
+) -> tuple[float, float]:
+    """The interval again, or the part around ``omega`` in which every probe has the right sign.
+
+    Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes catch what they miss.
+    """
+    top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
+    bottom = low if low > 0 else 1e-6 * top
+    probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))
+    right = _negative(model, bound, beta, probes)
+    if right.all():
+        return low, high
+    below, above = probes[~right & (probes <= omega)], probes[~right & (probes > omega)]
+    if len(below):
+        low = float(probes[probes > below[-1]][0]) if (probes > below[-1]).any() else high
+    if len(above):
+        high = float(probes[probes < above[0]][-1]) if (probes < above[0]).any() else low
+    return low, high
 
 
 def _speed(model: StateSpaceModel) -> float:

@@ -22,8 +22,9 @@ from robustlab.mu_analysis.axis_model import (
 )
 from robustlab.mu_analysis.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.branch_and_bound import MarginProblem, Region, tighten
+from robustlab.mu_analysis.certificate import singularity
 from robustlab.mu_analysis.intervals import AxisCover, Piece, cover_axis
-from robustlab.mu_analysis.lower import lower_bound
+from robustlab.mu_analysis.lower import SINGULAR, lower_bounds
 from robustlab.mu_analysis.margin import Margin
 from robustlab.mu_analysis.pole_migration import (
     Destabilising,
@@ -128,7 +129,7 @@ def robust_stability(
     with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
         found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed)
         response = frequency_response(uncertain.delta_channels, grid)
-        mu_lower = np.array([lower_bound(m, blocks, seed, restarts=4, steps=24)[0] for m in response])
+        mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
         mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
     notes = () if len(grid) == 0 or (lowest(blocks) == -1).all() else (_SYMMETRIC_CURVES,)
     return _margin(uncertain, found, grid, mu_lower, mu_upper, notes)
@@ -147,6 +148,7 @@ def _bounds(
     symmetric = bool((lowest(blocks) == -1).all())
     if not symmetric:
         worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
+    worst = worst and _as_seen(model, worst)
     found = _Found(model, blocks, worst, 0.0, AxisCover())
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
@@ -161,6 +163,15 @@ def _bounds(
     if some_real and 0 < found.attained * (1 + tolerance) < found.level:
         _branch_and_bound(found, tolerance, until)
     return found
+
+
+def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
+    """The pole in the upper half plane, with the Delta that belongs to it; at infinity where the loop is ill-posed."""
+    if singularity(model.D.astype(complex), worst.delta) <= SINGULAR * 1e3:
+        return Destabilising(worst.norm, worst.delta, complex(np.inf))
+    if np.isfinite(worst.pole) and worst.pole.imag < 0:
+        return Destabilising(worst.norm, np.conj(worst.delta), np.conj(worst.pole))
+    return worst
 
 
 def _cover_symmetric(found: _Found, first: Array, until: float, accuracy: float) -> None:
