@@ -225,3 +225,68 @@ def test_slow_pole_beside_a_fast_one(fast, kind):
     assert margin.upper == pytest.approx(1e-9, rel=1e-6)
     assert margin.lower == pytest.approx(1e-9, rel=2e-3)
     assert margin.lower <= 1e-9
+
+
+def lag_with_time_constant(below: float, above: float) -> rl.UncertainModel:
+    """tau x' = u - x with tau = 1 - below .. 1 + above; x' is what the uncertain part sees."""
+    M = rl.StateSpaceModel([[-1.0]], [[-above, 1.0]], [[-1.0], [1.0]], [[-above, 1.0], [0.0, 0.0]])
+    block = rl.RealScalar("tau", parameter=rl.ParameterRange(1.0, above, "s", below=below))
+    return rl.UncertainModel(M, [block])
+
+
+def test_a_range_that_is_wider_above_gives_400_percent():
+    """1 / (tau s + 1), tau in [0.75, 1.5]: stable down to tau = 0, four times as far below; 300 % by symmetrisation."""
+    margin = rl.robust_stability(lag_with_time_constant(0.25, 0.5))
+    assert margin.upper == pytest.approx(4.0, rel=1e-9)
+    assert margin.lower == pytest.approx(4.0, rel=1e-4)
+    assert margin.physical["tau"] == (pytest.approx(0.0, abs=1e-9), "s")
+    assert margin.frequency == np.inf
+
+
+@pytest.mark.parametrize(("below", "above", "truth"), [(0.5, 0.25, 2.0), (0.8, 0.1, 1.25), (0.1, 0.9, 10.0)])
+def test_ranges_of_other_shapes(below, above, truth):
+    margin = rl.robust_stability(lag_with_time_constant(below, above))
+    assert margin.upper == pytest.approx(truth, rel=1e-9)
+    assert margin.lower <= truth
+    assert margin.gap <= 0.0101
+
+
+def test_two_asymmetric_ranges_against_a_dense_search():
+    """x'' + c x' + k x = 0 with c = 0.3 (-0.2 .. +0.6), k = 1 (-0.4 .. +0.1) and a feedback that couples them."""
+    A = np.array([[0.0, 1.0, 0.0], [-1.0, -0.3, 0.4], [-0.5, 0.2, -1.0]])
+    B = np.array([[0.0, 0.0], [-0.6, -0.1], [0.0, 0.0]])
+    C = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    blocks = [
+        rl.RealScalar("c", parameter=rl.ParameterRange(0.3, 0.6, below=0.2)),
+        rl.RealScalar("k", parameter=rl.ParameterRange(1.0, 0.1, below=0.4)),
+    ]
+    uncertain = rl.UncertainModel(rl.StateSpaceModel(A, B, C, np.zeros((2, 2))), blocks)
+    margin = rl.robust_stability(uncertain)
+    reached = np.inf
+    for angle in np.linspace(0, 2 * np.pi, 721):
+        side = np.array([np.cos(angle), np.sin(angle)])
+        side /= np.abs(side).max()
+        stable, unstable = 0.0, 30.0
+        if uncertain.evaluate(dict(zip("ck", unstable * side, strict=True))).spectral_abscissa() < 0:
+            continue
+        for _ in range(40):
+            middle = (stable + unstable) / 2
+            if uncertain.evaluate(dict(zip("ck", middle * side, strict=True))).spectral_abscissa() < 0:
+                stable = middle
+            else:
+                unstable = middle
+        reached = min(reached, unstable)
+    assert margin.upper <= reached * (1 + 1e-9)
+    assert margin.upper == pytest.approx(reached, rel=1e-2)
+    assert margin.lower <= reached
+    assert margin.gap <= 0.0101
+
+
+def test_shares_say_what_tightening_a_range_brings(two_mass):
+    margin = rl.robust_stability(two_mass)
+    assert sum(margin.shares.values()) == pytest.approx(1.0)
+    M = two_mass.M
+    scale = np.concatenate([[0.99, 1.0, 1.0], np.ones(M.n_inputs - 3)])
+    tighter = rl.UncertainModel(rl.StateSpaceModel(M.A, M.B * scale, M.C, M.D * scale), two_mass.blocks)
+    gained = rl.robust_stability(tighter).upper / margin.upper - 1
+    assert gained == pytest.approx(0.01 * margin.shares["m1"], rel=0.03)

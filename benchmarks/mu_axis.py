@@ -1,0 +1,133 @@
+"""Margins, worst-case gains and one matrix: gap and CPU time of what is proved. ``python benchmarks/mu_axis.py``."""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import scipy
+from threadpoolctl import threadpool_limits
+
+import robustlab as rl
+
+sys.path.insert(0, str(Path(__file__).parent))
+import mu_models
+
+CLASSES = {
+    "12 states, 12 real": (12, 12, 1, (0.05, 0.7)),
+    "12 states, 24 real": (12, 24, 1, (0.05, 0.7)),
+    "12 states, 24 real each twice": (12, 24, 2, (0.05, 0.7)),
+    "24 states, 12 real, damping 0.002 .. 0.02": (24, 12, 1, (0.002, 0.02)),
+}
+
+
+def model(states: int, count: int, repeats: int, damping: tuple[float, float], seed: int) -> rl.UncertainModel:
+    """Random stable model with ``count`` real parameters, each ``repeats`` times."""
+    blocks = [rl.RealScalar(f"d{i}", repeats) for i in range(count)]
+    made, blocks = mu_models.random_model(states, blocks, damping, seed)
+    return rl.UncertainModel(made, blocks)
+
+
+def with_performance(uncertain: rl.UncertainModel, size: float, seed: int) -> rl.UncertainModel:
+    """The set of this size with two inputs and two outputs added."""
+    M, rng = uncertain.M, np.random.default_rng(seed)
+    n, q, p = M.n_states, M.n_inputs, M.n_outputs
+    B = np.hstack([M.B * size, rng.standard_normal((n, 2))])
+    C = np.vstack([M.C, rng.standard_normal((2, n))])
+    D = np.zeros((p + 2, q + 2))
+    D[:p, :q] = M.D * size
+    return rl.UncertainModel(rl.StateSpaceModel(M.A, B, C, D), uncertain.blocks)
+
+
+def margins(seeds: range, tolerance: float) -> None:
+    """One line per class: gap with D, G alone and after branch and bound, CPU seconds."""
+    print(f"\nrobust_stability(tolerance={tolerance:g}), {len(seeds)} models a class")
+    print(f"{'class':44s} {'D-G gap %: median  max':>24s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
+    for name, (states, count, repeats, damping) in CLASSES.items():
+        rows = []
+        for seed in seeds:
+            uncertain = model(states, count, repeats, damping, seed)
+            alone = rl.robust_stability(uncertain, tolerance=np.inf)
+            started = time.process_time()
+            margin = rl.robust_stability(uncertain, tolerance=tolerance)
+            rows.append((100 * alone.gap, 100 * margin.gap, time.process_time() - started))
+        table = np.array(rows)
+        cells = [f"{np.median(table[:, k]):9.3f} {table[:, k].max():9.3f}" for k in range(3)]
+        print(f"{name:44s} {cells[0]:>24s} {cells[1]:>22s} {cells[2]:>22s}", flush=True)
+
+
+def gains(seeds: range) -> None:
+    """Worst-case gain of the same models at half their margin."""
+    print(f"\nworst_case_gain at half the margin, 2 x 2 performance channels, {len(seeds)} models a class")
+    print(f"{'class':44s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
+    for name, (states, count, repeats, damping) in CLASSES.items():
+        rows = []
+        for seed in seeds:
+            uncertain = model(states, count, repeats, damping, seed)
+            size = 0.5 * rl.robust_stability(uncertain, tolerance=np.inf).lower
+            started = time.process_time()
+            worst = rl.worst_case_gain(with_performance(uncertain, size, seed))
+            rows.append((100 * worst.gap, time.process_time() - started))
+        table = np.array(rows)
+        cells = [f"{np.median(table[:, k]):9.3f} {table[:, k].max():9.3f}" for k in range(2)]
+        print(f"{name:44s} {cells[0]:>22s} {cells[1]:>22s}", flush=True)
+
+
+def matrices(count: int) -> None:
+    """One purely real matrix to 1 %."""
+    print(f"\nmu(M, blocks, tolerance=0.01), random complex M, purely real, {count} matrices each")
+    print(f"{'parameters':44s} {'D-G gap %: median  max':>24s} {'gap %: max':>12s} {'CPU s: median  max':>22s}")
+    rng = np.random.default_rng(0)
+    for n in (4, 8, 12, 16):
+        rows = []
+        for _ in range(count):
+            M = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
+            started = time.process_time()
+            bounds = rl.mu(M, [[-1, 0]] * n, tolerance=0.01)
+            spent = time.process_time() - started
+            if bounds.lower > 0:
+                rows.append((100 * (bounds.scaled / bounds.lower - 1), 100 * (bounds.upper / bounds.lower - 1), spent))
+        table = np.array(rows)
+        ends = f"{np.median(table[:, 0]):9.3f} {table[:, 0].max():9.3f}"
+        times = f"{np.median(table[:, 2]):9.3f} {table[:, 2].max():9.3f}"
+        print(
+            f"{f'{n} ({len(rows)} with mu > 0 found)':44s} {ends:>24s} {table[:, 1].max():12.3f} {times:>22s}",
+            flush=True,
+        )
+
+
+def published() -> None:
+    """Cases with known answers."""
+    made, blocks = mu_models.two_mass()
+    margin = rl.robust_stability(rl.UncertainModel(made, blocks))
+    ends = f"{margin.lower:.6f} .. {margin.upper:.6f} at {margin.frequency:.3f} rad/s"
+    print(f"\ntwo-mass (MathWorks; truth 2.88636): {ends}")
+    lag = rl.StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[-1.0], [1.0]], [[-0.5, 1.0], [0.0, 0.0]])
+    tau = rl.RealScalar("tau", parameter=rl.ParameterRange(1.0, 0.5, "s", below=0.25))
+    margin = rl.robust_stability(rl.UncertainModel(lag, [tau]))
+    print(f"1/(tau s + 1), tau in [0.75, 1.5] around 1 (truth 4): {margin.lower:.6f} .. {margin.upper:.6f}")
+
+
+def main() -> None:
+    """Print every table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--tolerance", type=float, default=0.01)
+    given = parser.parse_args()
+    versions = f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
+    print(f"# {datetime.now(UTC):%Y-%m-%d}, {platform.machine()} {platform.system()}, {versions}, one thread")
+    rl.robust_stability(model(4, 2, 1, (0.05, 0.7), 0))  # compiled kernels are not timed
+    published()
+    matrices(4 * given.seeds)
+    margins(range(given.seeds), given.tolerance)
+    gains(range(given.seeds))
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        main()
