@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -39,6 +39,9 @@ def mu(
             help="Figures to write: NAME (bounds), NAME-shares, NAME-replay, SVG and PNG.", show_default=False
         ),
     ] = None,
+    certify: Annotated[
+        bool, typer.Option("--certify", help="Confirm the scalings in ball arithmetic (needs robustlab[certify]).")
+    ] = False,
     seed: SeedOption = 0,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -47,6 +50,8 @@ def mu(
 
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
+    if certify and (gain or performance):
+        raise UsageError("mu", "--certify with --gain or --performance", "the stability margin")
     if gain and performance:
         raise UsageError("mu", "--gain and --performance", "one of them")
     if (inputs or outputs) and not (gain or performance):
@@ -61,13 +66,19 @@ def mu(
         result, text = _margin(
             uncertain, performance, tolerance, accuracy, timeout, seed, with_intervals=intervals, figure=figure
         )
+    balls = None
+    if certify:
+        from robustlab.mu_analysis.ball_margin import margin_in_balls
+
+        balls = margin_in_balls(uncertain, cast("Margin", result))
+        text += f"\nball arithmetic: {balls.proved} of {balls.tried} inequalities of the proved intervals confirmed"
     if out is not None:
         from robustlab.storage import save
 
         save(out, result)
         note(f"written: {out}")
-    emit("mu", result.to_json(), text, as_json)
-    if not result.status.trustworthy:
+    emit("mu", {**result.to_json(), **({} if balls is None else {"balls": balls})}, text, as_json)
+    if not result.status.trustworthy or (balls is not None and balls.proved < balls.tried):
         raise typer.Exit(4)
 
 

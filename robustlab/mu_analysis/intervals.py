@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -39,12 +39,16 @@ PROBES = 12
 
 @dataclass(frozen=True)
 class Piece:
-    """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``."""
+    """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``.
+
+    ``members`` are the indices of the blocks that it is about; None for all of them.
+    """
 
     low: float
     high: float
     beta: float
     bound: UpperBound
+    members: tuple[int, ...] | None = None
 
 
 @dataclass
@@ -83,9 +87,9 @@ class AxisCover:
                 rest.append((piece.high, high))
         self.open = rest
 
-    def join(self, other: AxisCover) -> None:
-        """Take over what another cover of the same axis, for other blocks, has proved and left open."""
-        self.pieces.extend(other.pieces)
+    def join(self, other: AxisCover, members: tuple[int, ...]) -> None:
+        """Take over what another cover of the same axis, for the blocks ``members``, has proved and left open."""
+        self.pieces.extend(replace(piece, members=members) for piece in other.pieces)
         self.open.extend(other.open)
         self.beta = max(self.beta, other.beta)
         self.points += other.points

@@ -184,7 +184,8 @@ def _cover_symmetric(found: _Found, first: Array, until: float, accuracy: float)
         m = found.model
         part = StateSpaceModel(m.A, m.B[:, w], m.C[z], m.D[z[:, None], w])
         some = [found.blocks[i] for i in members]
-        whole.join(cover_axis(part, some, found.attained, first=first, until=until, accuracy=accuracy))
+        cover = cover_axis(part, some, found.attained, first=first, until=until, accuracy=accuracy)
+        whole.join(cover, tuple(int(i) for i in members))
     found.cover, found.level = whole, float("inf") if whole.open else whole.beta
     found.proof = tuple(whole.pieces)
 

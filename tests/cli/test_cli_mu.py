@@ -84,3 +84,45 @@ def test_missing_file_is_exit_code_3(tmp_path, capsys):
 def test_options_out_of_range(model_file, option, capsys):
     assert call(model_file, *option) == 3
     assert "accuracy" in capsys.readouterr().err
+
+
+def test_worst_gain_with_its_figure(model_file, tmp_path, capsys):
+    """1 / (s + 1 + 0.2 delta): 1.25 at delta = -1."""
+    assert call(model_file, "--gain", "--json", "--figure", str(tmp_path / "gain.svg")) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["type"] == "WorstCaseGain"
+    assert data["lower"] == pytest.approx(1.25, rel=1e-9)
+    assert data["upper"] == pytest.approx(1.25, rel=1e-3)
+    assert data["physical"]["pole"][0] == pytest.approx(0.8)
+    assert (tmp_path / "gain.png").stat().st_size > 5000
+    assert call(model_file, "--gain") == 0
+    assert "worst-case gain  1.25" in capsys.readouterr().out
+
+
+def test_performance_shares_and_replay(model_file, tmp_path, capsys):
+    assert call(model_file, "--performance") == 0
+    assert "robust performance margin" in capsys.readouterr().out
+    assert call(model_file, "--figure", str(tmp_path / "m.svg")) == 0
+    out = capsys.readouterr().out
+    assert "tighten first: pole" in out
+    assert {p.name for p in tmp_path.glob("*.png")} == {"m.png", "m-shares.png", "m-replay.png"}
+
+
+def test_ball_arithmetic_confirms_the_scalings(model_file, capsys):
+    pytest.importorskip("flint")
+    assert call(model_file, "--certify", "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["balls"]["proved"] == data["balls"]["tried"] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (["--gain", "--performance"], "--gain and --performance"),
+        (["--inputs", "u"], "without --gain"),
+        (["--gain", "--certify"], "--certify with --gain"),
+    ],
+)
+def test_options_that_do_not_go_together(model_file, capsys, arguments, found):
+    assert call(model_file, *arguments) == 2
+    assert found in capsys.readouterr().err
