@@ -83,7 +83,7 @@ def random_set(dt):
     return UncertainModel(m, blocks)
 
 
-@pytest.mark.parametrize("theta", [(0.3, 0.2, 0.2), (-0.3, -0.5, -0.2), (-0.4, 0.3, 0.1), (0.4, -0.3, -1e-3)])
+@pytest.mark.parametrize("theta", [(0.1, 0.1, 0.2), (-0.3, -0.5, -0.2), (-0.4, 0.3, 0.1), (0.4, -0.3, -1e-3)])
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 @pytest.mark.parametrize("metric", ["hinf", "h2", "spectral-abscissa", "damping", "peak", "peak-deviation", "rms"])
 def test_gradient_against_central_differences_on_both_sides(metric, dt, theta):
@@ -93,6 +93,7 @@ def test_gradient_against_central_differences_on_both_sides(metric, dt, theta):
     search = _Search(judge, time.monotonic() + 60)
     theta = np.array(theta)
     value = search._measure(theta[None])[0]
+    assert np.isfinite(value)
     again = judge.evaluate(dict(zip("abc", theta, strict=True))).value  # through delta_matrix and simulation
     assert abs(value - again) <= judge.slack(value)
     assert value == pytest.approx(judge.values(search.box.deltas(theta[None]))[0], rel=1e-9)
