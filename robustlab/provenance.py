@@ -18,7 +18,7 @@ from robustlab.errors import InputError
 
 __all__ = ["Provenance", "file_sha256", "library_versions", "robustlab_version"]
 
-_LIBRARIES = ("numpy", "scipy", "slycot", "cvxpy", "clarabel", "control", "h5py")
+_LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "control", "h5py")
 
 
 def robustlab_version() -> str:

@@ -32,7 +32,6 @@ _CODE = (
     "frequency.py",
     "matrix_equations.py",
     "norms.py",
-    "slicot.py",
     "statespace.py",
     "structural.py",
     "uncertainty",

@@ -37,7 +37,7 @@ def _outcome(check) -> str:  # pyright: ignore[reportMissingParameterType]
         return f"missing: {type(error).__name__}: {error}"
 
 
-def _slycot() -> str:
+def _mu() -> str:
     import numpy as np
 
     from robustlab.mu_analysis import mu
@@ -121,7 +121,7 @@ def _threads() -> str:
 
 
 _CHECKS = {
-    "slycot": _slycot,
+    "mu": _mu,
     "scipy": _riccati,
     "clarabel": _clarabel,
     "h5py": _hdf5,

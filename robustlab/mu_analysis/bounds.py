@@ -221,12 +221,11 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
 
 def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
     for block in blocks:
-        scale = getattr(block, "parameter", None)
-        below = getattr(scale, "below", None)
-        if scale is not None and below is not None and below != scale.radius:
+        if isinstance(block, RealScalar) and block.parameter is not None and block.ratio != 1:
+            scale = block.parameter
             raise InputError(
                 f"mu: block {block.name!r}",
-                f"range {scale.nominal - below:g} .. {scale.nominal + scale.radius:g} around {scale.nominal:g}",
+                f"range {scale.low:g} .. {scale.high:g} around {scale.nominal:g}",
                 "a range that is symmetric around its nominal value",
                 "robust_stability takes such ranges; or give the block a symmetric range that holds this one",
             )

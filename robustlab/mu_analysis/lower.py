@@ -144,7 +144,9 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= NEARBY * delta_norm(blocks, delta))
 
 
-def _within_reach(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray) -> bool:
+def _within_reach(
+    M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array
+) -> bool:
     """Whether a loop that is singular to rounding is so for a Delta within ``NEARBY``, or for M with other last bits.
 
     With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
@@ -164,7 +166,7 @@ def _within_reach(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: 
     return bool(residual <= max(NEARBY * off * reach, last_places))
 
 
-def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray) -> complex:
+def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array) -> complex:
     """``y^* (I - M Delta) x`` of the very numbers given, rounded once; for a diagonal Delta."""
     exact = [
         [(Fraction(float(v.real)), Fraction(float(v.imag))) for v in row] for row in (*M, x, y, np.diagonal(delta))

@@ -105,7 +105,7 @@ def perturbed_state_matrix(model: StateSpaceModel, delta: ComplexArray) -> Compl
     return _closed(model, delta)[0]
 
 
-def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
+def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """``A + B Delta (I - D Delta)^-1 C``, and ``(I - D Delta)^-1`` (None: the unit matrix)."""
     d: ComplexArray | Array = delta if delta.imag.any() else delta.real
     if not model.D.any():
@@ -115,6 +115,12 @@ def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[ComplexArray, 
     except np.linalg.LinAlgError:
         return np.full((*delta.shape[:-2], *model.A.shape), np.inf), None
     return model.A + model.B @ d @ (inverse @ model.C), inverse
+
+
+def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Eigenvalues and right eigenvectors; stored as real numbers where all of them are real."""
+    values, right = np.linalg.eig(a)
+    return values, right
 
 
 # --- what counts -----------------------------------------------------------------------------------------------------
@@ -212,7 +218,7 @@ def _pole_and_error(model: StateSpaceModel, delta: ComplexArray) -> tuple[comple
     a = perturbed_state_matrix(model, delta)
     if not np.isfinite(a).all():
         return complex(np.inf), 0.0
-    values, right = np.linalg.eig(a)
+    values, right = _eigen(a)
     k = int(values.real.argmax())
     v = right[:, k]
     try:
@@ -406,7 +412,7 @@ def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexA
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
-    values, right = np.linalg.eig(a)
+    values, right = _eigen(a)
     k = np.abs(values - aims[:, None]).argmin(axis=1)
     index = np.arange(len(deltas))
     # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.

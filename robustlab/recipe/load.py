@@ -15,7 +15,8 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from robustlab.errors import InputError, UsageError, did_you_mean
-from robustlab.recipe.schema import Recipe, RefersTo, Requirement, Step, StepBase
+from robustlab.recipe.schema import Recipe, Requirement, Step
+from robustlab.recipe.vocabulary import RefersTo, StepBase
 
 __all__ = ["LoadedRecipe", "load_recipe", "parse_recipe", "references"]
 

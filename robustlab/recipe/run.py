@@ -37,7 +37,8 @@ from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.outcome import Outcome, Workspace
 from robustlab.recipe.paths import find_files
 from robustlab.recipe.requirements import judge, look_up
-from robustlab.recipe.schema import Recipe, StepBase
+from robustlab.recipe.schema import Recipe
+from robustlab.recipe.vocabulary import StepBase
 from robustlab.report.html import render
 from robustlab.report.junit import junit_xml
 from robustlab.result import Status, plain

@@ -6,110 +6,39 @@ and check recipes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, WrapValidator, model_validator
-from pydantic_core import PydanticCustomError, ValidationError
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
-__all__ = ["SCHEMA", "Recipe", "RefersTo", "Requirement", "Step", "StepBase", "json_schema"]
+from robustlab.recipe.vocabulary import (
+    ComplementaryWeight,
+    ControlWeight,
+    Count,
+    FileName,
+    NumberOrPair,
+    PerformanceWeight,
+    Points,
+    Positive,
+    ReferenceLine,
+    StepBase,
+    StepName,
+    Strict,
+    Text,
+    ToAnything,
+    ToController,
+    Tolerance,
+    ToModel,
+    ToOneModel,
+    ToPlant,
+    ToRecord,
+    ToSaved,
+    ToUncertain,
+)
+
+__all__ = ["SCHEMA", "Recipe", "Requirement", "Step", "json_schema"]
 
 SCHEMA = "robustlab.recipe/1"
-
-
-class Strict(BaseModel):
-    """No unknown keys, no silent conversion (TOML has types), no NaN or infinity."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
-
-
-# --- words that the steps share --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RefersTo:
-    """Marks a field that names an earlier step, and what that step must give; see `robustlab.recipe.load`."""
-
-    gives: tuple[str, ...]
-
-
-# "any": a loaded file shows only at run time what it holds.
-ToPlant = Annotated[str, RefersTo(("plant",))]
-ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
-ToOneModel = Annotated[str, RefersTo(("plant", "model", "any"))]
-ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
-ToController = Annotated[str, RefersTo(("controller", "any"))]
-ToRecord = Annotated[str, RefersTo(("record", "any"))]
-ToSaved = Annotated[str, RefersTo(("saved",))]
-ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "controller", "record", "any"))]
-
-StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
-FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=100)]
-Text = Annotated[str, Field(max_length=2000)]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=0, le=1_000_000)]
-Points = Annotated[int, Field(ge=2, le=100_000)]
-Tolerance = Annotated[float, Field(gt=0, lt=1)]
-Order = Annotated[int, Field(ge=1, le=10)]
-
-
-def _number_or_pair(value: Any, handler: Any) -> Any:
-    try:
-        return handler(value)
-    except ValidationError:
-        raise PydanticCustomError("number_or_pair", "expected a number, or [number, relative tolerance]") from None
-
-
-NumberOrPair = Annotated[
-    float | Annotated[list[float], Field(min_length=2, max_length=2)], WrapValidator(_number_or_pair)
-]
-
-
-class StepBase(Strict):
-    """What every step has."""
-
-    gives: ClassVar[str] = "nothing"
-
-    title: Text = Field("", description="What the report calls this step; the step's name where left out.")
-
-    @property
-    def kind(self) -> str:
-        """What the step does, as the recipe says with ``do``."""
-        return str(vars(self)["do"])
-
-
-class PerformanceWeight(Strict):
-    """Asks the sensitivity S to stay below ``error`` at low frequency and below ``peak`` everywhere."""
-
-    bandwidth: Positive = Field(description="rad/s, where the bound on S crosses one.")
-    error: Tolerance = Field(1e-3, description="Largest control error in steady state, as a share of the reference.")
-    peak: Annotated[float, Field(gt=1)] = 2.0
-    order: Order = 1
-
-
-class ControlWeight(Strict):
-    """Asks the gain from reference to control signal to stay below ``limit``, and to fall above ``bandwidth``."""
-
-    limit: Positive = Field(description="Control units per output unit.")
-    bandwidth: Positive | None = Field(None, description="rad/s; a constant bound where left out.")
-    roll_off: Annotated[float, Field(gt=1)] = 100.0
-
-
-class ComplementaryWeight(Strict):
-    """Asks the complementary sensitivity T to stay below ``peak`` and to fall above ``bandwidth``."""
-
-    bandwidth: Positive = Field(description="rad/s, where the bound on T crosses one.")
-    peak: Annotated[float, Field(gt=1)] = 2.0
-    roll_off: Tolerance = 1e-3
-    order: Order = 1
-
-
-class ReferenceLine(Strict):
-    """A known value to draw beside a response."""
-
-    output: str
-    value: float
-    text: Text
 
 
 # --- models ----------------------------------------------------------------------------------------------------------
@@ -244,7 +173,7 @@ class SampleStep(ResponseStep):
     do: Literal["sample"]
     n: Count = 20
     vertices: Count = 0
-    reference: list[ReferenceLine] = []
+    reference: list[ReferenceLine] = Field([])
     outputs: Annotated[list[str], Field(min_length=1)] | None = Field(None, description="All where left out.")
     percent: float | None = Field(
         None, gt=0, description="Draw the members' deviation in percent too, beside this published band (+-)."
@@ -389,7 +318,7 @@ class RecordStep(StepBase):
     outputs: list[str] | None = None
     dt: Positive | None = None
     clock: str | None = Field(None, description="Signal with the times, where it is not called t or time.")
-    units: dict[str, str] = {}
+    units: dict[str, str] = Field({})
     about: Text = Field(
         "", description="What the record is, who published it, how to get it; shown where the file is absent."
     )
@@ -595,7 +524,7 @@ class Recipe(Strict):
     step: Annotated[dict[StepName, Step], Field(min_length=1, max_length=200)] = Field(
         description="Run in the order written."
     )
-    require: Annotated[list[Requirement], Field(max_length=1000)] = []
+    require: Annotated[list[Requirement], Field(max_length=1000)] = Field([])
 
 
 def json_schema() -> dict[str, Any]:

@@ -156,7 +156,7 @@ def _joint_step(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float) -
     cols = np.concatenate([np.arange(n + w.start, n + w.stop) for w, _ in slices])
     rows = np.concatenate([np.arange(n + z.start, n + z.stop) for _, z in slices])
     other_cols, other_rows = np.delete(np.arange(whole.shape[1]), cols), np.delete(np.arange(whole.shape[0]), rows)
-    a, b, c = whole[np.ix_(rows, cols)], whole[np.ix_(rows, other_cols)], whole[np.ix_(other_rows, cols)]
+    a, b, c = whole[rows[:, None], cols], whole[rows[:, None], other_cols], whole[other_rows[:, None], cols]
     into, out = _powers(np.abs(b).max(axis=0, initial=0.0)), _powers(np.abs(c).max(axis=1, initial=0.0))
     b, c = b / into, c / out[:, None]
     scale = _channel_scale(a, b, c)

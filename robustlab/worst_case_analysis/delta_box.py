@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, structure_size
-from robustlab.worst_case_analysis.real_set import negative_side
 
 __all__ = ["DeltaBox"]
 
@@ -32,7 +31,6 @@ class DeltaBox:
             size += width
         self.size = size
         self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if isinstance(b, RealScalar)]
-        self._below = {b.name: negative_side(b) for b in self.blocks if isinstance(b, RealScalar)}
 
     @property
     def all_real(self) -> bool:
@@ -50,7 +48,7 @@ class DeltaBox:
         for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
             number = theta[:, part]
             if isinstance(block, RealScalar):
-                number = np.where(number < 0, number * self._below[block.name], number)
+                number = np.where(number < 0, number * block.ratio, number)
                 delta[:, rows, cols] = number[:, :, None] * np.eye(block.rows)
                 continue
             half = number.shape[1] // 2
@@ -64,9 +62,9 @@ class DeltaBox:
         return delta
 
     def slope(self, theta: Array, delta_slope: Array) -> Array:
-        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for sets of real scalars."""
+        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for real scalars; at 0 the slope of the upper side."""
         diagonal = np.array(
             [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
         )
-        below = np.array([self._below[b.name] for b in self.blocks])
+        below = np.array([b.ratio for b in self.blocks if isinstance(b, RealScalar)])
         return np.where(theta < 0, below, 1.0) * diagonal

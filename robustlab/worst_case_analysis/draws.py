@@ -38,6 +38,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
     def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
         self.blocks, self.n, self.seed, self.signs = tuple(blocks), n, seed, signs
         self._reals = tuple(b.name for b in blocks if isinstance(b, RealScalar))
+        self._asymmetric = [(k, b) for k, b in enumerate(self.blocks) if isinstance(b, RealScalar) and b.ratio != 1]
 
     @property
     def all_real(self) -> bool:
@@ -69,6 +70,8 @@ class Deltas(Sequence[Mapping[str, Any]]):
         for row, index in zip(rows, range(part.start, part.stop), strict=True):
             if index < self.n:
                 row[:] = _generator(self.seed, index).uniform(-1.0, 1.0, len(row))
+                for k, block in self._asymmetric:
+                    row[k] = _in_range(block, float(row[k]))
             else:
                 row[:] = self.signs[index - self.n]
         return rows
@@ -119,11 +122,19 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
     return real_array("vertices", 2 * bits - 1, 2)
 
 
+def _in_range(block: RealScalar, drawn: float) -> float:
+    """The normalised delta at a place of the parameter's range whose ends are at -1 and 1, and its middle at 0."""
+    if block.ratio == 1:
+        return drawn
+    delta = block.delta(0.5 * ((1.0 - block.ratio) + (1.0 + block.ratio) * drawn))
+    return min(max(delta, -1.0), 1.0)  # rounding next to an end must not leave the range
+
+
 def _random_delta(blocks: Sequence[Block], rng: np.random.Generator, boundary: bool = False) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for block in blocks:
         if isinstance(block, RealScalar):
-            values[block.name] = float(rng.uniform(-1.0, 1.0))
+            values[block.name] = _in_range(block, float(rng.uniform(-1.0, 1.0)))
             continue
         rows, cols = (1, 1) if isinstance(block, ComplexScalar) else (block.rows, block.cols)
         matrix = rng.standard_normal((rows, cols)) + 1j * rng.standard_normal((rows, cols))

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.uncertainty.blocks import RealScalar, delta_matrix
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, split, state_scale
 
-__all__ = ["RealSet", "negative_side"]
+__all__ = ["RealSet"]
 
 Array = NDArray[np.float64]
 
@@ -27,11 +27,6 @@ Array = NDArray[np.float64]
 BLOCK, NUMBERS = 512, 2_000_000
 # Numbers of the table of all L_k R_k, up to which it is made.
 LARGEST_TABLE = 4_000_000
-
-
-def negative_side(block: RealScalar) -> float:
-    """What a normalised delta of -1 is as the number in Delta, with its sign turned: 1 but for asymmetric ranges."""
-    return -float(np.real(delta_matrix((block,), {block.name: -1.0})[0, 0]))
 
 
 class RealSet:
@@ -50,7 +45,7 @@ class RealSet:
         blocks = [b for b in uncertain.blocks if isinstance(b, RealScalar)]
         assert len(blocks) == len(uncertain.blocks)
         self.n_states, self.dt = m.n_states, m.dt
-        self.below = np.array([negative_side(b) for b in blocks])
+        self.below = np.array([b.ratio for b in blocks])
         self.of_channel = np.repeat(np.arange(len(blocks)), [b.repeats for b in blocks])
         self._scale = state_scale(m.A)
         self._left = np.vstack([m.B[:, :q], m.D[p:, :q]])

@@ -194,7 +194,8 @@ class Responses:
 def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> Samples:
     """Draw members of an uncertain model.
 
-    Real deltas are uniform in [-1, 1], complex ones in the unit disc, full blocks random with ``sigma_max <= 1``.
+    Real parameters are uniform in their ranges (deltas in [-1, 1] where nominal is the middle), complex deltas in the
+    unit disc, full blocks random with ``sigma_max <= 1``.
 
     Parameters
     ----------

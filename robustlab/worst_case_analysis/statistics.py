@@ -5,8 +5,8 @@ Of k violations among n independent samples, the Clopper-Pearson bounds of the p
 .. math:: F^{-1}_{Beta}\!\left(\tfrac{1-c}{2}; k, n - k + 1\right) \le p \le
           F^{-1}_{Beta}\!\left(\tfrac{1+c}{2}; k + 1, n - k\right)
 
-They hold for the distribution that was sampled: uniform and independent in every normalised delta. They say nothing
-about the worst case: what has probability zero may still exist.
+They hold for the distribution that was sampled: every parameter uniform in its range, independent of the others. They
+say nothing about the worst case: what has probability zero may still exist.
 
 References
 ----------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -296,13 +294,7 @@ def test_any_number_of_matrices(n):
 
 
 def test_a_range_that_is_not_symmetric_is_refused():
-    @dataclasses.dataclass(frozen=True)
-    class Range:
-        nominal: float = 1.0
-        radius: float = 0.5
-        below: float = 0.25
-
-    block = rl.RealScalar("tau", 1, Range())
+    block = rl.RealScalar("tau", 1, rl.ParameterRange(1.0, 0.5, below=0.25))
     with pytest.raises(rl.InputError, match=r"block 'tau'.*range 0.75 .. 1.5 around 1") as caught:
         rl.mu([[2.0]], [block])
     assert "robust_stability" in str(caught.value)

@@ -8,7 +8,7 @@ import pytest
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
@@ -117,7 +117,7 @@ def test_asymmetric_numbers_do_not_need_a_symmetric_scale():
     m = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     members = RealSet(UncertainModel(m, [RealScalar("k")]))
     assert members.channels(np.array([[-0.5], [0.25]])).tolist() == [[-0.5], [0.25]]
-    members.below[:] = 0.5
+    members = RealSet(UncertainModel(m, [RealScalar("k", parameter=ParameterRange(1.0, 0.5, below=0.25))]))
     assert members.channels(np.array([[-0.5], [0.25]])).tolist() == [[-0.25], [0.25]]
 
 

@@ -1,0 +1,128 @@
+"""The words of a recipe that its steps share: kinds of numbers, names and references, and what every step has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field, WrapValidator
+from pydantic_core import PydanticCustomError, ValidationError
+
+__all__ = [
+    "ComplementaryWeight",
+    "ControlWeight",
+    "Count",
+    "FileName",
+    "NumberOrPair",
+    "Order",
+    "PerformanceWeight",
+    "Points",
+    "Positive",
+    "ReferenceLine",
+    "RefersTo",
+    "StepBase",
+    "StepName",
+    "Strict",
+    "Text",
+    "ToAnything",
+    "ToController",
+    "ToModel",
+    "ToOneModel",
+    "ToPlant",
+    "ToRecord",
+    "ToSaved",
+    "ToUncertain",
+    "Tolerance",
+]
+
+
+class Strict(BaseModel):
+    """No unknown keys, no silent conversion (TOML has types), no NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
+
+
+@dataclass(frozen=True)
+class RefersTo:
+    """Marks a field that names an earlier step, and what that step must give; see `robustlab.recipe.load`."""
+
+    gives: tuple[str, ...]
+
+
+# "any": a loaded file shows only at run time what it holds.
+ToPlant = Annotated[str, RefersTo(("plant",))]
+ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
+ToOneModel = Annotated[str, RefersTo(("plant", "model", "any"))]
+ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
+ToController = Annotated[str, RefersTo(("controller", "any"))]
+ToRecord = Annotated[str, RefersTo(("record", "any"))]
+ToSaved = Annotated[str, RefersTo(("saved",))]
+ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "controller", "record", "any"))]
+
+StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
+FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=100)]
+Text = Annotated[str, Field(max_length=2000)]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=0, le=1_000_000)]
+Points = Annotated[int, Field(ge=2, le=100_000)]
+Tolerance = Annotated[float, Field(gt=0, lt=1)]
+Order = Annotated[int, Field(ge=1, le=10)]
+
+
+def _number_or_pair(value: Any, handler: Any) -> Any:
+    try:
+        return handler(value)
+    except ValidationError:
+        raise PydanticCustomError("number_or_pair", "expected a number, or [number, relative tolerance]") from None
+
+
+NumberOrPair = Annotated[
+    float | Annotated[list[float], Field(min_length=2, max_length=2)], WrapValidator(_number_or_pair)
+]
+
+
+class StepBase(Strict):
+    """What every step has."""
+
+    gives: ClassVar[str] = "nothing"
+
+    title: Text = Field("", description="What the report calls this step; the step's name where left out.")
+
+    @property
+    def kind(self) -> str:
+        """What the step does, as the recipe says with ``do``."""
+        return str(vars(self)["do"])
+
+
+class PerformanceWeight(Strict):
+    """Asks the sensitivity S to stay below ``error`` at low frequency and below ``peak`` everywhere."""
+
+    bandwidth: Positive = Field(description="rad/s, where the bound on S crosses one.")
+    error: Tolerance = Field(1e-3, description="Largest control error in steady state, as a share of the reference.")
+    peak: Annotated[float, Field(gt=1)] = 2.0
+    order: Order = 1
+
+
+class ControlWeight(Strict):
+    """Asks the gain from reference to control signal to stay below ``limit``, and to fall above ``bandwidth``."""
+
+    limit: Positive = Field(description="Control units per output unit.")
+    bandwidth: Positive | None = Field(None, description="rad/s; a constant bound where left out.")
+    roll_off: Annotated[float, Field(gt=1)] = 100.0
+
+
+class ComplementaryWeight(Strict):
+    """Asks the complementary sensitivity T to stay below ``peak`` and to fall above ``bandwidth``."""
+
+    bandwidth: Positive = Field(description="rad/s, where the bound on T crosses one.")
+    peak: Annotated[float, Field(gt=1)] = 2.0
+    roll_off: Tolerance = 1e-3
+    order: Order = 1
+
+
+class ReferenceLine(Strict):
+    """A known value to draw beside a response."""
+
+    output: str
+    value: float
+    text: Text

@@ -1,0 +1,190 @@
+"""Ranges that are wider on one side of nominal: search, gradients, samples, statistics and campaigns by closed forms.
+
+The lag 1 / (s + a), a in [0.25, 1.5] around 1: a negative delta counts one and a half times in Delta.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from robustlab.campaign import CampaignSettings
+from robustlab.campaign.evaluation import TILE, Evaluator
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis import MetricBatch, MetricRequest, sample, violation_probability, worst_case
+from robustlab.worst_case_analysis.draws import delta_of_sample
+from robustlab.worst_case_analysis.ensemble import delta_stack, members
+from robustlab.worst_case_analysis.metrics import make_metric
+from robustlab.worst_case_analysis.real_set import RealSet
+from robustlab.worst_case_analysis.search import _Climb, _Search
+
+POLE = RealScalar("pole", parameter=ParameterRange.between(0.25, 1.5, 1.0, "1/s"))
+T = np.linspace(0.0, 12.0, 601)
+
+
+def lag():
+    m = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), outputs=["z", ("y", "m")])
+    return UncertainModel(m, [POLE])
+
+
+@pytest.mark.parametrize(
+    ("metric", "value"),
+    [
+        ("hinf", 4.0),
+        ("h2", np.sqrt(2.0)),
+        ("spectral-abscissa", -0.25),
+        ("peak", (1 - np.exp(-3.0)) / 0.25),
+        # |y - nominal| grows with the time on this side, and stays below 1 / 3 on the other one.
+        ("peak-deviation", (1 - np.exp(-3.0)) / 0.25 - (1 - np.exp(-12.0))),
+    ],
+)
+def test_worst_of_a_lag_is_at_its_true_end(metric, value):
+    timed = {"t": T} if metric.startswith("peak") else {}
+    found = worst_case(lag(), metric, n=16, **timed)
+    assert found.value == pytest.approx(value, rel=1e-9)
+    assert found.delta == {"pole": -1.0}
+    assert found.physical == {"pole": (0.25, "1/s")}
+
+
+@pytest.mark.parametrize("pole", [0.4, 1.3])
+def test_a_worst_member_inside_the_range_is_found_on_either_side(pole):
+    found = worst_case(lag(), lambda model: -abs(model.A[0, 0] + pole), n=16)
+    assert found.physical["pole"][0] == pytest.approx(pole, abs=1e-6)
+    assert found.delta["pole"] == pytest.approx(POLE.parameter.delta(pole), abs=1e-6)
+
+
+def test_beside_a_complex_block_the_entry_keeps_its_side():
+    """(1 + 0.2 d) / (s + a), |d| <= 1: 4 * 1.2."""
+    d = np.zeros((3, 3))
+    d[2, 1] = 0.2
+    m = StateSpaceModel([[-1.0]], [[-0.5, 0.0, 1.0]], [[1.0], [1.0], [1.0]], d)
+    found = worst_case(UncertainModel(m, [POLE, ComplexScalar("d")]), "hinf", n=64)
+    assert found.value == pytest.approx(4.8, rel=1e-6)
+    assert found.physical["pole"][0] == pytest.approx(0.25, abs=1e-6)
+
+
+def random_set(dt):
+    """Repeated blocks, D11 not zero, ranges with the wider side above, below, and none."""
+    rng = np.random.default_rng(2)
+    a = rng.standard_normal((4, 4))
+    a -= (np.linalg.eigvals(a).real.max() + 0.5) * np.eye(4)
+    if dt:
+        a = np.linalg.inv(np.eye(4) - a * dt / 2) @ (np.eye(4) + a * dt / 2)
+    d = 0.1 * rng.standard_normal((7, 7))
+    d[5:] = 0.0
+    m = StateSpaceModel(a, 0.3 * rng.standard_normal((4, 7)), 0.5 * rng.standard_normal((7, 4)), d, dt)
+    wide_below, wide_above = ParameterRange(1.0, 0.2, below=0.36), ParameterRange(1.0, 0.5, below=0.2)
+    blocks = [RealScalar("a", 2, wide_below), RealScalar("b", 1, wide_above), RealScalar("c", 2)]
+    return UncertainModel(m, blocks)
+
+
+@pytest.mark.parametrize("theta", [(0.1, 0.1, 0.2), (-0.3, -0.5, -0.2), (-0.4, 0.3, 0.1), (0.4, -0.3, -1e-3)])
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("metric", ["hinf", "h2", "spectral-abscissa", "damping", "peak", "peak-deviation", "rms"])
+def test_gradient_against_central_differences_on_both_sides(metric, dt, theta):
+    model = random_set(dt)
+    t, u = 0.1 * np.arange(120), np.random.default_rng(5).standard_normal((120, 2))
+    judge = make_metric(model, MetricRequest(metric, model.outputs[0].name, None, t, u, "zoh"))
+    search = _Search(judge, time.monotonic() + 60)
+    theta = np.array(theta)
+    value = search._measure(theta[None])[0]
+    assert np.isfinite(value)
+    again = judge.evaluate(dict(zip("abc", theta, strict=True))).value  # through delta_matrix and simulation
+    assert abs(value - again) <= judge.slack(value)
+    assert value == pytest.approx(judge.values(search.box.deltas(theta[None]))[0], rel=1e-9)
+    score, slope = search._score_and_slope(theta, _Climb(theta, -np.inf))
+    assert score == pytest.approx(judge.sense * value, rel=1e-12)
+    h = 1e-5
+    steps = h * np.eye(3)
+    central = judge.sense * (search._measure(theta + steps) - search._measure(theta - steps)) / (2 * h)
+    np.testing.assert_allclose(slope, central, rtol=1e-4, atol=1e-4 * np.abs(slope).max() + 1e-8)
+
+
+def test_one_sided_slopes_at_nominal_differ_by_the_ratio():
+    search = _Search(make_metric(lag(), MetricRequest("hinf")), time.monotonic() + 60)
+    _, above = search._score_and_slope(np.array([1e-9]), _Climb(np.zeros(1), -np.inf))
+    _, below = search._score_and_slope(np.array([-1e-9]), _Climb(np.zeros(1), -np.inf))
+    assert above == pytest.approx([-0.5], rel=1e-6)  # d(1 / a) = -da
+    assert below == pytest.approx([-0.75], rel=1e-6)
+
+
+# --- samples ---------------------------------------------------------------------------------------------------------
+
+
+def poles(samples):
+    return np.array([-model.A[0, 0] for model in samples.models()])
+
+
+def test_samples_are_uniform_in_the_range():
+    drawn = poles(sample(lag(), 2000, seed=4))
+    assert kstest(drawn, "uniform", (0.25, 1.25)).pvalue > 0.01
+    assert (drawn < 1.0).mean() == pytest.approx(0.6, abs=0.04)
+    # The test would see deltas that are uniform in [-1, 1]: half of them below nominal.
+    assert kstest([POLE.parameter.delta(v) for v in drawn], "uniform", (-1.0, 2.0)).pvalue < 1e-6
+
+
+def test_vertices_are_the_ends():
+    np.testing.assert_array_equal(poles(sample(lag(), 0, vertices="all")), [0.25, 1.5])
+
+
+def test_symmetric_ranges_keep_their_draws():
+    plain = delta_of_sample([RealScalar("a"), RealScalar("b", 2, ParameterRange(1.0, 0.5))], 7, 3)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(7, spawn_key=(3,))))
+    assert list(plain.values()) == rng.uniform(-1.0, 1.0, 2).tolist()
+
+
+def test_a_wider_side_does_not_shift_the_draws_of_other_blocks():
+    full = FullBlock("f", 2, 2)
+    one = delta_of_sample([POLE, RealScalar("b"), full], 1, 5)
+    two = delta_of_sample([RealScalar("pole"), RealScalar("b"), full], 1, 5)
+    assert one["b"] == two["b"]
+    np.testing.assert_array_equal(one["f"], two["f"])
+    # The same place of the range, from its lower end: 0.25 + 1.25 share = 1 + 0.5 entry.
+    share = 0.5 * (two["pole"] + 1)
+    assert POLE.parameter.value(one["pole"]) == pytest.approx(0.25 + 1.25 * share, rel=1e-14)
+
+
+def test_every_way_to_a_member_is_the_same():
+    model = lag()
+    samples = sample(model, 40, seed=2)
+    theta = samples.deltas.numbers(slice(0, 40))
+    assert theta[:, 0].tolist() == [delta["pole"] for delta in samples.deltas]
+    wanted = poles(samples)
+    by_set = -RealSet(model).members(theta).A[:, 0, 0]
+    by_stack = -members(model, delta_stack(model.blocks, list(samples.deltas))).A[:, 0, 0]
+    by_range = np.array([POLE.parameter.value(float(v)) for v in theta[:, 0]])
+    for found in (by_set, by_stack, by_range):
+        np.testing.assert_allclose(found, wanted, rtol=1e-14)
+    batch = MetricBatch(model, MetricRequest("hinf"), 2)
+    np.testing.assert_allclose(batch(0, 40), 1 / wanted, rtol=1e-9)
+    evaluator = Evaluator(model, CampaignSettings("hinf", TILE, seed=2))
+    rows = evaluator.rows(0, TILE)
+    np.testing.assert_allclose(rows.values[:40], 1 / wanted, rtol=1e-9)
+    np.testing.assert_array_equal(rows.deltas[:40], theta)
+
+
+def test_campaigns_of_vertices_and_of_searches_reach_the_true_end():
+    vertices = Evaluator(lag(), CampaignSettings("hinf", 2, "vertices"))
+    assert [vertices.alone(i).values[0] for i in range(2)] == pytest.approx([4.0, 1 / 1.5], rel=1e-9)
+    searched = Evaluator(lag(), CampaignSettings("hinf", 1, "search", starts=4)).alone(0)
+    assert searched.values[0] == pytest.approx(4.0, rel=1e-9)
+    assert searched.deltas.tolist() == [[-1.0]]
+
+
+def test_streamed_envelope_holds_both_ends():
+    found = sample(lag(), 100, vertices="all").stream(T)
+    for bound, pole in ((found.upper, 0.25), (found.lower, 1.5)):
+        np.testing.assert_allclose(bound[:, 0], (1 - np.exp(-pole * T)) / pole, atol=1e-12)
+
+
+def test_probability_is_that_of_the_range():
+    """1 / a > 2 for a < 0.5: a fifth of [0.25, 1.5] (a sixth of the deltas, were they uniform in [-1, 1])."""
+    found = violation_probability(lag(), "hinf", 2.0, n=4000, seed=1)
+    assert found.lower < 0.2 < found.upper
+    assert not found.lower < 1 / 6 < found.upper
+    assert found.worst_value == pytest.approx(1 / POLE.parameter.value(found.worst_delta["pole"]), rel=1e-9)
