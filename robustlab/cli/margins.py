@@ -166,7 +166,7 @@ def gap(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Distance of two models as feedback sees it: gap and nu-gap metric, 0 (equal) to 1 (no controller for both).
+    """Distance of two models as feedback sees it, gap and nu-gap metric: 0 equal, 1 nothing in common.
 
     Example: robustlab model gap before.h5 after.h5
     """

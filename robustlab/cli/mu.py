@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_completion=False)
 
 SHOWN_BLOCKS = 40
+PERFORMANCE = "performance"  # the block that robust_performance adds; no range of the user's
 
 
 @app.command()
@@ -175,7 +176,8 @@ def _delta_lines(delta: Any, physical: Any, shares: Any) -> list[str]:
     if len(order) > SHOWN_BLOCKS:
         lines.append(f"... and {len(order) - SHOWN_BLOCKS} more blocks")
     if shares:
-        lines.append(f"tighten first: {order[0]} (each percent of its range taken off gives {shares[order[0]]:.2g} %)")
+        first = next((name for name in order if name in physical or name != PERFORMANCE), order[0])
+        lines.append(f"tighten first: {first} (each percent of its range taken off gives {shares[first]:.2g} %)")
     return lines
 
 

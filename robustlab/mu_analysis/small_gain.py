@@ -128,7 +128,10 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     norm = hinf_norm(M, rtol=RTOL)
     if not np.isfinite(norm.upper):
         raise NoTrustworthyNumber(
-            "small_gain", f"nominal closed loop unstable ({norm.reason})", "a stable nominal loop"
+            "small_gain",
+            f"nominal closed loop unstable ({norm.reason})",
+            "a stable nominal loop",
+            "check the sign of the feedback: sign=, or --feedback negative | positive",
         )
     if norm.lower == 0:
         return SmallGain(norm.upper < 1, _inverse(norm.upper), float("inf"), None, {}, None, norm, M, norm.status)
