@@ -44,6 +44,8 @@ Array = NDArray[np.floating[Any]]
 
 # A first cover, this close to the D-G bound, tells whether branch and bound has to follow.
 COARSE = 4e-3
+# Half widths, in log frequency, of the neighbourhoods in which a smaller complex Delta is sought.
+SHARPENED = (0.1, 0.02, 0.004, 8e-4)
 # Sizes of an asymmetric set that are tried for the largest one that D, G prove.
 SIZES = 12
 
@@ -148,7 +150,7 @@ def _bounds(
     symmetric = bool((lowest(blocks) == -1).all())
     if not symmetric:
         worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
-    worst = worst and _as_seen(model, worst)
+    worst = worst and _sharpened(model, blocks, _as_seen(model, worst), seed)
     found = _Found(model, blocks, worst, 0.0, AxisCover())
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
@@ -171,6 +173,22 @@ def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
         return Destabilising(worst.norm, worst.delta, complex(np.inf))
     if np.isfinite(worst.pole) and worst.pole.imag < 0:
         return Destabilising(worst.norm, np.conj(worst.delta), np.conj(worst.pole))
+    return worst
+
+
+def _sharpened(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int) -> Destabilising:
+    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
+    omega = worst.pole.imag
+    if not np.isfinite(worst.pole) or omega <= 0 or all(isinstance(b, RealScalar) for b in blocks):
+        return worst
+    for reach in SHARPENED:
+        points = omega * np.exp(np.linspace(-reach, reach, 9))
+        found = lower_bounds(frequency_response(model, points), blocks, seed, restarts=4, steps=24)
+        k = int(np.argmax([value for value, _ in found]))
+        value, delta = found[k]
+        if delta is not None and value > 1 / worst.norm:
+            omega = float(points[k])
+            worst = Destabilising(1 / value, delta, complex(0.0, omega))
     return worst
 
 
