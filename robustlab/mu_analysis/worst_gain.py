@@ -239,10 +239,6 @@ def _unstable_member(
     channels: StateSpaceModel, blocks: Sequence[Block], seeds: Array, seed: int
 ) -> Destabilising | None:
     """A destabilising Delta inside the set, if the search finds one."""
-    root = root_box(blocks)
-    inside = box_model(channels, blocks, root)
-    if inside is None:
-        return None
     found = smallest_destabilising(channels, blocks, seeds, seed)
     return found if found is not None and gauge(blocks, block_entries(blocks, found.delta)) <= 1 else None
 
