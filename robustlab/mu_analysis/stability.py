@@ -150,7 +150,9 @@ def _bounds(
     symmetric = bool((lowest(blocks) == -1).all())
     if not symmetric:
         worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
-    worst = worst and _sharpened(model, blocks, _as_seen(model, worst), seed)
+    worst = worst and _as_seen(model, worst)
+    if worst and symmetric:  # the search below measures entries of Delta, not their share of each side of a range
+        worst = _sharpened(model, blocks, worst, seed)
     found = _Found(model, blocks, worst, 0.0, AxisCover())
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
