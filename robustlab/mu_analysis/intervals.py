@@ -94,6 +94,15 @@ class AxisCover:
         self.beta = max(self.beta, other.beta)
         self.points += other.points
 
+    def take_points(self, pending: list[float], scale: float, count: int) -> Array:
+        """The next of the pending frequencies that are still open (they are taken off the list), else new ones."""
+        while pending:
+            chosen = [w for w in pending[:count] if any(low <= w <= high for low, high in self.open)]
+            del pending[:count]
+            if chosen:
+                return np.array(chosen)
+        return self.next_points(scale, count)
+
     def next_points(self, scale: float, count: int) -> Array:
         """A frequency inside each open interval, the widest (in decades) first, at most ``count``."""
         found = []
@@ -141,13 +150,7 @@ def cover_axis(
     beta = beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and time.monotonic() < until:
-        if pending:
-            chosen, pending = pending[:BATCH], pending[BATCH:]
-            omega = np.array([w for w in chosen if any(low <= w <= high for low, high in cover.open)])
-            if not len(omega):
-                continue
-        else:
-            omega = cover.next_points(scale, BATCH)
+        omega = cover.take_points(pending, scale, BATCH)
         bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
         cover.points += len(omega)
         finite = [b.beta for b in bounds if np.isfinite(b.beta)]

@@ -46,7 +46,7 @@ class Margin:
     open
         Frequency intervals for which nothing is proved.
     shares
-        Share of each block in the margin: with 1 % less range of a block it grows by share percent (`margin_shares`).
+        Share of each block in the margin: with 1 % less range of a block it grows by share percent.
     proof
         What ``lower`` rests on: pieces of the axis with the D, G that hold there, or, after branch and bound, the
         regions (boxes of parameters with frequencies) that were proved one by one.

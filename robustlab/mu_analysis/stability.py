@@ -20,6 +20,7 @@ from robustlab.mu_analysis.axis_model import (
     model_frequency,
     seed_frequencies,
 )
+from robustlab.mu_analysis.block_sensitivity import pole_block_sensitivities
 from robustlab.mu_analysis.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.branch_and_bound import MarginProblem, Region, tighten
 from robustlab.mu_analysis.certificate import singularity
@@ -31,7 +32,6 @@ from robustlab.mu_analysis.pole_migration import (
     first_crossing,
     smallest_destabilising,
 )
-from robustlab.mu_analysis.sensitivity import margin_shares
 from robustlab.mu_analysis.upper import upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -227,7 +227,9 @@ def _cover_asymmetric(found: _Found, first: Array, until: float, accuracy: float
         if cover.beta > 1 + 1e-12:
             failed, size = size, size / (cover.beta * (1 + fine))
             continue
-        found.cover, found.level, found.proof = cover, 1 / size, tuple(cover.pieces)
+        found.level, found.proof = 1 / size, tuple(cover.pieces)
+        # Inside the box the level is one; what it says of the set is one over the size of the box.
+        found.cover = AxisCover([replace(p, beta=found.level) for p in cover.pieces], [], found.level, cover.points)
         if failed < size * (1 + 3 * accuracy) or not failed < np.inf:
             break
         size = float(np.sqrt(size * failed))
@@ -296,7 +298,7 @@ def _margin(
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
     pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]
-    shares = margin_shares(found.model, uncertain.blocks, worst.delta, worst.pole) if worst else {}
+    shares = _shares(found.model, uncertain.blocks, worst) if worst else {}
     return Margin(
         lower=lower,
         upper=upper,
@@ -314,6 +316,21 @@ def _margin(
         proof=found.proof,
         notes=notes,
     )
+
+
+def _shares(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising) -> dict[str, float]:
+    """Share of each block in the margin, summing to one; empty where the margin has no derivative."""
+    if not np.isfinite(worst.pole) or not model.n_states:
+        return {}
+    try:
+        slopes = pole_block_sensitivities(model, blocks, worst.delta, worst.pole)
+    except (NoTrustworthyNumber, np.linalg.LinAlgError):
+        return {}
+    shares = -slopes / worst.norm
+    # Parts that cancel to rounding say nothing.
+    if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
+        return {}
+    return {b.name: float(share) for b, share in zip(blocks, shares, strict=True)}
 
 
 def _pole(uncertain: UncertainModel, worst: Destabilising | None) -> complex | None:

@@ -372,13 +372,7 @@ def _cover(
     level = lower * (1 + accuracy)
     pending = list(first)
     while cover.open and time.monotonic() < until:
-        if pending:
-            chosen, pending = pending[:BATCH], pending[BATCH:]
-            omega = np.array([w for w in chosen if any(low <= w <= high for low, high in cover.open)])
-            if not len(omega):
-                continue
-        else:
-            omega = cover.next_points(scale, BATCH)
+        omega = cover.take_points(pending, scale, BATCH)
         response = frequency_response(model, omega)
         level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
         bounds = points_below(_scaled(response, varying, level), blocks, 1 / (1 + accuracy / 2))

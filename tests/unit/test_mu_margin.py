@@ -251,6 +251,14 @@ def test_ranges_of_other_shapes(below, above, truth):
     assert margin.gap <= 0.0101
 
 
+def test_intervals_of_an_asymmetric_set_carry_the_level_of_the_margin():
+    """A margin of 0.8: mu reaches 1.25, and no interval may claim the 1 that holds inside the recentred box."""
+    margin = rl.robust_stability(lag_with_time_constant(1.25, 0.5))
+    assert margin.upper == pytest.approx(0.8, rel=1e-9)
+    assert max(bound for _, _, bound in margin.intervals) == pytest.approx(1 / margin.lower)
+    assert min(bound for _, _, bound in margin.intervals) >= 1.25
+
+
 def test_two_asymmetric_ranges_against_a_dense_search():
     """x'' + c x' + k x = 0 with c = 0.3 (-0.2 .. +0.6), k = 1 (-0.4 .. +0.1) and a feedback that couples them."""
     A = np.array([[0.0, 1.0, 0.0], [-1.0, -0.3, 0.4], [-0.5, 0.2, -1.0]])
