@@ -68,11 +68,12 @@ def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[n
     """Shade the proved intervals, set the frequency axis; which frequencies can be shown on it."""
     shown = np.isfinite(omega) & (omega > 0)
     low, high = (float(omega[shown].min()), float(omega[shown].max())) if shown.any() else (1e-1, 1e1)
-    for i, (start, stop, bound) in enumerate(intervals):
+    label: str | None = "proved for every frequency between"
+    for start, stop, bound in intervals:
         edges = [max(start, low), min(stop, high)]
         if edges[0] < edges[1] and np.isfinite(bound):
-            label = "proved for every frequency between" if i == 0 else None
             axes.fill_between(edges, 0, bound, color=PROVED, lw=0, label=label)
+            label = None
     logarithmic(axes.xaxis)
     axes.set_xlim(low, high)
     axes.set_xlabel("frequency [rad/s]")
