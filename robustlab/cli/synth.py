@@ -144,18 +144,7 @@ def _number(where: str, text: str) -> float:
 
 def _finish(command: str, found: Synthesis, file: str, out: str | None, as_json: bool) -> None:
     """Print the design, store the controller, and leave with the exit code of its status."""
-    unit = "rad/s" if not found.K.is_discrete else "(modulus)"
-    margin = " (modulus minus one)" if found.K.is_discrete else " 1/s"
-    rows = [
-        ("gamma", f"{found.gamma:.6g} at {found.peak_frequency:.4g} rad/s (verified upper bound)"),
-        ("status", found.status.value),
-        ("smallest gamma found", f"{found.smallest_gamma:.6g}"),
-        ("controller", f"{found.K.n_states} states, {found.K.n_inputs} inputs, {found.K.n_outputs} outputs"),
-        ("fastest controller pole", f"{found.fastest_controller_pole:.4g} {unit}"),
-        ("closed loop, rightmost pole", f"{found.closed_loop_abscissa:.4g}{margin}"),
-        ("what limits it", found.limit),
-        ("how", found.reason),
-    ]
+    rows = found.summary()
     if out is not None:
         from robustlab.provenance import Provenance, file_sha256
         from robustlab.storage import save

@@ -1,6 +1,7 @@
 """Controllers: H-infinity and mixed-sensitivity synthesis, every one verified in the loop rebuilt from it."""
 
 from robustlab.synthesis.controller import Controller as Controller
+from robustlab.synthesis.design import HinfSynthesis as HinfSynthesis
 from robustlab.synthesis.design import Synthesis as Synthesis
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
@@ -13,6 +14,7 @@ from robustlab.synthesis.weights import performance_weight as performance_weight
 __all__ = [
     "Controller",
     "GeneralizedPlant",
+    "HinfSynthesis",
     "Synthesis",
     "complementary_weight",
     "control_weight",

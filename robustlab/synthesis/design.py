@@ -1,4 +1,4 @@
-"""A finished controller design with the evidence to check it again."""
+"""Finished controller designs with the evidence to check them again."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.controller import Controller
 from robustlab.synthesis.partition import GeneralizedPlant
 
-__all__ = ["Synthesis", "limiting_channels"]
+__all__ = ["HinfSynthesis", "Synthesis", "limiting_channels"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Synthesis:
     """A controller that was verified in the loop rebuilt from it; there is no Synthesis without one.
 
@@ -27,45 +27,30 @@ class Synthesis:
     K
         The controller, ``u = K y`` with positive feedback into the plant's lower LFT.
     gamma
-        Verified upper bound of the H-infinity norm of ``closed_loop``.
+        Verified upper bound of what the method makes small (its docstring says what).
     closed_loop
         The lower LFT of plant and K, from w to z.
     status
-        CERTIFIED where the rebuilt loop is stable and its norm was proved to be at most ``gamma``; INACCURATE where
-        the norm lost digits. It vouches for ``gamma`` of this K, not for its optimality.
-    peak_frequency
-        Frequency in rad/s at which the closed loop attains its norm.
+        CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost.
+        It vouches for ``gamma`` of this K, not for its optimality.
     reason
-        One sentence on how the result came about.
+        Why the method stopped, and how much of the result is proved.
     limit
-        Which channels make the peak.
-    smallest_gamma
-        Smallest verified gamma of the search; K may be a softer controller within the allowed ratio of it.
-    scalings_disagree
-        Relative difference between the best gammas of the two scalings that were tried; NaN where one gave none.
-    norm
-        The bracket of the closed loop's norm.
+        What limits the performance: the channels that make the peak.
     plant
         The generalised plant, so that the result can be checked again.
     method
         What made it.
-    weights
-        Weights of a mixed-sensitivity problem, by name.
     """
 
     K: StateSpaceModel
     gamma: float
     closed_loop: StateSpaceModel
     status: Status
-    peak_frequency: float
     reason: str
     limit: str
-    smallest_gamma: float
-    scalings_disagree: float
-    norm: HinfNorm
     plant: GeneralizedPlant
     method: str
-    weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
 
     @property
     def controller(self) -> Controller:
@@ -82,23 +67,78 @@ class Synthesis:
         """Spectral abscissa of the closed loop; negative means stable (see `StateSpaceModel.spectral_abscissa`)."""
         return self.closed_loop.spectral_abscissa()
 
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        unit = "(modulus)" if self.K.is_discrete else "rad/s"
+        margin = "(modulus minus one)" if self.K.is_discrete else "1/s"
+        return [
+            ("gamma", self._gamma_text()),
+            ("status", self.status.value),
+            ("controller", f"{self.K.n_states} states, {self.K.n_inputs} inputs, {self.K.n_outputs} outputs"),
+            ("fastest controller pole", f"{self.fastest_controller_pole:.4g} {unit}"),
+            ("closed loop, rightmost pole", f"{self.closed_loop_abscissa:.4g} {margin}"),
+            ("what limits it", self.limit),
+            ("how", self.reason),
+        ]
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (verified upper bound)"
+
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant and the weights, with arrays."""
+        """Everything but the plant, with arrays."""
         return {
             "method": self.method,
             "status": self.status,
             "gamma": self.gamma,
-            "smallest_gamma": self.smallest_gamma,
-            "peak_frequency": self.peak_frequency,
             "order": self.K.n_states,
             "fastest_controller_pole": self.fastest_controller_pole,
             "closed_loop_abscissa": self.closed_loop_abscissa,
             "limit": self.limit,
             "reason": self.reason,
-            "scalings_disagree": self.scalings_disagree,
-            "norm": self.norm.to_json(),
             "K": self.K.to_json(),
             "closed_loop": self.closed_loop.to_json(),
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HinfSynthesis(Synthesis):
+    """An H-infinity design; ``gamma`` bounds the H-infinity norm of ``closed_loop``.
+
+    Attributes
+    ----------
+    peak_frequency
+        Frequency in rad/s at which the closed loop attains its norm.
+    smallest_gamma
+        Smallest verified gamma of the search; K may be a softer controller within the allowed ratio of it.
+    scalings_disagree
+        Relative difference between the best gammas of the two scalings that were tried; NaN where one gave none.
+    norm
+        The bracket of the closed loop's norm.
+    weights
+        Weights of a mixed-sensitivity problem, by name.
+    """
+
+    peak_frequency: float
+    smallest_gamma: float
+    scalings_disagree: float
+    norm: HinfNorm
+    weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        return [*rows[:2], ("smallest gamma found", f"{self.smallest_gamma:.6g}"), *rows[2:]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant and the weights, with arrays."""
+        return super().to_json() | {
+            "smallest_gamma": self.smallest_gamma,
+            "peak_frequency": self.peak_frequency,
+            "scalings_disagree": self.scalings_disagree,
+            "norm": self.norm.to_json(),
         }
 
 

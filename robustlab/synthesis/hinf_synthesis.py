@@ -13,7 +13,7 @@ from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_n
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.assumptions import require_stabilisable
-from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.design import HinfSynthesis, limiting_channels
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.scaling import equilibrated, paths_first
 from robustlab.synthesis.search import Candidate, Deadline, Search, smallest
@@ -26,7 +26,7 @@ ILL_POSED = 1e10
 
 def hinf(
     P: Any, n_meas: int | None = None, n_con: int | None = None, *, gamma_rel: float = 1.05, time_limit: float = 60.0
-) -> Synthesis:
+) -> HinfSynthesis:
     r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
@@ -53,7 +53,7 @@ def hinf(
 
     Returns
     -------
-    Synthesis
+    HinfSynthesis
         Always with a stabilising, verified K.
 
     Raises
@@ -84,7 +84,7 @@ def synthesize(
     gamma_rel: float,
     time_limit: float,
     weights: Mapping[str, StateSpaceModel] | None = None,
-) -> Synthesis:
+) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
     if not np.isfinite(gamma_rel) or gamma_rel < 1:
@@ -100,7 +100,7 @@ def synthesize(
 
 def _synthesize(
     plant: GeneralizedPlant, method: str, gamma_rel: float, time_limit: float, weights: Mapping[str, StateSpaceModel]
-) -> Synthesis:
+) -> HinfSynthesis:
     deadline = Deadline(time_limit)
     dt = plant.model.dt
     continuous = plant
@@ -195,7 +195,7 @@ def _finished(
     late: bool,
     method: str,
     weights: Mapping[str, StateSpaceModel],
-) -> Synthesis:
+) -> HinfSynthesis:
     loop = plant.close(chosen.K)
     status = Status.CERTIFIED if chosen.norm.status is Status.CERTIFIED else Status.INACCURATE
     parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.norm.reason]
@@ -205,7 +205,7 @@ def _finished(
         )
     if late:
         parts.append("time limit reached: a smaller gamma may exist")
-    return Synthesis(
+    return HinfSynthesis(
         K=chosen.K,
         gamma=chosen.gamma,
         closed_loop=loop,

@@ -8,7 +8,7 @@ import numpy as np
 
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
-from robustlab.synthesis.design import Synthesis
+from robustlab.synthesis.design import HinfSynthesis
 from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.partition import GeneralizedPlant
 
@@ -17,7 +17,7 @@ __all__ = ["mixed_sensitivity_plant", "mixsyn"]
 
 def mixsyn(
     G: Any, W1: Any = None, W2: Any = None, W3: Any = None, *, gamma_rel: float = 1.05, time_limit: float = 60.0
-) -> Synthesis:
+) -> HinfSynthesis:
     r"""H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
 
     .. math:: \min_K \left\| \begin{matrix} W_1 S \\ W_2 K S \\ W_3 T \end{matrix} \right\|_\infty, \qquad
@@ -41,7 +41,7 @@ def mixsyn(
 
     Returns
     -------
-    Synthesis
+    HinfSynthesis
         ``K`` with the plant's output names as inputs; ``closed_loop`` is the stack above, driven by r.
 
     Raises
