@@ -46,6 +46,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import loop_functions as loop_functions
     from robustlab.synthesis import loop_functions_of as loop_functions_of
     from robustlab.synthesis import mixsyn as mixsyn
+    from robustlab.synthesis import ncf as ncf
     from robustlab.synthesis import performance_weight as performance_weight
     from robustlab.uncertainty.algebra import beside as beside
     from robustlab.uncertainty.algebra import stacked as stacked
@@ -130,6 +131,7 @@ _PUBLIC = {
     "loop_functions": "synthesis",
     "loop_functions_of": "synthesis",
     "mixsyn": "synthesis",
+    "ncf": "synthesis",
     "generalized_plant": "synthesis",
     "performance_weight": "synthesis",
     "control_weight": "synthesis",

@@ -9,6 +9,8 @@ from robustlab.synthesis.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.loop_functions import LoopFunctions as LoopFunctions
 from robustlab.synthesis.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.loop_functions import loop_functions_of as loop_functions_of
+from robustlab.synthesis.loop_shaping import NcfSynthesis as NcfSynthesis
+from robustlab.synthesis.loop_shaping import ncf as ncf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
@@ -22,6 +24,7 @@ __all__ = [
     "H2Synthesis",
     "HinfSynthesis",
     "LoopFunctions",
+    "NcfSynthesis",
     "Synthesis",
     "complementary_weight",
     "control_weight",
@@ -31,5 +34,6 @@ __all__ = [
     "loop_functions_of",
     "generalized_plant",
     "mixsyn",
+    "ncf",
     "performance_weight",
 ]
