@@ -42,6 +42,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import control_weight as control_weight
     from robustlab.synthesis import generalized_plant as generalized_plant
     from robustlab.synthesis import h2 as h2
+    from robustlab.synthesis import h2_hinf as h2_hinf
     from robustlab.synthesis import hinf as hinf
     from robustlab.synthesis import loop_functions as loop_functions
     from robustlab.synthesis import loop_functions_of as loop_functions_of
@@ -128,6 +129,7 @@ _PUBLIC = {
     # synthesis
     "hinf": "synthesis",
     "h2": "synthesis",
+    "h2_hinf": "synthesis",
     "loop_functions": "synthesis",
     "loop_functions_of": "synthesis",
     "mixsyn": "synthesis",

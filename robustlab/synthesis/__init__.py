@@ -11,6 +11,8 @@ from robustlab.synthesis.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.loop_functions import loop_functions_of as loop_functions_of
 from robustlab.synthesis.loop_shaping import NcfSynthesis as NcfSynthesis
 from robustlab.synthesis.loop_shaping import ncf as ncf
+from robustlab.synthesis.mixed_h2_hinf import MixedSynthesis as MixedSynthesis
+from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
@@ -24,11 +26,13 @@ __all__ = [
     "H2Synthesis",
     "HinfSynthesis",
     "LoopFunctions",
+    "MixedSynthesis",
     "NcfSynthesis",
     "Synthesis",
     "complementary_weight",
     "control_weight",
     "h2",
+    "h2_hinf",
     "hinf",
     "loop_functions",
     "loop_functions_of",
