@@ -46,9 +46,12 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import hinf as hinf
     from robustlab.synthesis import loop_functions as loop_functions
     from robustlab.synthesis import loop_functions_of as loop_functions_of
+    from robustlab.synthesis import lqg as lqg
+    from robustlab.synthesis import lqr as lqr
     from robustlab.synthesis import mixsyn as mixsyn
     from robustlab.synthesis import ncf as ncf
     from robustlab.synthesis import performance_weight as performance_weight
+    from robustlab.synthesis import place as place
     from robustlab.uncertainty.algebra import beside as beside
     from robustlab.uncertainty.algebra import stacked as stacked
     from robustlab.uncertainty.algebra import star as star
@@ -132,6 +135,9 @@ _PUBLIC = {
     "h2_hinf": "synthesis",
     "loop_functions": "synthesis",
     "loop_functions_of": "synthesis",
+    "lqr": "synthesis",
+    "lqg": "synthesis",
+    "place": "synthesis",
     "mixsyn": "synthesis",
     "ncf": "synthesis",
     "generalized_plant": "synthesis",

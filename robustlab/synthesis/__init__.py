@@ -16,6 +16,10 @@ from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
+from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
+from robustlab.synthesis.state_feedback import lqg as lqg
+from robustlab.synthesis.state_feedback import lqr as lqr
+from robustlab.synthesis.state_feedback import place as place
 from robustlab.synthesis.weights import complementary_weight as complementary_weight
 from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight
@@ -28,6 +32,7 @@ __all__ = [
     "LoopFunctions",
     "MixedSynthesis",
     "NcfSynthesis",
+    "StateFeedback",
     "Synthesis",
     "complementary_weight",
     "control_weight",
@@ -37,7 +42,10 @@ __all__ = [
     "loop_functions",
     "loop_functions_of",
     "generalized_plant",
+    "lqg",
+    "lqr",
     "mixsyn",
     "ncf",
     "performance_weight",
+    "place",
 ]
