@@ -50,6 +50,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import lqr as lqr
     from robustlab.synthesis import mixsyn as mixsyn
     from robustlab.synthesis import ncf as ncf
+    from robustlab.synthesis import performance_limits as performance_limits
     from robustlab.synthesis import performance_weight as performance_weight
     from robustlab.synthesis import place as place
     from robustlab.uncertainty.algebra import beside as beside
@@ -141,6 +142,7 @@ _PUBLIC = {
     "mixsyn": "synthesis",
     "ncf": "synthesis",
     "generalized_plant": "synthesis",
+    "performance_limits": "synthesis",
     "performance_weight": "synthesis",
     "control_weight": "synthesis",
     "complementary_weight": "synthesis",

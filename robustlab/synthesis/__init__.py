@@ -16,6 +16,8 @@ from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
+from robustlab.synthesis.performance_limits import PerformanceLimits as PerformanceLimits
+from robustlab.synthesis.performance_limits import performance_limits as performance_limits
 from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
 from robustlab.synthesis.state_feedback import lqg as lqg
 from robustlab.synthesis.state_feedback import lqr as lqr
@@ -32,6 +34,7 @@ __all__ = [
     "LoopFunctions",
     "MixedSynthesis",
     "NcfSynthesis",
+    "PerformanceLimits",
     "StateFeedback",
     "Synthesis",
     "complementary_weight",
@@ -46,6 +49,7 @@ __all__ = [
     "lqr",
     "mixsyn",
     "ncf",
+    "performance_limits",
     "performance_weight",
     "place",
 ]
