@@ -22,12 +22,18 @@ from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
 from robustlab.synthesis.state_feedback import lqg as lqg
 from robustlab.synthesis.state_feedback import lqr as lqr
 from robustlab.synthesis.state_feedback import place as place
+from robustlab.synthesis.weight_design import DesignWeights as DesignWeights
+from robustlab.synthesis.weight_design import check_weights as check_weights
+from robustlab.synthesis.weight_design import design_weights as design_weights
+from robustlab.synthesis.weight_design import makeweight as makeweight
+from robustlab.synthesis.weight_design import noise_weight as noise_weight
 from robustlab.synthesis.weights import complementary_weight as complementary_weight
 from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight
 
 __all__ = [
     "Controller",
+    "DesignWeights",
     "GeneralizedPlant",
     "H2Synthesis",
     "HinfSynthesis",
@@ -37,8 +43,10 @@ __all__ = [
     "PerformanceLimits",
     "StateFeedback",
     "Synthesis",
+    "check_weights",
     "complementary_weight",
     "control_weight",
+    "design_weights",
     "h2",
     "h2_hinf",
     "hinf",
@@ -47,8 +55,10 @@ __all__ = [
     "generalized_plant",
     "lqg",
     "lqr",
+    "makeweight",
     "mixsyn",
     "ncf",
+    "noise_weight",
     "performance_limits",
     "performance_weight",
     "place",

@@ -246,7 +246,7 @@ def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
     if g.is_discrete:
         area = np.pi / g.dt * float(np.log(np.abs(rates)).sum())
     else:
-        area = np.pi * float(rates.real.sum())
+        area = np.pi * float(np.real(rates).sum())
     return PerformanceLimits(
         tuple(zeros), tuple(poles), s_peak, t_peak, _control_peak(g), area, above, below, float(delay), g.dt,
     )  # fmt: skip
@@ -284,7 +284,8 @@ def _pencil_zeros(A: Array, B: Array, C: Array, D: Array) -> Array:
         C, D = mix @ C, mix @ D
     size, pencil, mass = _pencil(A, B, C, D)
     with np.errstate(all="ignore"):
-        alpha, beta = eig(pencil, mass, right=False, homogeneous_eigvals=True)
+        pairs: Any = eig(pencil, mass, right=False, homogeneous_eigvals=True)
+    alpha, beta = pairs
     finite = np.abs(beta) > np.abs(alpha) / FAR
     zeros = size * alpha[finite] / beta[finite]
     return zeros[np.isfinite(zeros)]
@@ -313,7 +314,7 @@ def _loses_rank(g: StateSpaceModel, s: complex) -> bool:
 def _outside(values: Array, discrete: bool) -> NDArray[np.bool_]:
     if discrete:
         return np.abs(values) > 1 + BOUNDARY
-    return values.real > BOUNDARY * np.abs(values).max(initial=0.0)
+    return np.real(values) > BOUNDARY * np.abs(values).max(initial=0.0)
 
 
 def _unstable_zeros(g: StateSpaceModel) -> list[Mode]:
@@ -334,7 +335,8 @@ def _unstable_poles(g: StateSpaceModel) -> list[Mode]:
         return []
     from scipy.linalg import eig
 
-    values, left, right = eig(g.A, left=True, right=True)
+    parts: Any = eig(g.A, left=True, right=True)
+    values, left, right = parts
     found: list[Mode] = []
     for k in np.flatnonzero(_outside(values, g.is_discrete)):
         p = complex(values[k].real, 0.0) if abs(values[k].imag) <= 1e-12 * abs(values[k]) else complex(values[k])
@@ -394,9 +396,10 @@ def _zero_part(m: StateSpaceModel, zeros: list[Mode]) -> tuple[Array, Array]:
     def chosen(alpha: Array, beta: Array) -> NDArray[np.bool_]:
         finite = np.abs(beta) > np.abs(alpha) / FAR
         value = np.divide(alpha, beta, out=np.zeros_like(alpha), where=finite)
-        return finite & (value.real > edge)
+        return finite & (np.real(value) > edge)
 
-    aa, bb, alpha, beta, _, Z = ordqz(pencil.T, mass, sort=chosen, output="complex")
+    sort: Any = chosen
+    aa, bb, alpha, beta, _, Z = ordqz(pencil.T, mass, sort=sort, output="complex")
     k = int(chosen(alpha, beta).sum())
     S = np.linalg.solve(bb[:k, :k], aa[:k, :k])
     c = max(float(np.linalg.norm(m.C)), 1e-300)
@@ -418,7 +421,8 @@ def _unstable_part(m: StateSpaceModel) -> tuple[Array, Array, Array]:
     edge = BOUNDARY * float(np.abs(m.poles()).max(initial=0.0))
     if not n:
         return m.A, m.C, m.B
-    T, U, k = schur(m.A, output="real", sort=lambda re, im=0.0: re > edge)
+    parts: Any = schur(m.A, output="real", sort=lambda re, im=0.0: re > edge)
+    T, U, k = parts
     B, C = U.T @ m.B, m.C @ U
     across = solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
     return T[:k, :k], C[:, :k], B[:k] - across @ B[k:]
