@@ -281,8 +281,8 @@ def noise_weight(
 
     with the two-sided spectral density :math:`\hat S` in unit squared per Hz by Welch's method, averaged in bands;
     close above it. What the record's length and rate cannot show, below the first and above the last band, is taken as
-    it is there. The estimate scatters by about one over the root of the number of averages: W bounds the estimate, not the
-    truth.
+    it is there. The estimate scatters by about one over the root of the number of averages: W bounds the estimate, not
+    the truth.
 
     Parameters
     ----------

@@ -213,7 +213,7 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargi
         raise InputError("coprime_margin: sign", f"{sign!r}", "-1 (negative feedback) or 1 (positive feedback)")
     loop = lower_lft(four_block(plant), StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt))
     norm = hinf_norm(loop, rtol=1e-9)
-    best = coprime_factors(continuous_models(plant).models[0]).best_margin
+    best = coprime_riccati(continuous_models(plant).models[0]).best_margin
     if not np.isfinite(norm.upper):
         return CoprimeMargin(0.0, 0.0, None, best, norm.status, norm.reason)
     return CoprimeMargin(1 / norm.upper, 1 / norm.lower, norm.frequency, best, norm.status, norm.reason)
@@ -252,7 +252,7 @@ class MappedModels:
 def continuous_models(*models: StateSpaceModel) -> MappedModels:
     """Continuous models as they are, discrete ones through ``s = (2/dt) (z - 1)/(z + 1)``, all mapped alike.
 
-    Where one has a pole at z = -1, -z takes the place of z.
+    Where one has a pole at z = -1, or very close to it, -z takes the place of z.
 
     Raises
     ------
@@ -267,12 +267,21 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
     dt = times.pop() if times else 0.0
     if dt == 0:
         return MappedModels(models, 0.0, False)
+    straight = tuple(StateSpaceModel(m.A, m.B, m.C, m.D, dt) for m in models)
+    turned = tuple(StateSpaceModel(-m.A, -m.B, m.C, m.D, dt) for m in models)
+    # A pole close to z = -1 becomes a fast one, at the price of digits: -z then is the better variable.
+    mirrored = _nearness(straight) > 100 * _nearness(turned)
     try:
-        straight = tuple(StateSpaceModel(m.A, m.B, m.C, m.D, dt) for m in models)
-        return MappedModels(tuple(bilinear_to_continuous(m) for m in straight), dt, False)
+        return MappedModels(tuple(bilinear_to_continuous(m) for m in (turned if mirrored else straight)), dt, mirrored)
     except NoTrustworthyNumber:
-        turned = tuple(StateSpaceModel(-m.A, -m.B, m.C, m.D, dt) for m in models)
-        return MappedModels(tuple(bilinear_to_continuous(m) for m in turned), dt, True)
+        return MappedModels(
+            tuple(bilinear_to_continuous(m) for m in (straight if mirrored else turned)), dt, not mirrored
+        )
+
+
+def _nearness(models: tuple[StateSpaceModel, ...]) -> float:
+    """How large the bilinear map makes a model: the largest condition number of I + A."""
+    return max((float(np.linalg.cond(np.eye(m.n_states) + m.A)) for m in models if m.n_states), default=1.0)
 
 
 def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
