@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 
-__all__ = ["RiccatiSolution", "care", "dare", "lyapunov"]
+__all__ = ["RiccatiSolution", "care", "dare", "gramians", "lyapunov"]
 
 Array = NDArray[Any]
 
@@ -268,3 +268,56 @@ def dare(
     if residual > tolerance:
         raise NoTrustworthyNumber("dare", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return RiccatiSolution(X, gain, residual)
+
+
+def gramians(
+    A: ArrayLike, B: ArrayLike, C: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6
+) -> tuple[Array, Array]:
+    r"""Both Gramians of a stable model, shapes (n, n); in continuous time from one Schur form.
+
+    .. math:: A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0 \qquad\text{or, discrete,}\qquad
+        A P A^T - P + B B^T = 0, \quad A^T Q A - Q + C^T C = 0
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN or Inf.
+    NoTrustworthyNumber
+        The model is not stable, or a relative residual above ``tolerance``.
+
+    References
+    ----------
+    Bartels, Stewart 1972.
+
+    Examples
+    --------
+    >>> [float(x[0, 0]) for x in gramians([[-0.5]], [[2.0]], [[3.0]])]
+    [4.0, 9.0]
+    """
+    from scipy.linalg import schur
+    from scipy.linalg.lapack import dtrsyl
+
+    a, b, c = (real_array(k, v, 2, "gramians") for k, v in (("A", A), ("B", B), ("C", C)))
+    n = a.shape[0]
+    for name, matrix, shape in (("A", a, (n, n)), ("B", b, (n, b.shape[1])), ("C", c, (c.shape[0], n))):
+        if matrix.shape != shape:
+            raise InputError("gramians", f"{name} is {matrix.shape}", f"{shape}")
+    if discrete or n == 0:
+        return lyapunov(a, b @ b.T, discrete, tolerance=tolerance), lyapunov(
+            a.T, c.T @ c, discrete, tolerance=tolerance
+        )
+    parts: Any = schur(a, output="real")
+    T, Z = parts
+    zb, cz = Z.T @ b, c @ Z
+    P, scale_p, info_p = dtrsyl(T, T, -zb @ zb.T, tranb="T")
+    Q, scale_q, info_q = dtrsyl(T, T, -cz.T @ cz, trana="T")
+    if info_p or info_q or not (np.isfinite(P).all() and np.isfinite(Q).all()) or min(scale_p, scale_q) < 1:
+        raise NoTrustworthyNumber("gramians", "no unique solution: eigenvalues mirror each other")
+    for t, X, q in ((T, P, zb @ zb.T), (T.T, Q, cz.T @ cz)):
+        linear = t @ X
+        size = 2 * np.linalg.norm(linear) + np.linalg.norm(q)
+        residual = np.linalg.norm(linear + linear.T + q) / size if size else 0.0
+        if not residual <= tolerance:
+            raise NoTrustworthyNumber("gramians", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+    P, Q = Z @ P @ Z.T, Z @ Q @ Z.T
+    return 0.5 * (P + P.T), 0.5 * (Q + Q.T)

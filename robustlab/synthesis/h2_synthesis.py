@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.matrix_equations import care, dare
+from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.assumptions import require_stabilisable
@@ -418,11 +418,8 @@ def _loudest(loop: StateSpaceModel) -> str:
     """The output that carries most of the H2 norm, and the input that makes most of it."""
     if not loop.n_inputs or not loop.n_outputs:
         return ""
-    from robustlab.matrix_equations import lyapunov
-
     try:
-        reach = lyapunov(loop.A, loop.B @ loop.B.T, loop.is_discrete)
-        see = lyapunov(loop.A.T, loop.C.T @ loop.C, loop.is_discrete)
+        reach, see = gramians(loop.A, loop.B, loop.C, loop.is_discrete)
     except NoTrustworthyNumber:
         return ""
     out = np.diag(loop.C @ reach @ loop.C.T) + (loop.D**2).sum(axis=1)
