@@ -294,8 +294,7 @@ def gramians(
     >>> [float(x[0, 0]) for x in gramians([[-0.5]], [[2.0]], [[3.0]])]
     [4.0, 9.0]
     """
-    from scipy.linalg import schur
-    from scipy.linalg.lapack import dtrsyl
+    from scipy.linalg import get_lapack_funcs, schur
 
     a, b, c = (real_array(k, v, 2, "gramians") for k, v in (("A", A), ("B", B), ("C", C)))
     n = a.shape[0]
@@ -308,6 +307,7 @@ def gramians(
         )
     parts: Any = schur(a, output="real")
     T, Z = parts
+    dtrsyl: Any = get_lapack_funcs("trsyl", (T,))
     zb, cz = Z.T @ b, c @ Z
     P, scale_p, info_p = dtrsyl(T, T, -zb @ zb.T, tranb="T")
     Q, scale_q, info_q = dtrsyl(T, T, -cz.T @ cz, trana="T")
