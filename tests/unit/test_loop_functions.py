@@ -39,7 +39,7 @@ def test_a_mixed_sensitivity_design_keeps_below_its_bounds():
     rng = np.random.default_rng(5)
     G = random_model(rng, 4, 2, 3)
     weights = performance_weight(1.0), control_weight(10.0, 50.0), complementary_weight(20.0)
-    design = mixsyn(G, *weights)
+    design = mixsyn(G, *weights, gamma_rel=1.0)
     loop = loop_functions_of(design)
     assert loop.is_stable()
     assert loop.S.n_states == G.n_states + design.K.n_states  # no weight's states
@@ -57,7 +57,7 @@ def test_a_mixed_sensitivity_design_keeps_below_its_bounds():
 
 def test_a_weight_of_too_few_outputs_bounds_nothing():
     rng = np.random.default_rng(5)
-    design = mixsyn(random_model(rng, 3, 2, 2), 1.0, [[1.0, 0.0]])
+    design = mixsyn(random_model(rng, 3, 2, 2), 1.0, [[1.0, 0.0]], gamma_rel=1.0)
     bound = loop_functions_of(design).bound("KS", OMEGA)
     assert bound is not None
     assert np.isinf(bound).all()

@@ -36,7 +36,7 @@ def test_siso_zero_and_pole_by_hand():
     assert "no room" in text
 
 
-@pytest.mark.parametrize(("seed", "dt"), [(0, 0.0), (1, 0.0), (0, 0.2)])
+@pytest.mark.parametrize(("seed", "dt"), [(1, 0.0), (0, 0.2)])
 def test_peaks_are_what_optimal_designs_reach(seed, dt):
     """H-infinity designs of S, T and K S alone; the discrete plants' delay of a sample is a zero at infinity."""
     G = random_plant(seed, dt)
