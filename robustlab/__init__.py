@@ -38,12 +38,25 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.structural import controllability as controllability
     from robustlab.structural import observability as observability
     from robustlab.synthesis import Controller as Controller
+    from robustlab.synthesis import check_weights as check_weights
     from robustlab.synthesis import complementary_weight as complementary_weight
     from robustlab.synthesis import control_weight as control_weight
+    from robustlab.synthesis import design_weights as design_weights
     from robustlab.synthesis import generalized_plant as generalized_plant
+    from robustlab.synthesis import h2 as h2
+    from robustlab.synthesis import h2_hinf as h2_hinf
     from robustlab.synthesis import hinf as hinf
+    from robustlab.synthesis import loop_functions as loop_functions
+    from robustlab.synthesis import loop_functions_of as loop_functions_of
+    from robustlab.synthesis import lqg as lqg
+    from robustlab.synthesis import lqr as lqr
+    from robustlab.synthesis import makeweight as makeweight
     from robustlab.synthesis import mixsyn as mixsyn
+    from robustlab.synthesis import ncf as ncf
+    from robustlab.synthesis import noise_weight as noise_weight
+    from robustlab.synthesis import performance_limits as performance_limits
     from robustlab.synthesis import performance_weight as performance_weight
+    from robustlab.synthesis import place as place
     from robustlab.uncertainty.algebra import beside as beside
     from robustlab.uncertainty.algebra import stacked as stacked
     from robustlab.uncertainty.algebra import star as star
@@ -123,11 +136,24 @@ _PUBLIC = {
     "frequency_response": "frequency",
     # synthesis
     "hinf": "synthesis",
+    "h2": "synthesis",
+    "h2_hinf": "synthesis",
+    "loop_functions": "synthesis",
+    "loop_functions_of": "synthesis",
+    "lqr": "synthesis",
+    "lqg": "synthesis",
+    "place": "synthesis",
     "mixsyn": "synthesis",
+    "ncf": "synthesis",
     "generalized_plant": "synthesis",
+    "performance_limits": "synthesis",
     "performance_weight": "synthesis",
     "control_weight": "synthesis",
     "complementary_weight": "synthesis",
+    "design_weights": "synthesis",
+    "check_weights": "synthesis",
+    "makeweight": "synthesis",
+    "noise_weight": "synthesis",
     "Controller": "synthesis",
     # measurements
     "compare": "identification",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.matrix_equations import lyapunov
+from robustlab.matrix_equations import gramians
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
@@ -315,8 +315,7 @@ def h2_norm(model: Any) -> H2Norm:
     # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
     s, rate = (m, 1.0) if m.is_discrete else _well_scaled(m)
     try:
-        reach = lyapunov(s.A, s.B @ s.B.T, m.is_discrete)
-        see = lyapunov(s.A.T, s.C.T @ s.C, m.is_discrete)
+        reach, see = gramians(s.A, s.B, s.C, m.is_discrete)
     except NoTrustworthyNumber as error:
         return H2Norm(np.inf, Status.FAILED, error.line)
     squares = [max(float(np.trace(s.C @ reach @ s.C.T)), 0.0), max(float(np.trace(s.B.T @ see @ s.B)), 0.0)]

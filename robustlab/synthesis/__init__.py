@@ -3,23 +3,63 @@
 from robustlab.synthesis.controller import Controller as Controller
 from robustlab.synthesis.design import HinfSynthesis as HinfSynthesis
 from robustlab.synthesis.design import Synthesis as Synthesis
+from robustlab.synthesis.h2_synthesis import H2Synthesis as H2Synthesis
+from robustlab.synthesis.h2_synthesis import h2 as h2
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
+from robustlab.synthesis.loop_functions import LoopFunctions as LoopFunctions
+from robustlab.synthesis.loop_functions import loop_functions as loop_functions
+from robustlab.synthesis.loop_functions import loop_functions_of as loop_functions_of
+from robustlab.synthesis.loop_shaping import NcfSynthesis as NcfSynthesis
+from robustlab.synthesis.loop_shaping import ncf as ncf
+from robustlab.synthesis.mixed_h2_hinf import MixedSynthesis as MixedSynthesis
+from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
+from robustlab.synthesis.performance_limits import PerformanceLimits as PerformanceLimits
+from robustlab.synthesis.performance_limits import performance_limits as performance_limits
+from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
+from robustlab.synthesis.state_feedback import lqg as lqg
+from robustlab.synthesis.state_feedback import lqr as lqr
+from robustlab.synthesis.state_feedback import place as place
+from robustlab.synthesis.weight_design import DesignWeights as DesignWeights
+from robustlab.synthesis.weight_design import check_weights as check_weights
+from robustlab.synthesis.weight_design import design_weights as design_weights
+from robustlab.synthesis.weight_design import makeweight as makeweight
+from robustlab.synthesis.weight_design import noise_weight as noise_weight
 from robustlab.synthesis.weights import complementary_weight as complementary_weight
 from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight
 
 __all__ = [
     "Controller",
+    "DesignWeights",
     "GeneralizedPlant",
+    "H2Synthesis",
     "HinfSynthesis",
+    "LoopFunctions",
+    "MixedSynthesis",
+    "NcfSynthesis",
+    "PerformanceLimits",
+    "StateFeedback",
     "Synthesis",
+    "check_weights",
     "complementary_weight",
     "control_weight",
+    "design_weights",
+    "h2",
+    "h2_hinf",
     "hinf",
+    "loop_functions",
+    "loop_functions_of",
     "generalized_plant",
+    "lqg",
+    "lqr",
+    "makeweight",
     "mixsyn",
+    "ncf",
+    "noise_weight",
+    "performance_limits",
     "performance_weight",
+    "place",
 ]

@@ -9,10 +9,11 @@ import control
 import numpy as np
 import pytest
 
-from robustlab.norms import hinf_norm
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.norms import h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, lower_lft
-from robustlab.synthesis import hinf, mixsyn, performance_weight
+from robustlab.synthesis import h2, hinf, mixsyn, ncf, performance_weight
 
 SHARED = Path(__file__).parents[3] / "shared"
 COMPLEIB = SHARED / "data" / "compleib.h5"
@@ -108,3 +109,56 @@ def test_compleib_plants_reach_the_best_known_gamma(name):
     design = hinf(plant, n_y, n_u, gamma_rel=1.0)
     assert_verified(design, best, 1.001)
     assert lower_lft(plant, design.K).is_stable()
+
+
+def shared_case(name):
+    text = (MASS.parent / "mixed_sensitivity_ncf.json").read_text(encoding="utf-8")
+    return next(case for case in json.loads(text)["cases"] if case["name"] == name)
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not MASS.exists(), reason="measured data not beside the checkout")
+def test_skogestad_9_3_reaches_the_recorded_gamma():
+    case = shared_case("SP_9.3_NCF")
+    s = control.tf("s")
+    design = ncf(skogestad_2_17(), control.ss((s + 2) / s), factor=1.1)
+    assert design.status is Status.CERTIFIED
+    assert design.gamma_min == pytest.approx(case["gamma_min_measured"], abs=1e-4)
+    assert design.margin.best == pytest.approx(case["eps_max"], abs=1e-5)
+    assert design.gamma <= 1.1 * design.gamma_min * 1.001
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+@pytest.mark.parametrize(
+    "name", ["NN1", "AC5", "DIS5", "HE1", "NN3", "HF2D13", "ROC7", "PSM", "TF1", "HE5", "CSE1", "EB5"]
+)
+def test_compleib_plants_reach_the_best_known_h2_norm(name):
+    import h5py
+
+    with h5py.File(COMPLEIB) as file:
+        m = {key: file[name][key][()] for key in file[name]}
+        n_y, n_u = int(file[name].attrs["ny"]), int(file[name].attrs["nu"])
+        best = float(file[name].attrs["h2_full_best_verified"])
+    D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((n_y, n_u))]])
+    plant = StateSpaceModel(m["A"], np.hstack([m["B1"], m["B"]]), np.vstack([m["C1"], m["C"]]), D)
+    design = h2(plant, n_y, n_u)
+    assert design.status is Status.CONVERGED
+    assert design.gamma <= 1.001 * best
+    loop = lower_lft(plant, design.K)
+    assert loop.is_stable()
+    assert h2_norm(loop).value == pytest.approx(design.gamma, rel=1e-6)
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+def test_a_plant_whose_direct_term_no_controller_cancels_is_refused():
+    import h5py
+
+    with h5py.File(COMPLEIB) as file:
+        m = {key: file["NN13"][key][()] for key in file["NN13"]}
+        n_y, n_u = int(file["NN13"].attrs["ny"]), int(file["NN13"].attrs["nu"])
+    D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((n_y, n_u))]])
+    plant = StateSpaceModel(m["A"], np.hstack([m["B1"], m["B"]]), np.vstack([m["C1"], m["C"]]), D)
+    with pytest.raises(NoTrustworthyNumber, match="infinite for every controller"):
+        h2(plant, n_y, n_u)

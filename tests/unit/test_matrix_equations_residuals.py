@@ -8,7 +8,7 @@ import scipy.linalg
 
 from robustlab import matrix_equations
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.matrix_equations import care, lyapunov
+from robustlab.matrix_equations import care, dare, gramians, lyapunov
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
@@ -83,3 +83,52 @@ def test_lyapunov_without_a_unique_solution():
         lyapunov([[0.0]], [[1.0]])
     with pytest.raises(NoTrustworthyNumber):
         lyapunov(np.diag([1.0, -1.0]), np.ones((2, 2)))
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 7])
+def test_gramians_solve_both_equations(n):
+    rng = np.random.default_rng(n)
+    A = rng.standard_normal((n, n)) - 3 * np.eye(n)
+    B, C = rng.standard_normal((n, 2)), rng.standard_normal((3, n))
+    P, Q = gramians(A, B, C)
+    np.testing.assert_allclose(A @ P + P @ A.T + B @ B.T, 0, atol=1e-11)
+    np.testing.assert_allclose(A.T @ Q + Q @ A + C.T @ C, 0, atol=1e-11)
+    A = A / 10
+    P, Q = gramians(A, B, C, discrete=True)
+    np.testing.assert_allclose(A @ P @ A.T - P + B @ B.T, 0, atol=1e-11)
+    np.testing.assert_allclose(A.T @ Q @ A - Q + C.T @ C, 0, atol=1e-11)
+
+
+def test_gramians_refuse_what_has_no_solution():
+    with pytest.raises(NoTrustworthyNumber):
+        gramians([[0.0]], [[1.0]], [[1.0]])
+    with pytest.raises(NoTrustworthyNumber):
+        gramians(np.diag([1.0, -1.0]), np.ones((2, 1)), np.ones((1, 2)))
+    with pytest.raises(InputError, match="B is"):
+        gramians(np.eye(2), np.ones((1, 1)), np.ones((1, 2)))
+
+
+@pytest.mark.parametrize("n", [1, 2, 6])
+def test_dare_against_scipy_and_its_own_equation(n):
+    rng = np.random.default_rng(n)
+    A, B = rng.standard_normal((n, n)), rng.standard_normal((n, 2))
+    F = rng.standard_normal((n + 2, n + 2))
+    W = F @ F.T
+    Q, R, S = W[:n, :n], W[n:, n:], W[:n, n:]
+    found = dare(A, B, Q, R, S)
+    X, F = found.X, found.gain
+    np.testing.assert_allclose(A.T @ X @ A - X + Q + (A.T @ X @ B + S) @ F, 0, atol=1e-8 * np.linalg.norm(X))
+    assert np.abs(np.linalg.eigvals(A + B @ F)).max() < 1
+    assert (np.linalg.eigvalsh(X) > -1e-9 * np.linalg.norm(X)).all()
+
+
+def test_dare_refuses():
+    with pytest.raises(NoTrustworthyNumber, match="unit circle"):
+        dare([[1.0]], [[0.0]], [[1.0]], [[1.0]])
+    with pytest.raises(NoTrustworthyNumber, match="unit circle"):
+        dare([[1.0]], [[1.0]], [[0.0]], [[1.0]])
+    with pytest.raises(InputError, match="Q is"):
+        dare([[1.0]], [[1.0]], np.eye(2), [[1.0]])
+    with pytest.raises(InputError, match="NaN"):
+        dare([[np.nan]], [[1.0]], [[1.0]], [[1.0]])
+    assert dare(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((0, 0)), [[1.0]]).gain.shape == (1, 0)

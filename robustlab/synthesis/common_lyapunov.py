@@ -1,0 +1,223 @@
+r"""H2 and H-infinity conditions on one controller with a common Lyapunov matrix, as linear matrix inequalities.
+
+The change of variables of Scherer, Gahinet, Chilali (1997) makes them affine in X, Y and the transformed controller:
+
+.. math:: \mathcal P = \begin{bmatrix} X & I \\ I & Y \end{bmatrix}, \quad
+   \mathcal A = \begin{bmatrix} A X + B_2 \hat C & A + B_2 \hat D C_2 \\ \hat A & Y A + \hat B C_2 \end{bmatrix}
+
+(their eqs 27 to 38). One Lyapunov matrix for both channels is a restriction: what is found is a feasible controller,
+not the best one. The inequalities go to Clarabel directly: their coefficients are taken once, by evaluating them at the
+unit vectors of the unknowns, and another level changes a few constants only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["Channel", "CommonLyapunov", "least_seconds"]
+
+Array = NDArray[Any]
+
+# Solver endings whose numbers are worth a look; the rebuilt loop decides.
+ACCEPTED = ("Solved", "AlmostSolved", "MaxTime", "InsufficientProgress", "MaxIterations")
+# Weight on the size of X and Y, which keeps K finite where the infimum is not attained.
+SIZE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One performance channel: columns of w and rows of z in the plant's matrices."""
+
+    B1: Array
+    C1: Array
+    D11: Array
+    D12: Array
+    D21: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Unknowns:
+    """X, Y, the transformed controller, and the bound Q of the H2 channel's output covariance."""
+
+    X: Array
+    Y: Array
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    Q: Array
+
+
+def least_seconds(n: int, n_h2: int, n_hinf: int) -> float:
+    """About how long setting up and three steps of the solver take, measured on a busy core.
+
+    A step of the solver cannot be interrupted, so a problem that is too large for the time left must not be begun.
+
+    Parameters
+    ----------
+    n, n_h2, n_hinf
+        States; channels of w and z together in the H2 and in the H-infinity channel.
+    """
+    unknowns = 2 * n * n + n * (n_h2 + 4)
+    rows = 0.5 * ((2 * n + n_h2) ** 2 * 2 + (2 * n + n_hinf) ** 2)
+    return 1.2e-6 * unknowns * rows + 3 * 2.4e-10 * unknowns**2 * rows
+
+
+class CommonLyapunov:
+    """The problem "least H2 norm of one channel with the H-infinity norm of another below a level".
+
+    Parameters
+    ----------
+    A, B2, C2
+        The plant without its performance channels, D22 = 0.
+    h2, hinf
+        The two channels.
+    gain
+        A direct term of K with ``D11 + D12 gain D21 = 0`` in the H2 channel (continuous time).
+    discrete
+        Time domain.
+    """
+
+    def __init__(
+        self, A: Array, B2: Array, C2: Array, h2: Channel, hinf: Channel, gain: Array, *, discrete: bool
+    ) -> None:
+        self.A, self.B2, self.C2, self.h2, self.hinf = A, B2, C2, h2, hinf
+        self.gain, self.discrete = gain, discrete
+        n_u, n_y = B2.shape[1], C2.shape[0]
+        # In continuous time the direct term moves only where the H2 channel does not see it.
+        self.unseen = np.eye(n_u) if discrete else _null_space(h2.D12)
+        self.unfed = np.zeros((n_y, 0)) if discrete else _null_space(h2.D21.T)
+        self.nothing = np.zeros(self._count())
+        base = self._inequalities(self.nothing, 0.0, 0.0)
+        self.rows = np.empty((sum(len(m) * (len(m) + 1) // 2 for m in base), self._count()))
+        self.cost = np.empty(self._count())
+        for k in range(self._count()):
+            unit = self.nothing.copy()
+            unit[k] = 1.0
+            parts = self._inequalities(unit, 0.0, 0.0)
+            self.rows[:, k] = np.concatenate([_triangle(m - b) for m, b in zip(parts, base, strict=True)])
+            self.cost[k] = self._cost(self._unknowns(unit))
+
+    def _count(self) -> int:
+        n, n_u, n_y = len(self.A), self.B2.shape[1], self.C2.shape[0]
+        free = self.unseen.shape[1] * n_y + n_u * self.unfed.shape[1]
+        q = self.h2.C1.shape[0]
+        return n * (n + 1) + n * n + n * n_y + n_u * n + free + q * (q + 1) // 2
+
+    def _unknowns(self, x: Array) -> _Unknowns:
+        n, n_u, n_y, q = len(self.A), self.B2.shape[1], self.C2.shape[0], self.h2.C1.shape[0]
+        sizes = [n * (n + 1) // 2] * 2 + [n * n, n * n_y, n_u * n]
+        sizes += [self.unseen.shape[1] * n_y, n_u * self.unfed.shape[1]]
+        X, Y, A, B, C, free, other, Q = np.split(x, np.cumsum(sizes))
+        D = self.gain + self.unseen @ free.reshape(-1, n_y) + other.reshape(n_u, -1) @ self.unfed.T
+        return _Unknowns(
+            _symmetric(X, n), _symmetric(Y, n), A.reshape(n, n), B.reshape(n, n_y), C.reshape(n_u, n), D,
+            _symmetric(Q, q),
+        )  # fmt: skip
+
+    def _closed(self, v: _Unknowns, c: Channel) -> tuple[Array, Array, Array, Array]:
+        A, B2, C2 = self.A, self.B2, self.C2
+        a = np.block([[A @ v.X + B2 @ v.C, A + B2 @ v.D @ C2], [v.A, v.Y @ A + v.B @ C2]])
+        b = np.vstack([c.B1 + B2 @ v.D @ c.D21, v.Y @ c.B1 + v.B @ c.D21])
+        out = np.hstack([c.C1 @ v.X + c.D12 @ v.C, c.C1 + c.D12 @ v.D @ C2])
+        return a, b, out, c.D11 + c.D12 @ v.D @ c.D21
+
+    def _inequalities(self, x: Array, w_share: float, z_share: float) -> list[Array]:
+        """Symmetric matrices that have to be positive semidefinite."""
+        v = self._unknowns(x)
+        n = len(self.A)
+        P = np.block([[v.X, np.eye(n)], [np.eye(n), v.Y]])
+        a, b, c, d = self._closed(v, self.h2)
+        one, none = np.eye(b.shape[1]), np.zeros((2 * n, b.shape[1]))
+        if self.discrete:
+            found = [
+                np.block([[P, a, b], [a.T, P, none], [b.T, none.T, one]]),
+                np.block([[v.Q, c, d], [c.T, P, none], [d.T, none.T, one]]),
+            ]
+        else:
+            found = [-np.block([[a + a.T, b], [b.T, -one]]), np.block([[P, c.T], [c, v.Q]])]
+        a, b, c, d = self._closed(v, self.hinf)
+        w, z = w_share * np.eye(b.shape[1]), z_share * np.eye(c.shape[0])
+        if self.discrete:
+            x_w, x_z = np.zeros((2 * n, len(w))), np.zeros((2 * n, len(z)))
+            return [*found, np.block([[P, a, b, x_z], [a.T, P, x_w, c.T], [b.T, x_w.T, w, d.T], [x_z.T, c, d, z]])]
+        return [*found, -np.block([[a + a.T, b, c.T], [b.T, -w, d.T], [c, d, -z]])]
+
+    def controller(self, level: float, share: float, seconds: float) -> StateSpaceModel | None:
+        """K at this level of the H-infinity channel, or None where the solver has none; to be verified by the caller.
+
+        ``share`` splits the square of the level between w and z, as ``share * (level^2 / share)``: for one channel
+        alone that is a scaling of its Lyapunov matrix, but with a common one it is a choice. 1 fits channels that
+        share w. Whatever the solver says about its accuracy, only the loop rebuilt from K counts.
+        """
+        import clarabel
+        from scipy import sparse
+
+        solver: Any = clarabel  # its types are not declared
+        constant = self._inequalities(np.zeros(self._count()), share, level**2 / share)
+        constant = self._inequalities(self.nothing, share, level**2 / share)
+        right = np.concatenate([_triangle(m) for m in constant])
+        cones = [solver.PSDTriangleConeT(len(m)) for m in constant]
+        settings = solver.DefaultSettings()
+        settings.verbose = False
+        settings.time_limit = max(seconds, 1e-3)
+        nothing = sparse.csc_matrix((len(self.cost), len(self.cost)))
+        try:
+            solution = solver.DefaultSolver(
+                nothing, self.cost, sparse.csc_matrix(-self.rows), right, cones, settings
+            ).solve()
+        except BaseException as error:
+            # Clarabel's own panics derive from BaseException, past every except clause for errors.
+            if type(error).__name__ != "PanicException":
+                raise
+            return None
+        x = np.array(solution.x)
+        if str(solution.status) not in ACCEPTED or not np.isfinite(x).all():
+            return None
+        try:
+            return self._rebuilt(self._unknowns(x))
+        except (np.linalg.LinAlgError, NoTrustworthyNumber, InputError):  # InputError: entries are not finite
+            return None
+
+    @staticmethod
+    def _cost(v: _Unknowns) -> float:
+        return float(np.trace(v.Q) + SIZE * (np.trace(v.X) + np.trace(v.Y)))
+
+    def _rebuilt(self, v: _Unknowns) -> StateSpaceModel:
+        """Undo the change of variables (their eq. 35), with ``M N^T = I - X Y`` split evenly."""
+        U, s, Vt = np.linalg.svd(np.eye(len(v.X)) - v.X @ v.Y)
+        M, N = U * np.sqrt(s), Vt.T * np.sqrt(s)
+        C = np.linalg.solve(M, (v.C - v.D @ self.C2 @ v.X).T).T
+        B = np.linalg.solve(N, v.B - v.Y @ self.B2 @ v.D)
+        inner = v.A - N @ B @ self.C2 @ v.X - v.Y @ self.B2 @ C @ M.T
+        inner -= v.Y @ (self.A + self.B2 @ v.D @ self.C2) @ v.X
+        A = np.linalg.solve(M, np.linalg.solve(N, inner).T).T
+        return StateSpaceModel(A, B, C, v.D, where="common Lyapunov matrix")
+
+
+def _null_space(matrix: Array) -> Array:
+    _, s, Vt = np.linalg.svd(matrix)
+    rank = int((s > 1e-12 * max(float(s.max(initial=0.0)), 1.0)).sum())
+    return Vt[rank:].T
+
+
+def _symmetric(entries: Array, n: int) -> Array:
+    matrix = np.zeros((n, n))
+    matrix[np.triu_indices(n)] = entries
+    return matrix + np.triu(matrix, 1).T
+
+
+def _triangle(matrix: Array) -> Array:
+    """Upper triangle by columns, off-diagonal entries times the root of two, as Clarabel's cone asks."""
+    rows, columns = np.triu_indices(len(matrix))
+    order = np.lexsort((rows, columns))
+    rows, columns = rows[order], columns[order]
+    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
+    return scale * 0.5 * (matrix[rows, columns] + matrix[columns, rows])
