@@ -17,7 +17,15 @@ from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.balancing import Balancing, Projection, gramian_factors, split_stable
 from robustlab.uncertainty.coprime import continuous_models, coprime_factors
 
-__all__ = ["ReducedModel", "balanced_truncation", "hankel_singular_values", "reduce_model"]
+__all__ = [
+    "CoprimeReduction",
+    "ReducedModel",
+    "balanced_truncation",
+    "error_bound",
+    "hankel_singular_values",
+    "reduce_model",
+    "weighted_factors",
+]
 
 Array = NDArray[np.float64]
 Method = Literal["truncation", "residualisation", "coprime"]
@@ -370,27 +378,48 @@ def _seen_difference(
     return float(size_of(gap, 2, axis=(1, 2)).max(initial=0.0)), float(size_of(first, axis=(1, 2)).max(initial=0.0))
 
 
-def _coprime_reduction(full: StateSpaceModel) -> Candidates:
-    mapped = continuous_models(full)
-    factors = coprime_factors(mapped.models[0]).right
-    balancing = Balancing.of(*gramian_factors(factors))
-    p = full.n_outputs
+class CoprimeReduction:
+    """Balanced truncation of the normalised right coprime factors of a model, continuous or discrete."""
 
-    def candidate(order: int) -> ReducedModel:
-        small = balancing.reduced(factors, order, "truncation")
-        error = hinf_norm(_difference(factors, small))
-        # N M^-1 with M = D_M + C_M (sI - A)^-1 B
+    def __init__(self, full: StateSpaceModel) -> None:
+        self.full = full
+        self._mapped = continuous_models(full)
+        self.factors = coprime_factors(self._mapped.models[0]).right
+        self.balancing = Balancing.of(*gramian_factors(self.factors))
+
+    def reduced_factors(self, order: int) -> StateSpaceModel:
+        """``[N_r; M_r]`` in continuous time."""
+        return self.balancing.reduced(self.factors, order, "truncation")
+
+    def reduced(self, order: int) -> StateSpaceModel:
+        """``N_r M_r^{-1}``.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            M_r has no inverse.
+        """
+        small, p = self.reduced_factors(order), self.full.n_outputs
         n, m = (small.C[:p], small.D[:p]), (small.C[p:], small.D[p:])
         if small.n_inputs and np.linalg.cond(m[1]) > 1e12:
             raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
         back = np.linalg.inv(m[1])
         gain, into = back @ m[0], small.B @ back
         model = StateSpaceModel(small.A - into @ m[0], into, n[0] - n[1] @ gain, n[1] @ back)
-        if full.dt:
-            model = bilinear_to_discrete(model, full.dt)
-            if mapped.mirrored:
-                model = StateSpaceModel(-model.A, -model.B, model.C, model.D, full.dt)
-        bound = error_bound(balancing.values, small.n_states)
-        return _checked(full, model, "coprime", error, bound, balancing.values, 0, (None, None))
+        if self.full.dt:
+            model = bilinear_to_discrete(model, self.full.dt)
+            if self._mapped.mirrored:
+                model = StateSpaceModel(-model.A, -model.B, model.C, model.D, self.full.dt)
+        return model
 
-    return candidate, 0, len(balancing.left)
+
+def _coprime_reduction(full: StateSpaceModel) -> Candidates:
+    reduction = CoprimeReduction(full)
+    values = reduction.balancing.values
+
+    def candidate(order: int) -> ReducedModel:
+        error = hinf_norm(_difference(reduction.factors, reduction.reduced_factors(order)))
+        bound = error_bound(values, order)
+        return _checked(full, reduction.reduced(order), "coprime", error, bound, values, 0, (None, None))
+
+    return candidate, 0, len(reduction.balancing.left)
