@@ -28,7 +28,7 @@ from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["MeasureName", "Performance", "PerformanceMeasure", "Scalings", "make_measure", "scaled_plant"]
+__all__ = ["MeasureName", "Performance", "PerformanceMeasure", "Scalings", "given_scalings", "make_measure", "scaled_plant"]
 
 MeasureName = Literal["hinf", "h2", "mu"]
 Evidence = HinfNorm | H2Norm | Margin
@@ -147,7 +147,7 @@ def make_measure(
     if known and structure_size(known) == (n_w, n_z) and isinstance(known[-1], FullBlock):
         known = known[:-1]  # the last block is the performance block
     if scalings is not None:
-        return PerformanceMeasure(plant, "mu", known, scaled_plant(plant, _models(scalings, where), where))
+        return PerformanceMeasure(plant, "mu", known, scaled_plant(plant, given_scalings(scalings, where), where))
     q, p = structure_size(known) if known else (0, 0)
     if not known or q >= n_w or p >= n_z:
         raise InputError(
@@ -172,7 +172,7 @@ def scaled_plant(plant: GeneralizedPlant, scalings: Scalings, where: str = "scal
     return GeneralizedPlant(wide.renamed(m.inputs, m.outputs), n_y, n_u, plant.blocks)
 
 
-def _models(scalings: Any, where: str) -> Scalings:
+def given_scalings(scalings: Any, where: str) -> Scalings:
     """A pair of models, or anything with ``on_outputs()`` and ``on_inputs()`` that give ``A, B, C, D`` of the two."""
     if hasattr(scalings, "on_outputs") and hasattr(scalings, "on_inputs"):
         if getattr(scalings, "mixed", False):
