@@ -332,7 +332,7 @@ class _Trials:
 
     def _judge(self, name: str, K: StateSpaceModel) -> None:
         try:
-            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2)
+            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, np.inf if self.best is None else self.best[2].upper)
         except (InputError, NoTrustworthyNumber) as error:  # the loop is not well posed
             self._none(name, error.line)
             return

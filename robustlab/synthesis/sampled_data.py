@@ -34,9 +34,9 @@ __all__ = ["SampledDataNorm", "sampled_data_norm", "sampled_loop_norm", "with_an
 
 Array = NDArray[Any]
 
-INTERVALS = (2, 4, 8, 16, 32, 64, 128)
+INTERVALS = (2, 4, 8, 16, 32, 64)
 # Largest number of lifted disturbance or performance channels.
-MOST_CHANNELS = 400
+MOST_CHANNELS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +183,13 @@ def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str)
     return GeneralizedPlant(behind.renamed(m.inputs, m.outputs), n_y, plant.n_con, plant.blocks)
 
 
-def sampled_loop_norm(plant: GeneralizedPlant, K: StateSpaceModel, delay: float, rtol: float) -> SampledDataNorm:
-    """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed."""
+def sampled_loop_norm(
+    plant: GeneralizedPlant, K: StateSpaceModel, delay: float, rtol: float, enough: float = np.inf
+) -> SampledDataNorm:
+    """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed.
+
+    Or until ``lower`` exceeds ``enough``: then nobody asks how much.
+    """
     m = plant.model
     n_w, n_z = m.n_inputs - plant.n_con, m.n_outputs - plant.n_meas
     history: list[tuple[int, float, float]] = []
@@ -204,7 +209,7 @@ def sampled_loop_norm(plant: GeneralizedPlant, K: StateSpaceModel, delay: float,
         best = SampledDataNorm(
             lower, upper, found.frequency, lifted.n_intervals, tuple(history), found.loop, found.held, status, reason
         )
-        if not np.isfinite(upper) or upper <= lower * (1 + rtol) or upper == 0:
+        if not np.isfinite(upper) or upper <= lower * (1 + rtol) or upper == 0 or lower > enough:
             break
     assert best is not None
     return best
@@ -220,11 +225,11 @@ def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> Sampled
     w, kick = slice(0, n), slice(n, n + lifted.n_kick)
     mean, rest = slice(0, lifted.n_means), slice(lifted.n_means, lifted.n_means + lifted.n_rests)
     whole = _part(loop, slice(0, lifted.n_means + lifted.n_rests), w)
-    lower = hinf_norm(whole, rtol)
+    lower = hinf_norm(_narrow(whole), rtol)
     upper, doubtful = lower.upper, [norm for norm in (lower,) if norm.status is not Status.CERTIFIED]
     if np.isfinite(upper) and len(lifted.held) < n:  # where all of w is held, nothing is left to bound
-        a = hinf_norm(_part(loop, mean, w), rtol)
-        b, c, d = (hinf_norm(_part(loop, i, j), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
+        a = hinf_norm(_narrow(_part(loop, mean, w)), rtol)
+        b, c, d = (hinf_norm(_narrow(_part(loop, i, j)), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
         gains = np.array([[a.upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
         upper = max(float(np.linalg.norm(gains, 2)), upper)
         doubtful += [norm for norm in (a,) if norm.status is not Status.CERTIFIED]
@@ -241,3 +246,11 @@ def _part(loop: StateSpaceModel, rows: slice, columns: slice) -> StateSpaceModel
         loop.A, loop.B[:, columns], loop.C[rows], loop.D[rows, columns], loop.dt, loop.inputs[columns],
         loop.outputs[rows],
     )  # fmt: skip
+
+
+def _narrow(loop: StateSpaceModel) -> StateSpaceModel:
+    """The same norm with no more outputs than states and inputs: an orthogonal turn of the outputs."""
+    if loop.n_outputs <= loop.n_states + loop.n_inputs:
+        return loop
+    r = np.linalg.qr(np.hstack([loop.C, loop.D]), mode="r")
+    return StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)
