@@ -2,10 +2,11 @@
 
     python benchmarks/reduction.py [--loss 0.001] [--no-mu]
 
-The column of Skogestad and Postlethwaite, *Multivariable Feedback Control* (2005), section 8.12. The scalings D(s) below
-come from a direct search over their gains, zeros and poles; the full controller is the H-infinity controller of the
-plant scaled with them. Everything else is computed here: norm of the scaled loop (a bound of mu at every frequency) of
-the full controller and of every reduced one, and mu by intervals with scalings of its own as a second opinion.
+The column of Skogestad and Postlethwaite, *Multivariable Feedback Control* (2005), section 8.12. The scalings D(s)
+below come from a direct search over their gains, zeros and poles; the full controller is the H-infinity controller of
+the plant scaled with them. Everything else is computed here: the norm of the scaled loop (a bound of mu at every
+frequency) of the full controller and of every reduced one, and mu by intervals with scalings of its own as a second
+opinion.
 """
 
 from __future__ import annotations
@@ -77,7 +78,9 @@ def main() -> None:
     full = hinf(scaled_plant(plant, d), gamma_rel=1.0).K
     print(f"full controller: {full.n_states} states, CPU {time.process_time() - start:.1f} s")
     start = time.process_time()
-    small = reduce_controller(plant, full, loss=options.loss, measure="mu", scalings=d, improve=improvement(), progress=print)
+    small = reduce_controller(
+        plant, full, loss=options.loss, measure="mu", scalings=d, improve=improvement(), progress=print
+    )
     cpu = time.process_time() - start
     print(
         f"{full.n_states} -> {small.K.n_states} states: certified mu {small.original_gamma:.5f} -> {small.gamma:.5f}, "

@@ -1,4 +1,4 @@
-"""Reduction of controllers to the lowest order whose closed loop, rebuilt and verified again, loses no more than said."""
+"""Reduction of controllers to the lowest order whose closed loop, rebuilt and proved anew, loses no more than said."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WHERE = "reduce_controller"
 Improvement = Callable[[GeneralizedPlant, StateSpaceModel, float], StateSpaceModel]
 Found = tuple[str, StateSpaceModel, Performance]
 
-# Candidates up to this multiple of the loss allowed are worth an improvement, and each gets this share of the time left.
+# Candidates up to this multiple of the loss allowed are worth an improvement; each gets this share of the time left.
 WORTH_IMPROVING, SHARE_OF_TIME = 10.0, 0.25
 # The loss is not monotone in the order: the search goes on for so many orders after the first that loses too much.
 PATIENCE = 3
@@ -138,7 +138,7 @@ def reduce_controller(
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
 ) -> ReducedController:
-    r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one's.
+    r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one.
 
     .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
 
@@ -216,7 +216,9 @@ def reduce_controller(
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
-        search = _Descent(judge, full, loss, order, time.monotonic() + time_limit, improve, progress or (lambda _: None))
+        search = _Descent(
+            judge, full, loss, order, time.monotonic() + time_limit, improve, progress or (lambda _: None)
+        )
         return search.run()
 
 
@@ -265,7 +267,9 @@ class _Descent:
         self.reference = judge.certified(full)
         if not np.isfinite(self.reference.value) or not self.reference.status.trustworthy:
             reason = getattr(self.reference.evidence, "reason", "") or self.reference.status
-            raise NoTrustworthyNumber(WHERE, f"the loop with the full controller has no trustworthy {judge.text} ({reason})")
+            raise NoTrustworthyNumber(
+                WHERE, f"the loop with the full controller has no trustworthy {judge.text} ({reason})"
+            )
         self.limit = np.inf if order is not None else (1 + allowed) * self.reference.value
         self.families = candidate_families(judge.gramian_plant, full)
 
@@ -280,7 +284,9 @@ class _Descent:
                 break
             again = stage is not self.full and stage.n_states > n
             more = _renamed(candidate_families(self.judge.gramian_plant, stage)) if again else []
-            found = self._improved(_best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit, self.until))
+            found = self._improved(
+                _best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit, self.until)
+            )
             stage = self.full if found is None else found[1]
             tried.append(self._tried(n, found))
             self.progress(_line(tried[-1], self.judge.name))
@@ -361,7 +367,10 @@ def _best_of_order(
             continue
         if not np.isfinite(value.value):
             continue
-        if best is None or (not value.status.trustworthy, value.value) < (not best[2].status.trustworthy, best[2].value):
+        if best is None or (not value.status.trustworthy, value.value) < (
+            not best[2].status.trustworthy,
+            best[2].value,
+        ):
             best = (name, K, value)
         if best[2].value <= limit and best[2].value <= estimate * (1 + 1e-3):
             break  # what the others can gain is not worth a proof
