@@ -23,11 +23,8 @@ from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.performance_measure import scaled_plant
 from robustlab.uncertainty.blocks import ComplexScalar
 
-# log k, log z (3), log p (3) of d(s) = k prod (s/z + 1)/(s/p + 1); the performance block has d = 1.
-LOG_D = (
-    (0.9923938708, -2.0056069578, 3.6279346258, -3.0708709725, -0.2569333420, -0.3432230776, -4.6566172195),
-    (1.0305694573, -1.9627829266, 3.6440531322, -3.1096508697, -0.2236487967, -0.3554991358, -4.7110915946),
-)  # fmt: skip
+# log k, log z (3), log p (3) of d(s) = k prod (s/z + 1)/(s/p + 1), the same for both inputs; performance has d = 1.
+LOG_D = (1.1718838168, -2.5068659207, 4.8517257507, -2.6786586802, -0.3489962858, -0.2995493640, -4.8840303405)
 BLOCKS = (ComplexScalar("input1"), ComplexScalar("input2"))
 
 
@@ -51,8 +48,8 @@ def lag(k: float, zeros: list[float], poles: list[float]) -> StateSpaceModel:
 def scalings() -> tuple[StateSpaceModel, StateSpaceModel]:
     """``(D_z, D_w^-1)``."""
     sides: list[list[StateSpaceModel]] = [[], []]
-    for i, log_d in enumerate(LOG_D):
-        k, z, p = np.exp(log_d[0]), sorted(np.exp(log_d[1:4])), sorted(np.exp(log_d[4:]))
+    k, z, p = np.exp(LOG_D[0]), sorted(np.exp(LOG_D[1:4])), sorted(np.exp(LOG_D[4:]))
+    for i in range(2):
         for side, part in zip(sides, (lag(k, z, p), lag(1 / k, p, z)), strict=True):
             side.append(part.renamed([f"i{i}"], [f"o{i}"]))
     rest = StateSpaceModel([], [], [], np.eye(2), inputs=["a", "b"], outputs=["c", "d"])
@@ -87,7 +84,7 @@ def main() -> None:
         f"loss {100 * small.loss:.4f} % (allowed {100 * options.loss:g} %), {small.status}, CPU {cpu:.1f} s"
     )
     for order in (10, 8, 6):
-        forced = reduce_controller(plant, full, order=order, measure="mu", scalings=d)
+        forced = reduce_controller(plant, full, order=order, measure="mu", scalings=d, improve=improvement())
         print(f"{full.n_states} -> {order}: certified mu {forced.gamma:.5f}, loss {100 * forced.loss:.3f} %")
     if not options.no_mu:
         start = time.process_time()

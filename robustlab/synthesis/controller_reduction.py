@@ -311,7 +311,7 @@ class _Descent:
             return found
         name, K, value = found
         most = (1 + WORTH_IMPROVING * self.allowed) * self.reference.value
-        if value.value <= min(self.limit, most) or value.value > most:
+        if self.order is None and not self.limit < value.value <= most:
             return found
         seconds = SHARE_OF_TIME * (self.until - time.monotonic())
         if seconds <= 0:
