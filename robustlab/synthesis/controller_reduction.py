@@ -274,26 +274,25 @@ class _Descent:
         self.families = candidate_families(judge.gramian_plant, full)
 
     def run(self) -> ReducedController:
-        """Order by order; the search ends where three orders in a row lose too much."""
+        """Order by order; the search ends at the order wanted, or where three orders in a row lose too much."""
         tried: list[OrderTried] = []
         chosen, performance, failed, late = self.full, self.reference, 0, False
         stage = self.full  # the best of the order before: what matters in its loop is a second way down
-        for n in range(self.full.n_states - 1, -1, -1) if self.order is None else (self.order,):
+        for n in range(self.full.n_states - 1, (self.order or 0) - 1, -1):
             late = time.monotonic() > self.until
-            if late or failed == PATIENCE:
+            if late or (self.order is None and failed == PATIENCE):
                 break
             again = stage is not self.full and stage.n_states > n
             more = _renamed(candidate_families(self.judge.gramian_plant, stage)) if again else []
-            found = self._improved(
-                _best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit, self.until)
-            )
+            found = _best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit, self.until)
+            found = self._improved(found, n)
             stage = self.full if found is None else found[1]
             tried.append(self._tried(n, found))
             self.progress(_line(tried[-1], self.judge.name))
-            if found is not None and found[2].value <= self.limit and found[2].status.trustworthy:
-                chosen, performance, failed = found[1], found[2], 0
-            else:
-                failed += 1
+            enough = found is not None and found[2].value <= self.limit and found[2].status.trustworthy
+            failed = 0 if enough else failed + 1
+            if found is not None and enough and self.order in (None, n):
+                chosen, performance = found[1], found[2]
         if self.order is not None and chosen is self.full and self.order < self.full.n_states:
             text = f"no controller of order {self.order} could be verified{', in the time limit' if late else ''}"
             raise NoTrustworthyNumber(WHERE, text, hint="a higher order")
@@ -305,13 +304,13 @@ class _Descent:
         method, K, value = found
         return OrderTried(K.n_states, method, value.value, _loss(value.value, self.reference.value), value.status)
 
-    def _improved(self, found: Found | None) -> Found | None:
+    def _improved(self, found: Found | None, order: int) -> Found | None:
         """What ``improve`` makes of a controller that is almost good enough, where that is better."""
         if found is None or self.improve is None:
             return found
         name, K, value = found
         most = (1 + WORTH_IMPROVING * self.allowed) * self.reference.value
-        if self.order is None and not self.limit < value.value <= most:
+        if order != self.order if self.order is not None else not self.limit < value.value <= most:
             return found
         seconds = SHARE_OF_TIME * (self.until - time.monotonic())
         if seconds <= 0:
