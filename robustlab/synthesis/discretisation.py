@@ -97,38 +97,36 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
 
 def held_input(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
     """``A_d, B_d, C, D`` for an input that is constant over dt: one matrix exponential."""
-    from scipy.linalg import expm
-
     n, n_u = m.B.shape
     block = np.zeros((n + n_u, n + n_u))
     block[:n] = np.hstack([m.A, m.B]) * dt
-    moved = _finite(expm(block), "zoh", m, dt)
+    moved = _exponential(block, "zoh", m, dt)
     return moved[:n, :n], moved[:n, n:], m.C, m.D
 
 
 def _first_order_hold(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
-    from scipy.linalg import expm
-
     n, n_u = m.B.shape
     block = np.zeros((n + 2 * n_u, n + 2 * n_u))
     block[:n, : n + n_u] = np.hstack([m.A, m.B]) * dt
     block[n : n + n_u, n + n_u :] = np.eye(n_u)
-    moved = _finite(expm(block), "foh", m, dt)
+    moved = _exponential(block, "foh", m, dt)
     a, held, slope = moved[:n, :n], moved[:n, n : n + n_u], moved[:n, n + n_u :]
     # x_{k+1} = a x_k + held u_k + slope (u_{k+1} - u_k); the state here is x_k - slope u_k.
     return a, held + a @ slope - slope, m.C, m.D + m.C @ slope
 
 
 def _impulse(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
-    from scipy.linalg import expm
-
     if m.D.any():
         raise InputError("discretise", "a direct term with method 'impulse'", "a model without one, or another method")
-    a = _finite(expm(m.A * dt), "impulse", m, dt)
+    a = _exponential(m.A * dt, "impulse", m, dt)
     return a, a @ m.B * dt, m.C, m.C @ m.B * dt
 
 
-def _finite(moved: Array, method: str, m: StateSpaceModel, dt: float) -> Array:
+def _exponential(block: Array, method: str, m: StateSpaceModel, dt: float) -> Array:
+    from scipy.linalg import expm
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = expm(block)
     if not np.isfinite(moved).all():
         fastest = m.spectral_abscissa()
         raise NoTrustworthyNumber(
@@ -157,7 +155,8 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     if not m.n_states or not (m.B.any() and m.C.any()):
         return StateSpaceModel([], [], [], m.D)
     poles, zeros = m.poles(), _finite_zeros(m)
-    s = float(np.abs(poles).max()) * 1.7  # on the positive real axis, right of all poles: finite and real
+    # On the positive real axis, right of all poles: finite and real.
+    s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
     gain = _value(m, s) * np.prod(s - poles) / np.prod(s - zeros)
     omega = np.abs(np.concatenate([poles, zeros])) * 1.3 + 1e-3 * s
     product = gain * np.prod(1j * omega[:, None] - zeros, axis=1) / np.prod(1j * omega[:, None] - poles, axis=1)

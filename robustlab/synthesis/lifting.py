@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.balancing import triangular_root
 from robustlab.synthesis.partition import GeneralizedPlant
@@ -275,12 +276,15 @@ def mean_and_variance(A: Array, C: Array, h: float) -> tuple[Array, Array, Array
     mean = np.sqrt(small) * C @ series
     slope = C @ A
     variance = small**3 / 12 * slope.T @ slope
-    for k in range(1, doublings + 1):
-        later = mean @ moved
-        change = mean - later
-        variance = variance + moved.T @ variance @ moved + 0.5 * change.T @ change
-        mean = (mean + later) / np.sqrt(2)
-        moved = expm(A * (h / 2.0 ** (doublings - k)))  # not by squaring: errors would double each time
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(1, doublings + 1):
+            later = mean @ moved
+            change = mean - later
+            variance = variance + moved.T @ variance @ moved + 0.5 * change.T @ change
+            mean = (mean + later) / np.sqrt(2)
+            moved = expm(A * (h / 2.0 ** (doublings - k)))  # not by squaring: errors would double each time
+    if not (np.isfinite(moved).all() and np.isfinite(variance).all()):
+        raise NoTrustworthyNumber("lifting", f"e^(A t) overflows within {h:g} s", "a shorter sample time")
     return moved, mean, variance
 
 
