@@ -316,7 +316,9 @@ class _Descent:
         if seconds <= 0:
             return found
         better = self.improve(self.judge.gramian_plant, K, seconds)
-        named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs, K.states)
+        if better.n_states > K.n_states:
+            return found
+        named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs)
         try:
             verified = self.judge.certified(named)
         except (InputError, NoTrustworthyNumber):

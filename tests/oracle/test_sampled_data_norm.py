@@ -53,9 +53,7 @@ def test_stability_is_decided_exactly(share):
 
 def loop_of_two() -> tuple[rl.StateSpaceModel, rl.StateSpaceModel]:
     """A lightly damped plant, force disturbance, position and control as performance, and a first-order controller."""
-    P = rl.StateSpaceModel(
-        [[0, 1], [-4, -0.8]], [[0, 0], [1, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0], [0, 0.3], [0, 0]]
-    )
+    P = rl.StateSpaceModel([[0, 1], [-4, -0.8]], [[0, 0], [1, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0], [0, 0.3], [0, 0]])
     return P, rl.StateSpaceModel([[0.3]], [[1.0]], [[-0.6]], [[0.5]], 0.6)
 
 
@@ -131,9 +129,7 @@ def test_no_sinusoid_exceeds_the_norm_and_the_loop_between_samples_counts():
 
 def test_a_delay_of_a_whole_period_is_a_shift_in_the_controller():
     P, K = loop_of_two()
-    shifted = rl.StateSpaceModel(
-        [[0.3, 0.0], [-0.6, 0.0]], [[1.0], [0.5]], [[0.0, 1.0]], [[0.0]], K.dt
-    )  # z^-1 K
+    shifted = rl.StateSpaceModel([[0.3, 0.0], [-0.6, 0.0]], [[1.0], [0.5]], [[0.0, 1.0]], [[0.0]], K.dt)  # z^-1 K
     one = rl.sampled_data_norm(P, K, delay=K.dt, n_meas=1, n_con=1)
     two = rl.sampled_data_norm(P, shifted, n_meas=1, n_con=1)
     assert one.lower == pytest.approx(two.lower, rel=1e-6) and one.upper == pytest.approx(two.upper, rel=1e-6)

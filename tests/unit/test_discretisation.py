@@ -39,7 +39,9 @@ def test_a_lag_in_closed_form(method, expected):
 
 def test_prewarping_is_exact_at_its_frequency():
     found = rl.discretise(TWO_BY_TWO, 0.5, "tustin-prewarp", prewarp=2.0)
-    np.testing.assert_allclose(rl.frequency_response(found, [2.0]), rl.frequency_response(TWO_BY_TWO, [2.0]), rtol=1e-12)
+    np.testing.assert_allclose(
+        rl.frequency_response(found, [2.0]), rl.frequency_response(TWO_BY_TWO, [2.0]), rtol=1e-12
+    )
 
 
 def test_holds_are_exact_at_the_samples():
