@@ -1,4 +1,4 @@
-"""What a digital controller loses on a flexible chain, by method and sample rate; every norm is that of the sampled loop.
+"""What a digital controller loses on a flexible chain, by method and sample rate, in the norm of the sampled loop.
 
     python benchmarks/discretise.py
 

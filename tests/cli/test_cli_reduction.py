@@ -36,7 +36,8 @@ def test_a_reduced_model_with_its_error(files, capsys):
     _, k, out = files
     assert run(model.app, "reduce", k, "--order", "1", "--out", out, "--json") == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["command"] == "model reduce" and result["status"] == "certified"
+    assert result["command"] == "model reduce"
+    assert result["status"] == "certified"
     assert result["error"]["upper"] <= result["bound"] * (1 + 1e-5)
     gap = rl.load(k).K.dc_gain() - rl.load(out).dc_gain()
     assert abs(gap[0, 0]) <= result["error"]["upper"]
@@ -56,9 +57,12 @@ def test_a_reduced_controller(files, capsys):
     p, k, out = files
     assert run(synth.app, "reduce", p, k, "--loss", "0.01", "--out", out, "--json") == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["original_order"] == 2 and result["order"] < 2 and result["loss"] <= 0.01
+    assert result["original_order"] == 2
+    assert result["order"] < 2
+    assert result["loss"] <= 0.01
     stored = rl.load(out)
-    assert stored.K.n_states == result["order"] and stored.gamma == pytest.approx(result["gamma"])
+    assert stored.K.n_states == result["order"]
+    assert stored.gamma == pytest.approx(result["gamma"])
     by_name = ("--measurements", "y", "--controls", "u", "--order", "1")
     assert run(synth.app, "reduce", p, k, *by_name) == 0
     assert "loss by order" in capsys.readouterr().out
@@ -69,7 +73,9 @@ def test_a_digital_controller_and_its_loss_as_exit_code(files, capsys):
     p, k, out = files
     assert run(synth.app, "discretise", p, k, "--dt", "0.05", "--out", out, "--json") == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["dt"] == 0.05 and result["status"] == "certified" and result["loss"] < 0.1
+    assert result["dt"] == 0.05
+    assert result["status"] == "certified"
+    assert result["loss"] < 0.1
     assert rl.load(out).K.dt == 0.05
     assert run(synth.app, "discretise", p, k, "--dt", "4", "--method", "zoh", "--loss", "0") in (1, 4)
     assert run(synth.app, "discretise", p, k, "--dt", "0") == 3
@@ -84,4 +90,5 @@ def test_the_real_command(files):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("measure") and done.stderr == ""
+    assert done.stdout.startswith("measure")
+    assert done.stderr == ""

@@ -38,7 +38,8 @@ def test_without_control_the_norm_is_the_continuous_one(delay):
     exact = rl.hinf_norm(rl.StateSpaceModel(A, P.B[:, :2], P.C[:2], D[:2, :2])).value
     found = rl.sampled_data_norm(P, gain(0.0, 0.5), delay=delay, n_meas=1, n_con=1, rtol=5e-3)
     assert found.status is Status.CERTIFIED
-    assert found.lower <= exact * (1 + 1e-6) and exact <= found.upper * (1 + 1e-6)
+    assert found.lower <= exact * (1 + 1e-6)
+    assert exact <= found.upper * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("share", [0.999, 1.001])
@@ -132,7 +133,8 @@ def test_a_delay_of_a_whole_period_is_a_shift_in_the_controller():
     shifted = rl.StateSpaceModel([[0.3, 0.0], [-0.6, 0.0]], [[1.0], [0.5]], [[0.0, 1.0]], [[0.0]], K.dt)  # z^-1 K
     one = rl.sampled_data_norm(P, K, delay=K.dt, n_meas=1, n_con=1)
     two = rl.sampled_data_norm(P, shifted, n_meas=1, n_con=1)
-    assert one.lower == pytest.approx(two.lower, rel=1e-6) and one.upper == pytest.approx(two.upper, rel=1e-6)
+    assert one.lower == pytest.approx(two.lower, rel=1e-6)
+    assert one.upper == pytest.approx(two.upper, rel=1e-6)
 
 
 def test_delays_next_to_a_whole_period_agree_with_it():
@@ -153,7 +155,8 @@ def test_the_bracket_shrinks_from_both_sides_to_the_continuous_norm():
     assert found.lower == pytest.approx(continuous, rel=0.02)
     history = rl.sampled_data_norm(P, gain(-0.2, 1.0), n_meas=1, n_con=1, rtol=1e-3).history
     lowers, uppers = [h[1] for h in history], [h[2] for h in history]
-    assert lowers == sorted(lowers) and uppers == sorted(uppers, reverse=True)
+    assert lowers == sorted(lowers)
+    assert uppers == sorted(uppers, reverse=True)
     widths = [u / lower - 1 for lower, u in zip(lowers, uppers, strict=True)]
     assert widths[-1] < 1.5 * widths[-2] / 4  # like 1 / N^2
 
@@ -164,8 +167,10 @@ def test_disturbances_that_reach_the_sampler_are_held_or_filtered():
         [[-1.0]], [[0.0, 0.0]], [[0.0], [0.0]], [[0.0, 1.0], [1.0, 0.0]], inputs=["r", "u"], outputs=["z", "y"]
     )
     held = rl.sampled_data_norm(P, gain(1.0, 0.5), n_meas=1, n_con=1)
-    assert held.held == ("r",) and held.status is Status.CERTIFIED
-    assert held.lower == pytest.approx(1.0, rel=1e-5) and held.upper == pytest.approx(1.0, rel=1e-3)
+    assert held.held == ("r",)
+    assert held.status is Status.CERTIFIED
+    assert held.lower == pytest.approx(1.0, rel=1e-5)
+    assert held.upper == pytest.approx(1.0, rel=1e-3)
     corner = 3.0
     filtered = rl.sampled_data_norm(P, gain(1.0, 0.5), antialiasing=corner, n_meas=1, n_con=1, rtol=1e-3)
     x = corner * 0.5 / 2
@@ -192,5 +197,5 @@ def test_bad_requests_are_named(K, options, message):
 
 def test_a_discrete_plant_is_refused():
     P, K = loop_of_two()
-    with pytest.raises(rl.InputError, match="the plant has dt = 0.6 s"):
+    with pytest.raises(rl.InputError, match=r"the plant has dt = 0\.6 s"):
         rl.sampled_data_norm(rl.discretise(P, 0.6), K, n_meas=1, n_con=1)

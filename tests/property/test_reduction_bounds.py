@@ -1,4 +1,4 @@
-"""Reduction keeps its promises on random models: bound, stability, sizes; and the loss of a controller is what it says."""
+"""Reduction keeps its promises on random models: bound, stability, sizes; a controller loses what it says."""
 
 from __future__ import annotations
 

@@ -42,12 +42,17 @@ def test_states_that_do_not_matter_go_and_the_loop_is_proved_anew(design):
     assert rl.hinf_norm(lower_lft(PLANT, small.K)).lower <= small.gamma
     assert small.original.n_states == design.K.n_states + 2
     assert [o.order for o in small.orders][:2] == [4, 3]
-    assert len(lines) == len(small.orders) and lines[0].startswith("order 4: hinf ")
-    assert small.K.input_names == ("y",) and small.K.output_names == ("u",)
+    assert len(lines) == len(small.orders)
+    assert lines[0].startswith("order 4: hinf ")
+    assert small.K.input_names == ("y",)
+    assert small.K.output_names == ("u",)
     labels = dict(small.summary())
-    assert labels["measure"] == "H-infinity norm" and "->" in labels["order"]
+    assert labels["measure"] == "H-infinity norm"
+    assert "->" in labels["order"]
     data = plain(small)
-    assert data["original_order"] == 5 and data["orders"][0]["order"] == 4 and data["evidence"]["status"] == "certified"
+    assert data["original_order"] == 5
+    assert data["orders"][0]["order"] == 4
+    assert data["evidence"]["status"] == "certified"
 
 
 def test_no_lower_order_is_good_enough(design):
@@ -70,7 +75,8 @@ def test_h2_norm_as_the_measure():
     K = rl.StateSpaceModel([[-5.0, 0.0], [0.0, -300.0]], [[1.0], [1.0]], [[-3.0, 1e-3]], [[0.0]])
     P = rl.StateSpaceModel(PLANT.A, PLANT.B, PLANT.C, np.zeros((3, 3)))
     small = rl.reduce_controller(P, K, measure="h2", loss=1e-3)
-    assert small.K.n_states <= 1 and small.measure == "H2 norm"
+    assert small.K.n_states <= 1
+    assert small.measure == "H2 norm"
     assert small.gamma == pytest.approx(h2_norm(lower_lft(P, small.K)).value, rel=1e-9)
     assert small.gamma <= 1.001 * h2_norm(lower_lft(P, K)).value * (1 + 1e-9)
 
@@ -90,11 +96,13 @@ def test_mu_with_given_scalings_bounds_mu_and_without_them_is_no_larger():
     d = 0.6
     pair = rl.StateSpaceModel([], [], [], np.diag([d, 1.0])), rl.StateSpaceModel([], [], [], np.diag([1 / d, 1.0]))
     scaled = rl.reduce_controller(plant, K, loss=0.05, scalings=pair)
-    assert scaled.K.n_states == 1 and scaled.measure.startswith("mu of robust performance")
+    assert scaled.K.n_states == 1
+    assert scaled.measure.startswith("mu of robust performance")
     own = scaled_plant(plant, pair).close(scaled.K)
     assert scaled.gamma == pytest.approx(rl.hinf_norm(own).upper, rel=1e-5)
     free = rl.reduce_controller(plant, K, order=1, measure="mu")
-    assert free.K.n_states == 1 and free.status is Status.CERTIFIED
+    assert free.K.n_states == 1
+    assert free.status is Status.CERTIFIED
     assert free.gamma <= scaled.gamma * 1.002
     omega = np.geomspace(1e-3, 1e3, 60)
     bounds = rl.mu(rl.frequency_response(plant.close(free.K), omega), [[1, 0], [1, 1]])
@@ -105,10 +113,12 @@ def test_an_unstable_controller_and_a_discrete_one():
     P = rl.StateSpaceModel([[1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 0.1], [0, 0.1, 0]])
     stabilising = rl.StateSpaceModel([[0.2]], [[1.0]], [[-5.0]], [[-8.0]])
     small = rl.reduce_controller(P, padded(stabilising, 1e-3), loss=0.01)
-    assert small.K.n_states <= 2 and small.closed_loop.is_stable()
+    assert small.K.n_states <= 2
+    assert small.closed_loop.is_stable()
     digital, K = rl.discretise(PLANT, 0.05, "zoh"), rl.discretise(padded(rl.hinf(PLANT, 1, 1).K), 0.05)
     discrete = rl.reduce_controller(digital, K, loss=0.01)
-    assert discrete.K.dt == 0.05 and discrete.K.n_states < K.n_states
+    assert discrete.K.dt == 0.05
+    assert discrete.K.n_states < K.n_states
     assert discrete.gamma == pytest.approx(rl.hinf_norm(lower_lft(digital, discrete.K)).upper, rel=1e-5)
 
 
@@ -126,7 +136,8 @@ def test_an_improvement_is_verified_and_only_taken_where_it_is_one(design):
 
     # More states than asked for are no improvement.
     other = rl.reduce_controller(design, order=1, improve=lambda plant, K, seconds: design.K)
-    assert other.K.n_states == 1 and other.gamma == plain_one.gamma
+    assert other.K.n_states == 1
+    assert other.gamma == plain_one.gamma
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,9 @@ def test_a_lag_in_closed_form(method, expected):
     found = rl.discretise(LAG, 0.1, method)
     for z in (0.3 + 0.4j, -0.5 + 0j, 2.0 + 1j):
         assert at(found, z) == pytest.approx(expected(z, np.exp(-0.2)), rel=1e-10)
-    assert found.dt == 0.1 and found.inputs == LAG.inputs and found.outputs == LAG.outputs
+    assert found.dt == 0.1
+    assert found.inputs == LAG.inputs
+    assert found.outputs == LAG.outputs
 
 
 def test_prewarping_is_exact_at_its_frequency():
@@ -49,7 +51,7 @@ def test_holds_are_exact_at_the_samples():
     for method in ("zoh", "foh"):
         exact = rl.simulate(TWO_BY_TWO, t, u, hold=method)
         found = rl.discretise(TWO_BY_TWO, 0.5, method)
-        # The state of the first-order hold is x - slope u: zero for the plant's x = 0 at the first sample means this x0.
+        # The state of the first-order hold is x - slope u: the plant's x = 0 at the first sample means this x0.
         slope = found.D - TWO_BY_TWO.D
         stepped = rl.simulate(found, t, u, x0=-slope @ u[0] if method == "foh" else None)
         for name in ("y1", "y2"):
@@ -88,7 +90,9 @@ def test_a_static_gain_stays(method):
             rl.discretise(gain, 0.1, method)
         return
     found = rl.discretise(gain, 0.1, method, prewarp=1.0 if method == "tustin-prewarp" else None)
-    assert found.n_states == 0 and found.D == [[3.0]] and found.dt == 0.1
+    assert found.n_states == 0
+    assert found.D == [[3.0]]
+    assert found.dt == 0.1
 
 
 @pytest.mark.parametrize(
@@ -122,7 +126,8 @@ def test_a_pole_that_tustin_sends_to_infinity_and_one_that_overflows():
 def test_pathological_sampling_is_named():
     oscillator = rl.StateSpaceModel([[0, 10], [-10, 0]], [[0], [1]], [[1, 0]], [[0]])
     (merged,) = merged_modes(oscillator, np.pi / 10)
-    assert merged.multiple == 1 and not merged.stable
+    assert merged.multiple == 1
+    assert not merged.stable
     assert "no digital controller moves both" in str(merged)
     assert merged_modes(oscillator, 0.3) == ()
     # And it is true: the sampled oscillator is not controllable any more.

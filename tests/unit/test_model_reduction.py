@@ -205,14 +205,18 @@ def test_sizes_at_the_edge(n_u, method):
 def test_to_json_and_summary_carry_the_evidence():
     found = rl.balanced_truncation(stable_model(4, 1), 2)
     data = plain(found)
-    assert data["order"] == 2 and data["full_order"] == 4 and data["error"]["upper"] <= data["bound"] * (1 + 1e-6)
+    assert data["order"] == 2
+    assert data["full_order"] == 4
+    assert data["error"]["upper"] <= data["bound"] * (1 + 1e-6)
     labels = dict(found.summary())
-    assert labels["order"] == "2 of 4 states" and "promised" in labels["error"]
+    assert labels["order"] == "2 of 4 states"
+    assert "promised" in labels["error"]
 
 
 def test_python_control_objects_come_in():
     found = rl.balanced_truncation(control.tf([1.0], [1.0, 3.0, 2.0]), 1)
-    assert found.order == 1 and found.status is Status.CERTIFIED
+    assert found.order == 1
+    assert found.status is Status.CERTIFIED
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,8 @@ def flexible():
 def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
     lines: list[str] = []
     found = rl.discretise_controller(design, 1e-3, progress=lines.append)
-    assert found.status is Status.CERTIFIED and abs(found.loss) < 0.01
+    assert found.status is Status.CERTIFIED
+    assert abs(found.loss) < 0.01
     assert {t.method for t in found.trials} >= {"tustin", "zoh", "foh", "matched"}
     assert all(t.method != "direct" for t in found.trials)
     assert len(lines) == len(found.trials)
@@ -38,20 +39,26 @@ def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
     again = rl.sampled_data_norm(LOW, found.K, n_meas=1, n_con=1)
     assert again.upper == pytest.approx(found.gamma, rel=1e-9)
     labels = dict(found.summary())
-    assert labels["taken as constant between samples"] == "n" and "tustin: " in labels["loss by method"]
+    assert labels["taken as constant between samples"] == "n"
+    assert "tustin: " in labels["loss by method"]
     data = plain(found)
-    assert data["dt"] == 1e-3 and data["norm"]["lower"] <= data["gamma"] and data["trials"][0]["method"] == "tustin"
+    assert data["dt"] == 1e-3
+    assert data["norm"]["lower"] <= data["gamma"]
+    assert data["trials"][0]["method"] == "tustin"
 
 
 def test_on_a_flexible_chain_the_direct_design_loses_little_where_no_formula_is_stable(flexible):
     plant, design = flexible
     dt = 2 * np.pi / (12 * crossover(plant, design.K))
     found = rl.discretise_controller(design, dt)
-    assert found.chosen == "direct" and found.loss < 0.1
+    assert found.chosen == "direct"
+    assert found.loss < 0.1
     assert all(not np.isfinite(t.upper) for t in found.trials if t.method != "direct")
-    assert found.K.is_discrete and found.K.n_states <= plant.model.n_states
+    assert found.K.is_discrete
+    assert found.K.n_states <= plant.model.n_states
     again = rl.sampled_data_norm(plant, found.K)
-    assert again.status is Status.CERTIFIED and again.upper == pytest.approx(found.gamma, rel=1e-9)
+    assert again.status is Status.CERTIFIED
+    assert again.upper == pytest.approx(found.gamma, rel=1e-9)
     # At the samples the exact discrete loop is stable: poles of its own.
     from robustlab.statespace import lower_lft
 
