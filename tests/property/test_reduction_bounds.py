@@ -22,7 +22,7 @@ def random_model(seed: int, n: int, dt: float) -> rl.StateSpaceModel:
     return rl.StateSpaceModel(A, B, C, rng.normal(size=(p, m)), dt)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 8),
@@ -45,7 +45,7 @@ def test_error_lies_between_the_next_hankel_value_and_twice_the_tail(seed, n, da
     assert np.linalg.norm(gap, 2, axis=(1, 2)).max() <= found.error.upper + 1e-8 * largest
 
 
-@settings(deadline=None, max_examples=5)
+@settings(deadline=None, max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 6), loss=st.sampled_from([1e-3, 0.05, 0.5]))
 def test_a_reduced_controller_loses_what_it_says_and_no_more_than_allowed(seed, n, loss):
     rng = np.random.default_rng(seed)
