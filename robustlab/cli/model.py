@@ -8,6 +8,7 @@ import typer
 
 from robustlab.cli.console import JsonOption, assignments, emit, note, plant_settings, table
 from robustlab.cli.margins import gap, margins
+from robustlab.cli.reduction import discretise_model, reduce_model
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -221,6 +222,8 @@ def convert(
 
 app.command()(margins)
 app.command()(gap)
+app.command("reduce")(reduce_model)
+app.command("discretise")(discretise_model)
 
 
 # --- reading and printing --------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robustlab.cli import reduction
 from robustlab.cli.console import JsonOption, OutOption, emit, note, table
 from robustlab.errors import UsageError, did_you_mean
 
@@ -105,6 +106,10 @@ def mixsyn(
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
     found = design(kept, *weights, gamma_rel=gamma_rel, time_limit=time_limit)
     _finish("synth mixsyn", found, file, out, as_json)
+
+
+app.command("reduce")(reduction.reduce_controller)
+app.command("discretise")(reduction.discretise_controller)
 
 
 def _names(text: str) -> list[str]:

@@ -1,8 +1,11 @@
 """Controllers: H-infinity and mixed-sensitivity synthesis, every one verified in the loop rebuilt from it."""
 
 from robustlab.synthesis.controller import Controller as Controller
+from robustlab.synthesis.controller_reduction import ReducedController as ReducedController
+from robustlab.synthesis.controller_reduction import reduce_controller as reduce_controller
 from robustlab.synthesis.design import HinfSynthesis as HinfSynthesis
 from robustlab.synthesis.design import Synthesis as Synthesis
+from robustlab.synthesis.discretisation import discretise as discretise
 from robustlab.synthesis.h2_synthesis import H2Synthesis as H2Synthesis
 from robustlab.synthesis.h2_synthesis import h2 as h2
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
@@ -14,10 +17,18 @@ from robustlab.synthesis.loop_shaping import ncf as ncf
 from robustlab.synthesis.mixed_h2_hinf import MixedSynthesis as MixedSynthesis
 from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
+from robustlab.synthesis.model_reduction import ReducedModel as ReducedModel
+from robustlab.synthesis.model_reduction import balanced_truncation as balanced_truncation
+from robustlab.synthesis.model_reduction import hankel_singular_values as hankel_singular_values
+from robustlab.synthesis.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.performance_limits import PerformanceLimits as PerformanceLimits
 from robustlab.synthesis.performance_limits import performance_limits as performance_limits
+from robustlab.synthesis.sampled_controller import SampledController as SampledController
+from robustlab.synthesis.sampled_controller import discretise_controller as discretise_controller
+from robustlab.synthesis.sampled_data import SampledDataNorm as SampledDataNorm
+from robustlab.synthesis.sampled_data import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
 from robustlab.synthesis.state_feedback import lqg as lqg
 from robustlab.synthesis.state_feedback import lqr as lqr
@@ -49,6 +60,14 @@ __all__ = [
     "design_weights",
     "h2",
     "h2_hinf",
+    "ReducedController",
+    "ReducedModel",
+    "SampledController",
+    "SampledDataNorm",
+    "balanced_truncation",
+    "discretise",
+    "discretise_controller",
+    "hankel_singular_values",
     "hinf",
     "loop_functions",
     "loop_functions_of",
@@ -62,4 +81,7 @@ __all__ = [
     "performance_limits",
     "performance_weight",
     "place",
+    "reduce_controller",
+    "reduce_model",
+    "sampled_data_norm",
 ]

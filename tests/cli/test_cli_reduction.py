@@ -1,0 +1,94 @@
+"""``robustlab model reduce | discretise`` and ``synth reduce | discretise``: files, results, exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.cli import model, synth
+from robustlab.cli.console import main_guard
+
+
+def run(app, *arguments: str) -> int:
+    return main_guard(lambda: app(list(arguments), standalone_mode=False))
+
+
+@pytest.fixture
+def files(tmp_path):
+    P = rl.StateSpaceModel(
+        [[-1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+        inputs=["w", "n", "u"], outputs=["z", "effort", "y"],
+    )  # fmt: skip
+    K = rl.StateSpaceModel(
+        [[-1.7, 0.0], [0.0, -90.0]], [[0.5], [0.01]], [[-0.4, 0.01]], [[0.0]], inputs=["y"], outputs=["u"]
+    )
+    rl.save(tmp_path / "p.h5", P)
+    rl.save(tmp_path / "k.h5", rl.Controller(K))
+    return str(tmp_path / "p.h5"), str(tmp_path / "k.h5"), str(tmp_path / "out.h5")
+
+
+def test_a_reduced_model_with_its_error(files, capsys):
+    _, k, out = files
+    assert run(model.app, "reduce", k, "--order", "1", "--out", out, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["command"] == "model reduce"
+    assert result["status"] == "certified"
+    assert result["error"]["upper"] <= result["bound"] * (1 + 1e-5)
+    gap = rl.load(k).K.dc_gain() - rl.load(out).dc_gain()
+    assert abs(gap[0, 0]) <= result["error"]["upper"]
+    assert run(model.app, "reduce", k, "--tolerance", "0.01") == 0
+    assert "verified upper bound" in capsys.readouterr().out
+
+
+def test_a_discrete_model_by_formula(files, capsys):
+    p, _, out = files
+    assert run(model.app, "discretise", p, "--dt", "0.1", "--method", "zoh", "--out", out) == 0
+    assert rl.load(out).A[0, 0] == pytest.approx(np.exp(-0.1))
+    assert run(model.app, "discretise", p, "--dt", "0.1", "--method", "euler") == 3
+    assert "one of tustin" in capsys.readouterr().err
+
+
+def test_a_reduced_controller(files, capsys):
+    p, k, out = files
+    assert run(synth.app, "reduce", p, k, "--loss", "0.01", "--out", out, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["original_order"] == 2
+    assert result["order"] < 2
+    assert result["loss"] <= 0.01
+    stored = rl.load(out)
+    assert stored.K.n_states == result["order"]
+    assert stored.gamma == pytest.approx(result["gamma"])
+    by_name = ("--measurements", "y", "--controls", "u", "--order", "1")
+    assert run(synth.app, "reduce", p, k, *by_name) == 0
+    assert "loss by order" in capsys.readouterr().out
+    assert run(synth.app, "reduce", p, k, "--measurements", "y") == 2
+
+
+def test_a_digital_controller_and_its_loss_as_exit_code(files, capsys):
+    p, k, out = files
+    assert run(synth.app, "discretise", p, k, "--dt", "0.05", "--out", out, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["dt"] == 0.05
+    assert result["status"] == "certified"
+    assert result["loss"] < 0.1
+    assert rl.load(out).K.dt == 0.05
+    assert run(synth.app, "discretise", p, k, "--dt", "2", "--method", "tustin", "--loss", "0.0001") == 1
+    assert run(synth.app, "discretise", p, k, "--dt", "0") == 3
+
+
+def test_the_real_command(files):
+    p, k, _ = files
+    done = subprocess.run(
+        [sys.executable, "-m", "robustlab.cli.main", "synth", "reduce", p, k],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("measure")
+    assert done.stderr == ""

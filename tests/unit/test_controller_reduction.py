@@ -1,0 +1,167 @@
+"""Reduction of controllers: measures, scalings, unstable controllers, the order wanted, what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.result import Status, plain
+from robustlab.statespace import lower_lft
+from robustlab.synthesis.controller_reduction import ReducedController
+from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.synthesis.performance_measure import scaled_plant
+
+PLANT = rl.StateSpaceModel(
+    [[-1, 1, 0], [0, -3, 2], [0, 0, -20]], [[0, 0, 0], [1, 0, 0], [0, 0, 10]], [[1, 0, 0], [0, 0, 0], [1, 0, 0]],
+    [[0, 0, 0], [0, 0, 0.1], [0, 0.1, 0]], inputs=["w", "n", "u"], outputs=["z", "effort", "y"],
+)  # fmt: skip
+
+
+def padded(K: rl.StateSpaceModel, extra: float = 1e-4) -> rl.StateSpaceModel:
+    """K with two more states that hardly matter, in mixed coordinates."""
+    n = K.n_states
+    A = np.block([[K.A, np.zeros((n, 2))], [np.zeros((2, n)), np.diag([-3.0, -40.0])]])
+    B, C = np.vstack([K.B, np.ones((2, K.n_inputs))]), np.hstack([K.C, extra * np.ones((K.n_outputs, 2))])
+    T = np.eye(n + 2) + 0.3 * np.tri(n + 2, k=-1)
+    return rl.StateSpaceModel(np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, K.D, K.dt, K.inputs, K.outputs)
+
+
+@pytest.fixture(scope="module")
+def design():
+    return rl.hinf(PLANT, 1, 1, gamma_rel=1.0)
+
+
+def test_states_that_do_not_matter_go_and_the_loop_is_proved_anew(design):
+    lines: list[str] = []
+    small = rl.reduce_controller(design, padded(design.K), loss=1e-3, progress=lines.append)
+    assert isinstance(small, ReducedController)
+    assert small.K.n_states <= design.K.n_states
+    assert small.status is Status.CERTIFIED
+    assert small.loss <= 1e-3
+    assert rl.hinf_norm(lower_lft(PLANT, small.K)).lower <= small.gamma
+    assert small.original.n_states == design.K.n_states + 2
+    assert [o.order for o in small.orders][:2] == [4, 3]
+    assert len(lines) == len(small.orders)
+    assert lines[0].startswith("order 4: hinf ")
+    assert small.K.input_names == ("y",)
+    assert small.K.output_names == ("u",)
+    labels = dict(small.summary())
+    assert labels["measure"] == "H-infinity norm"
+    assert "->" in labels["order"]
+    data = plain(small)
+    assert data["original_order"] == 5
+    assert data["orders"][0]["order"] == 4
+    assert data["evidence"]["status"] == "certified"
+
+
+def test_no_lower_order_is_good_enough(design):
+    small = rl.reduce_controller(design, loss=0.0)
+    assert small.loss <= 0
+    if small.K.n_states == design.K.n_states:
+        assert small.reason.startswith("no lower order")
+
+
+def test_the_order_wanted_and_what_it_costs(design):
+    one = rl.reduce_controller(design, order=1)
+    assert one.K.n_states == 1
+    assert one.gamma == pytest.approx(rl.hinf_norm(lower_lft(PLANT, one.K)).upper, rel=1e-5)
+    assert one.loss >= -1e-6
+
+
+def test_h2_norm_as_the_measure():
+    from robustlab.norms import h2_norm
+
+    K = rl.StateSpaceModel([[-5.0, 0.0], [0.0, -300.0]], [[1.0], [1.0]], [[-3.0, 1e-3]], [[0.0]])
+    P = rl.StateSpaceModel(PLANT.A, PLANT.B, PLANT.C, np.zeros((3, 3)))
+    small = rl.reduce_controller(P, K, measure="h2", loss=1e-3)
+    assert small.K.n_states <= 1
+    assert small.measure == "H2 norm"
+    assert small.gamma == pytest.approx(h2_norm(lower_lft(P, small.K)).value, rel=1e-9)
+    assert small.gamma <= 1.001 * h2_norm(lower_lft(P, K)).value * (1 + 1e-9)
+
+
+def mu_problem() -> tuple[GeneralizedPlant, rl.StateSpaceModel]:
+    """A lag with a relative error of 30 % at its input, and an integrating controller with a needless fast pole."""
+    P = rl.StateSpaceModel(
+        [[-1, 0], [1, -0.01]], [[1, 0, 1], [0, 1, 0]], [[0, 0], [0, 0.2], [-1, 0]],
+        [[0, 0, 0.3], [0, 0.3, 0], [0, -1, 0]],
+    )  # fmt: skip
+    K = rl.StateSpaceModel([[-0.01, 0.0], [0.0, -1e3]], [[1.0], [1.0]], [[1.0, 0.5]], [[1.0]])
+    return GeneralizedPlant(P, 1, 1, (rl.ComplexScalar("input"),)), K
+
+
+def test_mu_with_given_scalings_bounds_mu_and_without_them_is_no_larger():
+    plant, K = mu_problem()
+    d = 0.6
+    pair = rl.StateSpaceModel([], [], [], np.diag([d, 1.0])), rl.StateSpaceModel([], [], [], np.diag([1 / d, 1.0]))
+    scaled = rl.reduce_controller(plant, K, loss=0.05, scalings=pair)
+    assert scaled.K.n_states == 1
+    assert scaled.measure.startswith("mu of robust performance")
+    own = scaled_plant(plant, pair).close(scaled.K)
+    assert scaled.gamma == pytest.approx(rl.hinf_norm(own).upper, rel=1e-5)
+    free = rl.reduce_controller(plant, K, order=1, measure="mu")
+    assert free.K.n_states == 1
+    assert free.status is Status.CERTIFIED
+    assert free.gamma <= scaled.gamma * 1.002
+    omega = np.geomspace(1e-3, 1e3, 60)
+    bounds = rl.mu(rl.frequency_response(plant.close(free.K), omega), [[1, 0], [1, 1]])
+    assert bounds.upper.max() <= free.gamma * (1 + 1e-3)
+
+
+def test_an_unstable_controller_and_a_discrete_one():
+    P = rl.StateSpaceModel([[1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 0.1], [0, 0.1, 0]])
+    stabilising = rl.StateSpaceModel([[0.2]], [[1.0]], [[-5.0]], [[-8.0]])
+    small = rl.reduce_controller(P, padded(stabilising, 1e-3), loss=0.01)
+    assert small.K.n_states <= 2
+    assert small.closed_loop.is_stable()
+    digital, K = rl.discretise(PLANT, 0.05, "zoh"), rl.discretise(padded(rl.hinf(PLANT, 1, 1).K), 0.05)
+    discrete = rl.reduce_controller(digital, K, loss=0.01)
+    assert discrete.K.dt == 0.05
+    assert discrete.K.n_states < K.n_states
+    assert discrete.gamma == pytest.approx(rl.hinf_norm(lower_lft(digital, discrete.K)).upper, rel=1e-5)
+
+
+def test_an_improvement_is_verified_and_only_taken_where_it_is_one(design):
+    calls: list[int] = []
+
+    def worse(plant, K, seconds):
+        calls.append(K.n_states)
+        assert seconds > 0
+        return rl.StateSpaceModel(K.A, K.B, 0.5 * K.C, 0.5 * K.D)
+
+    same, plain_one = (rl.reduce_controller(design, order=1, improve=how) for how in (worse, None))
+    assert calls == [1]
+    assert same.gamma == plain_one.gamma
+
+    # More states than asked for are no improvement.
+    other = rl.reduce_controller(design, order=1, improve=lambda plant, K, seconds: design.K)
+    assert other.K.n_states == 1
+    assert other.gamma == plain_one.gamma
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"loss": -0.1}, "loss is -0.1"),
+        ({"loss": float("nan")}, "loss is nan"),
+        ({"order": 99}, "whole number from 0"),
+        ({"measure": "l1"}, "'hinf', 'h2' or 'mu'"),
+        ({"measure": "hinf", "blocks": (rl.ComplexScalar("d"),)}, "measure='mu'"),
+        ({"measure": "mu"}, "blocks of 0 inputs"),
+        ({"scalings": 3}, "the pair"),
+        ({"scalings": (rl.StateSpaceModel([], [], [], [[1.0]]),) * 2}, "D_z is 1 x 1, expected 2 x 2"),
+        ({"time_limit": 0.0}, "time_limit is 0"),
+        ({"K": rl.StateSpaceModel([], [], [], np.ones((2, 1)))}, "K is 2 x 1, expected 1 x 1"),
+    ],
+)
+def test_bad_requests_are_named(design, options, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.reduce_controller(design, **options)
+
+
+def test_a_loop_that_is_not_stable_has_nothing_to_lose():
+    with pytest.raises(rl.NoTrustworthyNumber, match="no trustworthy H-infinity norm"):
+        rl.reduce_controller(PLANT, rl.StateSpaceModel([[5.0]], [[1.0]], [[1.0]], [[0.0]]))
+    with pytest.raises(rl.InputError, match="K is missing"):
+        rl.reduce_controller(PLANT)

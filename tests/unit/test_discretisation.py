@@ -1,0 +1,157 @@
+"""From continuous to discrete: closed forms, exactness where promised, pathological sampling, bad requests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad_vec
+from scipy.linalg import expm
+
+import robustlab as rl
+from robustlab.synthesis.discretisation import METHODS, merged_modes
+from robustlab.synthesis.lifting import mean_and_variance
+
+LAG = rl.StateSpaceModel([[-2.0]], [[1.0]], [[2.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
+TWO_BY_TWO = rl.StateSpaceModel([[-1.0, 2.0], [0.0, -3.0]], np.eye(2), np.eye(2), [[1.0, 0.0], [0.0, 0.5]])
+
+
+def at(model, z):
+    return (model.D + model.C @ np.linalg.solve(z * np.eye(model.n_states) - model.A, model.B))[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("method", "expected"),
+    [  # 2/(s + 2) with T = 0.1, q = e^-0.2, as functions of z
+        ("zoh", lambda z, q: (1 - q) / (z - q)),
+        ("tustin", lambda z, q: 2 / (20 * (z - 1) / (z + 1) + 2)),
+        ("impulse", lambda z, q: 0.1 * 2 * z / (z - q)),
+        ("matched", lambda z, q: 0.5 * (1 - q) * (z + 1) / (z - q)),
+        # Franklin, Powell, Workman, section 6.3.2: (z - 1)^2 / (T z) Z{G / s^2}
+        ("foh", lambda z, q: 1 - (1 - q) * (z - 1) / (0.2 * (z - q))),
+    ],
+)
+def test_a_lag_in_closed_form(method, expected):
+    found = rl.discretise(LAG, 0.1, method)
+    for z in (0.3 + 0.4j, -0.5 + 0j, 2.0 + 1j):
+        assert at(found, z) == pytest.approx(expected(z, np.exp(-0.2)), rel=1e-10)
+    assert found.dt == 0.1
+    assert found.inputs == LAG.inputs
+    assert found.outputs == LAG.outputs
+
+
+def test_prewarping_is_exact_at_its_frequency():
+    found = rl.discretise(TWO_BY_TWO, 0.5, "tustin-prewarp", prewarp=2.0)
+    np.testing.assert_allclose(
+        rl.frequency_response(found, [2.0]), rl.frequency_response(TWO_BY_TWO, [2.0]), rtol=1e-12
+    )
+
+
+def test_holds_are_exact_at_the_samples():
+    t, u = 0.5 * np.arange(9), np.random.default_rng(0).normal(size=(9, 2))
+    for method in ("zoh", "foh"):
+        exact = rl.simulate(TWO_BY_TWO, t, u, hold=method)
+        found = rl.discretise(TWO_BY_TWO, 0.5, method)
+        # The state of the first-order hold is x - slope u: the plant's x = 0 at the first sample means this x0.
+        slope = found.D - TWO_BY_TWO.D
+        stepped = rl.simulate(found, t, u, x0=-slope @ u[0] if method == "foh" else None)
+        for name in ("y1", "y2"):
+            np.testing.assert_allclose(stepped[name], exact[name], atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["tustin", "zoh", "foh", "matched"])
+def test_gain_at_zero_frequency_is_kept(method):
+    G = rl.StateSpaceModel([[0, 1], [-4, -1]], [[0], [1]], [[3, 1]], [[0.2]])
+    np.testing.assert_allclose(rl.discretise(G, 0.3, method).dc_gain(), G.dc_gain(), rtol=1e-10)
+
+
+def test_matched_poles_and_zeros_are_where_they_belong():
+    # (s + 1)(s^2 + 2 s + 5) / ((s + 3)(s + 4)(s^2 + 0.1 s + 9)): one zero at infinity.
+    num, den = np.polymul([1, 1], [1, 2, 5]), np.polymul(np.polymul([1, 3], [1, 4]), [1, 0.1, 9])
+    import control
+
+    found = rl.discretise(control.tf(num, den), 0.2, "matched").to_control()
+    zeros = np.append(np.exp(0.2 * np.roots(num)), -1.0)
+    np.testing.assert_allclose(np.sort_complex(found.zeros()), np.sort_complex(zeros), atol=1e-9)
+    np.testing.assert_allclose(np.sort_complex(found.poles()), np.sort_complex(np.exp(0.2 * np.roots(den))), atol=1e-9)
+    assert found.dcgain() == pytest.approx(5 / 108, rel=1e-9)
+
+
+def test_matched_integrator_and_differentiator_keep_their_gain_next_to_zero_frequency():
+    integrator = rl.StateSpaceModel([[0.0]], [[1.0]], [[5.0]], [[0.0]])
+    z = np.exp(1e-3)
+    assert at(rl.discretise(integrator, 0.2, "matched"), z) == pytest.approx(5 / (1e-3 / 0.2), rel=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_static_gain_stays(method):
+    gain = rl.StateSpaceModel([], [], [], [[3.0]])
+    if method == "impulse":
+        with pytest.raises(rl.InputError, match="direct term"):
+            rl.discretise(gain, 0.1, method)
+        return
+    found = rl.discretise(gain, 0.1, method, prewarp=1.0 if method == "tustin-prewarp" else None)
+    assert found.n_states == 0
+    assert found.D == [[3.0]]
+    assert found.dt == 0.1
+
+
+@pytest.mark.parametrize(
+    ("model", "dt", "options", "message"),
+    [
+        (LAG, 0.0, {}, "positive sample time"),
+        (LAG, -1.0, {}, "positive sample time"),
+        (LAG, float("nan"), {}, "positive sample time"),
+        (LAG, True, {}, "positive sample time"),
+        (rl.StateSpaceModel([[0.5]], [[1]], [[1]], [[0]], 0.1), 0.1, {}, "the model has dt = 0.1 s"),
+        (LAG, 0.1, {"method": "tustn"}, "did you mean tustin"),
+        (LAG, 0.1, {"method": "tustin-prewarp"}, "prewarp with 'tustin-prewarp' alone"),
+        (LAG, 0.1, {"method": "zoh", "prewarp": 1.0}, "prewarp with 'tustin-prewarp' alone"),
+        (LAG, 0.1, {"method": "tustin-prewarp", "prewarp": 32.0}, "Nyquist"),
+        (TWO_BY_TWO, 0.1, {"method": "matched"}, "2 inputs and 2 outputs"),
+        (TWO_BY_TWO, 0.1, {"method": "impulse"}, "direct term"),
+    ],
+)
+def test_bad_requests_are_named(model, dt, options, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.discretise(model, dt, **options)
+
+
+def test_a_pole_that_tustin_sends_to_infinity_and_one_that_overflows():
+    with pytest.raises(rl.NoTrustworthyNumber, match="2/dt"):
+        rl.discretise(rl.StateSpaceModel([[20.0]], [[1]], [[1]], [[0]]), 0.1, "tustin")
+    with pytest.raises(rl.NoTrustworthyNumber, match="overflows"):
+        rl.discretise(rl.StateSpaceModel([[1e6]], [[1]], [[1]], [[0]]), 0.1, "zoh")
+
+
+def test_pathological_sampling_is_named():
+    oscillator = rl.StateSpaceModel([[0, 10], [-10, 0]], [[0], [1]], [[1, 0]], [[0]])
+    (merged,) = merged_modes(oscillator, np.pi / 10)
+    assert merged.multiple == 1
+    assert not merged.stable
+    assert "no digital controller moves both" in str(merged)
+    assert merged_modes(oscillator, 0.3) == ()
+    # And it is true: the sampled oscillator is not controllable any more.
+    sampled = rl.discretise(oscillator, np.pi / 10, "zoh")
+    assert np.linalg.svd(np.hstack([sampled.B, sampled.A @ sampled.B]), compute_uv=False)[1] < 1e-15
+
+
+@pytest.mark.parametrize("h", [1e-6, 0.3, 40.0])
+def test_mean_and_variance_of_an_interval_are_integrals(h):
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(3, 3)) * 2
+    A = A - (np.linalg.eigvals(A).real.max() + 0.05) * np.eye(3)
+    C = rng.normal(size=(2, 3))
+    moved, mean, variance = mean_and_variance(A, C, h)
+
+    def kernel(t):
+        return C @ expm(A * t)
+
+    exact = quad_vec(kernel, 0, h, epsrel=1e-12, epsabs=1e-300)[0] / h
+
+    def spread(t):
+        return (kernel(t) - exact).T @ (kernel(t) - exact)
+
+    np.testing.assert_allclose(moved, expm(A * h), rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(mean, exact * np.sqrt(h), rtol=1e-9)
+    about = quad_vec(spread, 0, h, epsrel=1e-10, epsabs=1e-300)[0]
+    np.testing.assert_allclose(variance, about, atol=1e-7 * np.abs(about).max())

@@ -1,0 +1,271 @@
+"""Reduction of models: closed forms, published Hankel values, modes kept apart, weights, bad requests, edge sizes."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.matrix_equations import lyapunov, lyapunov_factor
+from robustlab.result import Status, plain
+from robustlab.synthesis.balancing import split_stable
+
+
+def stable_model(n: int, seed: int, dt: float = 0.0, m: int = 2, p: int = 3) -> rl.StateSpaceModel:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    poles = np.linalg.eigvals(A) if n else np.zeros(1)
+    A = A / np.abs(poles).max() * 0.9 if dt else A - (poles.real.max() + 0.3) * np.eye(n)
+    return rl.StateSpaceModel(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)), dt)
+
+
+def difference_on_grid(one, two, omega):
+    gap = rl.frequency_response(one, omega) - rl.frequency_response(two, omega)
+    return np.linalg.norm(gap, 2, axis=(1, 2)).max()
+
+
+def test_hankel_values_of_two_lags_in_closed_form():
+    # For G = sum b_i / (s + a_i) with B = C^T the two Gramians are b_i b_j / (a_i + a_j).
+    a, b = np.array([1.0, 4.0]), np.array([1.0, 3.0])
+    G = rl.StateSpaceModel(-np.diag(a), b[:, None], b[None], [[0.0]])
+    gramian = np.outer(b, b) / np.add.outer(a, a)
+    np.testing.assert_allclose(rl.hankel_singular_values(G), np.sort(np.linalg.eigvalsh(gramian))[::-1], rtol=1e-13)
+
+
+def test_hankel_values_of_slicots_documented_example():
+    # The example in the documentation of AB09AD (SLICOT 5.0): its Hankel singular values, printed to four digits.
+    A = np.array([
+        [-0.04165, 0.0000, 4.9200, -4.9200, 0.0000, 0.0000, 0.0000],
+        [-5.2100, -12.500, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000],
+        [0.0000, 3.3300, -3.3300, 0.0000, 0.0000, 0.0000, 0.0000],
+        [0.5450, 0.0000, 0.0000, 0.0000, -0.5450, 0.0000, 0.0000],
+        [0.0000, 0.0000, 0.0000, 4.9200, -0.04165, 0.0000, 4.9200],
+        [0.0000, 0.0000, 0.0000, 0.0000, -5.2100, -12.500, 0.0000],
+        [0.0000, 0.0000, 0.0000, 0.0000, 0.0000, 3.3300, -3.3300],
+    ])  # fmt: skip
+    B = np.zeros((7, 2))
+    B[1, 0] = B[5, 1] = 12.5
+    C = np.zeros((3, 7))
+    C[0, 0] = C[1, 3] = C[2, 4] = 1.0
+    values = rl.hankel_singular_values(rl.StateSpaceModel(A, B, C, np.zeros((3, 2))))
+    np.testing.assert_allclose(values, [2.5139, 2.0846, 1.9178, 0.7666, 0.5473, 0.0253, 0.0246], atol=6e-5)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.2])
+@pytest.mark.parametrize("method", ["truncation", "residualisation"])
+def test_the_reduced_model_is_balanced_with_the_first_hankel_values(dt, method):
+    # Both keep the first values exactly (Pernebo, Silverman 1982; Liu, Anderson 1989) in continuous time; in discrete
+    # time only residualisation does.
+    G = stable_model(9, 3, dt)
+    found = rl.reduce_model(G, 4, method=method)
+    assert found.status is Status.CERTIFIED
+    assert found.error.upper <= found.bound * (1 + 1e-6)
+    assert found.error.lower >= found.hankel[4] * (1 - 1e-9)  # no model of order 4 is closer in the Hankel norm
+    if not dt or method == "residualisation":
+        np.testing.assert_allclose(rl.hankel_singular_values(found.model), found.hankel[:4], rtol=1e-8)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.2])
+def test_truncation_is_exact_at_high_and_residualisation_at_zero_frequency(dt):
+    G = stable_model(8, 5, dt)
+    assert np.array_equal(rl.balanced_truncation(G, 3).model.D, G.D)
+    slow = rl.reduce_model(G, 3, method="residualisation").model
+    np.testing.assert_allclose(slow.dc_gain(), G.dc_gain(), rtol=1e-9)
+
+
+def test_truncation_of_two_states_by_hand():
+    # Balanced already: A_ij = -b_i b_j / (s_i + s_j) solves A S + S A^T + B B^T = 0 with S = diag(s), and C = B^T.
+    sigma, b = np.array([2.0, 0.1]), np.array([1.0, 0.5])
+    G = rl.StateSpaceModel(-np.outer(b, b) / np.add.outer(sigma, sigma), b[:, None], b[None], [[0.0]])
+    found = rl.balanced_truncation(G, 1)
+    np.testing.assert_allclose(found.hankel, sigma, rtol=1e-12)
+    np.testing.assert_allclose(found.model.poles(), [-0.25], rtol=1e-10)  # -b1^2 / (2 s1)
+    assert found.bound == pytest.approx(0.2, rel=1e-10)
+    assert found.error.upper == pytest.approx(0.2, rel=1e-5)  # the last value left out alone: the bound is attained
+
+
+def test_repeated_hankel_values_count_once_in_the_bound():
+    # Two equal channels side by side: every value comes twice.
+    G = stable_model(3, 1, m=1, p=1)
+    both = rl.StateSpaceModel(
+        *(np.kron(np.eye(2), getattr(G, name)) for name in "ABCD"), inputs=["u1", "u2"], outputs=["y1", "y2"]
+    )
+    single, double = rl.balanced_truncation(G, 1), rl.balanced_truncation(both, 2)
+    assert double.bound == pytest.approx(single.bound, rel=1e-8)
+    assert double.error.upper == pytest.approx(single.error.upper, rel=1e-5)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_modes_that_are_not_stable_are_kept(dt):
+    G = stable_model(6, 2, dt, 1, 1)
+    unstable = np.array([[0.3, 2.0], [-2.0, 0.3]]) if not dt else np.array([[1.1]])
+    integrator = np.array([[1.0 if dt else 0.0]])
+    A = np.block([
+        [G.A, np.ones((6, len(unstable))), np.zeros((6, 1))],
+        [np.zeros((len(unstable), 6)), unstable, np.ones((len(unstable), 1))],
+        [np.zeros((1, 6 + len(unstable))), integrator],
+    ])  # fmt: skip
+    n = len(A)
+    full = rl.StateSpaceModel(A, np.ones((n, 1)), np.ones((1, n)), [[0.5]], dt)
+    found = rl.balanced_truncation(full, n - 3)
+    assert found.n_apart == len(unstable) + 1
+    kept = np.concatenate([np.linalg.eigvals(unstable), integrator[0]])
+    for pole in kept:
+        assert np.abs(found.model.poles() - pole).min() < 1e-7
+    omega = np.linspace(0.3, 9, 50)
+    assert difference_on_grid(full, found.model, omega) <= found.error.upper * (1 + 1e-6)
+    assert found.status is Status.CERTIFIED
+    with pytest.raises(rl.InputError, match="not stable and are kept apart"):
+        rl.balanced_truncation(full, found.n_apart - 1)
+
+
+def test_the_parts_of_a_split_add_up():
+    A = np.diag([-1.0, 2.0, -3.0, 0.0]) + np.triu(np.ones((4, 4)), 1) * 5
+    full = rl.StateSpaceModel(A, np.ones((4, 2)), np.ones((1, 4)), [[1.0, 2.0]])
+    split = split_stable(full)
+    np.testing.assert_allclose(np.sort(split.stable.poles().real), [-3, -1], atol=1e-10)
+    np.testing.assert_allclose(np.sort(split.apart.poles().real), [0, 2], atol=1e-10)
+    omega = [0.5, 3.0]
+    total = rl.frequency_response(split.stable, omega) + rl.frequency_response(split.apart, omega)
+    np.testing.assert_allclose(total, rl.frequency_response(full, omega), rtol=1e-10)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_coprime_factors_reduce_unstable_modes_and_bound_the_gap(dt):
+    from robustlab.uncertainty.gap_metric import nu_gap
+
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(7, 7))
+    A = A / np.abs(np.linalg.eigvals(A)).max() * 1.2 if dt else A
+    full = rl.StateSpaceModel(A, rng.normal(size=(7, 2)), rng.normal(size=(2, 7)), np.zeros((2, 2)), dt)
+    assert not full.is_stable()
+    found = rl.reduce_model(full, 5, method="coprime")
+    assert found.order == 5
+    assert found.status is Status.CERTIFIED
+    assert found.error.upper <= found.bound * (1 + 1e-6)
+    # Vinnicombe 2001: the nu-gap is at most the norm of a change of the normalised right factors.
+    assert nu_gap(full, found.model).lower <= found.error.upper * (1 + 1e-6)
+    unstable = [np.abs(m.poles()).max() > 1 if dt else m.poles().real.max() > 0 for m in (full, found.model)]
+    assert unstable == [True, True]
+
+
+def test_a_weight_moves_the_error_out_of_its_band():
+    G = stable_model(10, 7, m=1, p=1)
+    low = rl.StateSpaceModel([[-0.5]], [[0.5]], [[1.0]], [[1e-3]])
+    plain_one, weighted = rl.balanced_truncation(G, 4), rl.reduce_model(G, 4, input_weight=low, output_weight=low)
+    band = np.linspace(0, 0.3, 40)
+    assert difference_on_grid(G, weighted.model, band) < 0.5 * difference_on_grid(G, plain_one.model, band)
+    assert np.isnan(weighted.bound)
+    response = rl.frequency_response(low, band)[:, 0, 0]
+    gap = (rl.frequency_response(G, band) - rl.frequency_response(weighted.model, band))[:, 0, 0]
+    assert np.abs(response**2 * gap).max() <= weighted.error.upper * (1 + 1e-9)
+
+
+def test_enns_gramians_are_blocks_of_the_weighted_models():
+    # W with the same poles as nothing in G: the block of the Lyapunov solution of the series connection, computed here.
+    from robustlab.synthesis.model_reduction import weighted_factors
+
+    G, W = stable_model(3, 1, m=1, p=1), rl.StateSpaceModel([[-2.0]], [[3.0]], [[1.0]], [[0.5]])
+    reach, _ = weighted_factors(G, W, None)
+    A = np.block([[W.A, np.zeros((1, 3))], [G.B @ W.C, G.A]])
+    B = np.vstack([W.B, G.B @ W.D])
+    np.testing.assert_allclose(reach @ reach.T, lyapunov(A, B @ B.T)[1:, 1:], rtol=1e-9)
+
+
+def test_tolerance_takes_the_lowest_order_that_keeps_it():
+    G = stable_model(9, 11)
+    errors = [rl.balanced_truncation(G, r).error.upper for r in range(9)]
+    tolerance = 0.5 * (errors[4] + errors[3])
+    found = rl.balanced_truncation(G, tolerance=tolerance)
+    assert found.order == min(r for r in range(9) if errors[r] <= tolerance)
+    assert found.error.upper <= tolerance
+
+
+@pytest.mark.parametrize("method", ["truncation", "residualisation", "coprime"])
+def test_what_is_not_minimal_comes_off_whatever_the_order(method):
+    G = stable_model(3, 1, m=1, p=1)
+    twice = rl.StateSpaceModel(np.kron(np.eye(2), G.A), np.vstack([G.B, G.B]), np.hstack([G.C, G.C]) / 2, G.D)
+    found = rl.reduce_model(twice, 6, method=method)
+    assert found.order <= 4
+    assert difference_on_grid(twice, found.model, [0.0, 1.0, 7.0]) < 1e-7
+
+
+@pytest.mark.parametrize("n_u", [0, 1, 2])
+@pytest.mark.parametrize("method", ["truncation", "residualisation"])
+def test_sizes_at_the_edge(n_u, method):
+    static = rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n_u)), np.zeros((1, 0)), np.ones((1, n_u)))
+    assert rl.reduce_model(static, 0, method=method).order == 0
+    deaf = rl.StateSpaceModel([[-1.0]], np.zeros((1, n_u)), [[1.0]], np.ones((1, n_u)))
+    found = rl.reduce_model(deaf, 1, method=method)
+    assert found.order == 0
+    assert found.error.upper == pytest.approx(0.0, abs=1e-12)
+
+
+def test_to_json_and_summary_carry_the_evidence():
+    found = rl.balanced_truncation(stable_model(4, 1), 2)
+    data = plain(found)
+    assert data["order"] == 2
+    assert data["full_order"] == 4
+    assert data["error"]["upper"] <= data["bound"] * (1 + 1e-6)
+    labels = dict(found.summary())
+    assert labels["order"] == "2 of 4 states"
+    assert "promised" in labels["error"]
+
+
+def test_python_control_objects_come_in():
+    found = rl.balanced_truncation(control.tf([1.0], [1.0, 3.0, 2.0]), 1)
+    assert found.order == 1
+    assert found.status is Status.CERTIFIED
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "expected one of the two"),
+        ({"order": 1, "tolerance": 0.1}, "expected one of the two"),
+        ({"order": 5}, "whole number from 0 to 4"),
+        ({"order": -1}, "whole number from 0 to 4"),
+        ({"order": True}, "whole number"),
+        ({"tolerance": 0.0}, "a positive number"),
+        ({"tolerance": float("nan")}, "a positive number"),
+        ({"order": 1, "method": "modal"}, "one of truncation"),
+        ({"order": 1, "input_weight": rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])}, "not stable"),
+        ({"order": 1, "output_weight": rl.StateSpaceModel([], [], [], np.ones((1, 2)))}, "2 inputs, expected 3"),
+        ({"order": 1, "method": "coprime", "input_weight": rl.StateSpaceModel([], [], [], [[1.0]])}, "weights"),
+    ],
+)
+def test_bad_requests_are_named(arguments, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.reduce_model(stable_model(4, 1), **arguments)
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (4, 1), (7, 3)])
+def test_the_factor_is_that_of_the_lyapunov_solution(n, m):
+    rng = np.random.default_rng(n)
+    A = rng.normal(size=(n, n)) - 4 * np.eye(n)
+    B = rng.normal(size=(n, m))
+    L = lyapunov_factor(A, B)
+    np.testing.assert_allclose(L @ L.T, lyapunov(A, B @ B.T), atol=1e-13)
+    assert np.allclose(L, np.tril(L))
+
+
+def test_the_factor_keeps_gramian_values_below_eps():
+    # Two decoupled states, one reached 1e-12 times as much: its variance is 1e-24 of the other's.
+    L = lyapunov_factor(np.diag([-1.0, -2.0]), np.diag([1.0, 1e-12]))
+    np.testing.assert_allclose(np.linalg.svd(L, compute_uv=False), [np.sqrt(0.5), 0.5e-12], rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "error", "message"),
+    [
+        ([[1.0]], [[1.0]], rl.NoTrustworthyNumber, "eigenvalue 1"),
+        ([[0.0]], [[1.0]], rl.NoTrustworthyNumber, "stable A"),
+        ([[-1.0, 0.0]], [[1.0]], rl.InputError, "A is"),
+        ([[-1.0]], [[1.0], [2.0]], rl.InputError, "B is"),
+        ([[np.nan]], [[1.0]], rl.InputError, "NaN"),
+    ],
+)
+def test_the_factor_refuses_what_has_none(A, B, error, message):
+    with pytest.raises(error, match=message):
+        lyapunov_factor(A, B)

@@ -1,0 +1,134 @@
+"""Digital controllers: the best formula, the direct design, the limits that are named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from discretise import chain, crossover
+
+import robustlab as rl
+from robustlab.result import Status, plain
+from robustlab.synthesis.lifting import lift
+
+LOW = rl.StateSpaceModel(
+    [[-1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+    inputs=["w", "n", "u"], outputs=["z", "effort", "y"],
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def design():
+    return rl.hinf(LOW, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def flexible():
+    plant = chain(3, 2, 1.0, 0.1)
+    return plant, rl.hinf(plant)
+
+
+def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
+    lines: list[str] = []
+    found = rl.discretise_controller(design, 1e-3, progress=lines.append)
+    assert found.status is Status.CERTIFIED
+    assert abs(found.loss) < 0.01
+    assert {t.method for t in found.trials} >= {"tustin", "zoh", "foh", "matched"}
+    assert all(t.method != "direct" for t in found.trials)
+    assert len(lines) == len(found.trials)
+    assert found.norm.held == ("n",)
+    again = rl.sampled_data_norm(LOW, found.K, n_meas=1, n_con=1)
+    assert again.upper == pytest.approx(found.gamma, rel=1e-9)
+    labels = dict(found.summary())
+    assert labels["taken as constant between samples"] == "n"
+    assert "tustin: " in labels["loss by method"]
+    data = plain(found)
+    assert data["dt"] == 1e-3
+    assert data["norm"]["lower"] <= data["gamma"]
+    assert data["trials"][0]["method"] == "tustin"
+
+
+def test_on_a_flexible_chain_the_direct_design_loses_little_where_no_formula_is_stable(flexible):
+    plant, design = flexible
+    dt = 2 * np.pi / (12 * crossover(plant, design.K))
+    found = rl.discretise_controller(design, dt)
+    assert found.chosen == "direct"
+    assert found.loss < 0.1
+    assert all(not np.isfinite(t.upper) for t in found.trials if t.method != "direct")
+    assert found.K.is_discrete
+    assert found.K.n_states <= plant.model.n_states
+    again = rl.sampled_data_norm(plant, found.K)
+    assert again.status is Status.CERTIFIED
+    assert again.upper == pytest.approx(found.gamma, rel=1e-9)
+    # At the samples the exact discrete loop is stable: poles of its own.
+    from robustlab.statespace import lower_lft
+
+    assert lower_lft(rl.discretise(plant.model, dt, "zoh"), found.K).is_stable()
+
+
+def test_one_method_alone_and_its_failure_by_name(flexible):
+    plant, design = flexible
+    dt = 2 * np.pi / (12 * crossover(plant, design.K))
+    with pytest.raises(rl.NoTrustworthyNumber, match="no digital controller") as caught:
+        rl.discretise_controller(design, dt, method="zoh")
+    assert any(line.startswith("zoh: ") for line in caught.value.more)
+
+
+def test_a_delay_costs_and_the_direct_design_knows_it(design):
+    losses = [rl.discretise_controller(design, 0.3, method="direct", delay=delay).loss for delay in (0.0, 0.45)]
+    assert losses[0] < losses[1]
+    tustin = rl.discretise_controller(design, 0.3, method="tustin", delay=0.45).loss
+    assert losses[1] < tustin * 1.02 + 0.02
+
+
+def test_scalings_scale_the_sampled_loop(design):
+    d = rl.StateSpaceModel([], [], [], np.diag([2.0, 1.0])), rl.StateSpaceModel([], [], [], np.diag([0.5, 1.0]))
+    found = rl.discretise_controller(design, 0.01, method="tustin", scalings=d)
+    scaled = rl.StateSpaceModel([[-1.0]], [[0.5, 0, 1]], [[2], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    expected = rl.sampled_data_norm(scaled, found.K, n_meas=1, n_con=1)
+    assert found.gamma == pytest.approx(expected.upper, rel=1e-9)
+
+
+def test_pathological_sampling_of_an_oscillator_is_named():
+    # An undamped oscillator sampled every half period.
+    P = rl.StateSpaceModel(
+        [[0, 10], [-10, 0]], [[0, 0, 0], [1, 0, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0, 0], [0, 0, 0.1], [0, 0.1, 0]]
+    )
+    design = rl.hinf(P, 1, 1, gamma_rel=1.0)
+    with pytest.raises(rl.NoTrustworthyNumber) as caught:
+        rl.discretise_controller(design, np.pi / 10, method="tustin")
+    assert any("pathological sampling" in line for line in caught.value.more)
+
+
+def test_lifting_repeats_the_plant_over_a_period():
+    # Without delay the lifted state map is the exact discrete one, whatever the number of intervals.
+    held = rl.discretise(LOW, 0.4, "zoh")
+    for n_intervals, delay in ((1, 0.0), (3, 0.0), (4, 0.1)):
+        model = lift(rl.synthesis.GeneralizedPlant(LOW, 1, 1), 0.4, n_intervals, delay).generalized_plant().model
+        assert model.A[0, 0] == pytest.approx(held.A[0, 0], rel=1e-12)
+        if not delay:
+            assert model.B[0, -1] == pytest.approx(held.B[0, 2], rel=1e-12)
+        else:  # the old control acts for 0.1 s, the new one for 0.3 s
+            assert model.B[0, -1] == pytest.approx(1 - np.exp(-0.3), rel=1e-12)
+            assert model.A[0, 1] == pytest.approx(np.exp(-0.3) * (1 - np.exp(-0.1)), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((LOW, 0.1), {}, "K is missing"),
+        ((LOW, 0.0, rl.StateSpaceModel([], [], [], [[-1.0]])), {}, "sample time is 0"),
+        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]], 0.1)), {}, "dt = 0.1 s already"),
+        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0, 1.0]])), {"n_meas": 1}, "K is 1 x 2"),
+        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]])), {"method": "tusting"}, "did you mean tustin"),
+        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]])), {"delay": -1.0}, "delay is -1"),
+        ((LOW, 0.1, rl.StateSpaceModel([], [], [], [[-1.0]])), {"loss": -1.0}, "loss -1"),
+    ],
+)
+def test_bad_requests_are_named(arguments, options, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.discretise_controller(*arguments, **options)
+
+
+def test_a_continuous_loop_that_is_not_stable():
+    with pytest.raises(rl.NoTrustworthyNumber, match="the continuous loop is not stable"):
+        rl.discretise_controller(LOW, 0.1, rl.StateSpaceModel([], [], [], [[5.0]]))
