@@ -6,22 +6,21 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
+from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.design import HinfSynthesis, limiting_channels
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.portfolio import portfolio
 from robustlab.synthesis.scaling import equilibrated, paths_first
-from robustlab.synthesis.search import Candidate, Deadline, Search, smallest
+from robustlab.synthesis.search import Deadline
+from robustlab.synthesis.softening import soften
+from robustlab.synthesis.verification import Verified, Verifier
 
 __all__ = ["hinf", "synthesize"]
-
-# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
-ILL_POSED = 1e10
 
 
 def hinf(
@@ -109,14 +108,9 @@ def _synthesize(
     matrices = continuous.matrices()
     scalings = (paths_first(matrices), equilibrated(matrices))
     require_stabilisable(scalings[0].apply(matrices), plant.model.state_names, f"synth {method}", scalings[0].rate)
-
-    def verify(K: StateSpaceModel) -> Candidate | None:
-        return _verified(plant, continuous.D22, K)
-
-    searches = [Search(matrices, scaling, verify, deadline) for scaling in scalings]
-    for search in searches:
-        search.run()
-    best = smallest([c for search in searches for c in search.candidates])
+    verifier = Verifier(plant, continuous.D22)
+    found = portfolio(matrices, scalings, deadline)
+    best = verifier.smallest(found.candidates)
     if best is None:
         late = " in the time limit" if deadline.passed() else ""
         raise NoTrustworthyNumber(
@@ -124,17 +118,15 @@ def _synthesize(
             f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
         )
-    reached = [search.best.gamma for search in searches if search.best is not None]
-    disagree = max(reached) / min(reached) - 1 if len(reached) == 2 and min(reached) > 0 else float("nan")
     chosen = best
     if gamma_rel > 1:
-        next(search for search in searches if search.best is best).soften(best, gamma_rel * best.gamma)
-        chosen = _sanest([c for search in searches for c in search.candidates], best, gamma_rel)
+        soften(found.leader, best.candidate, gamma_rel * best.gamma)
+        chosen = verifier.sanest(found.candidates, best, gamma_rel)
     return _finished(
         plant=plant,
         chosen=chosen,
         best=best,
-        disagree=disagree,
+        disagree=found.disagree,
         gamma_rel=gamma_rel,
         late=deadline.passed(),
         method=method,
@@ -142,61 +134,18 @@ def _synthesize(
     )
 
 
-def _sanest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> Candidate:
-    """Of the candidates allowed, the one with the smallest ratio of fastest controller pole to slowest loop mode."""
-    allowed = [c for c in candidates if c.gamma <= gamma_rel * best.gamma and c.norm.status == best.norm.status]
-    return min(allowed, key=lambda c: (c.stiffness, c.gamma))
-
-
-def _verified(plant: GeneralizedPlant, D22: NDArray[np.float64], K: StateSpaceModel) -> Candidate | None:
-    """K for the plant as given (D22 taken back in, bilinear map undone) with its loop's norm; None if not stable."""
-    try:
-        full = _with_direct_term(K, D22)
-        if plant.model.dt:
-            full = bilinear_to_discrete(full, plant.model.dt)
-        named = StateSpaceModel(
-            full.A,
-            full.B,
-            full.C,
-            full.D,
-            full.dt,
-            plant.measurements,
-            plant.controls,
-            [f"k{i + 1}" for i in range(full.n_states)],
-        )
-        loop = plant.close(named)
-        norm = hinf_norm(loop)
-    except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
-        return None
-    if not np.isfinite(norm.upper):
-        return None
-    decay = -loop.spectral_abscissa() / (loop.dt or 1.0)
-    return Candidate(named, K, norm, float(decay))
-
-
-def _with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:
-    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
-    if not D22.any():
-        return K
-    loop = np.eye(K.n_outputs) + K.D @ D22
-    if np.linalg.cond(loop) > ILL_POSED:
-        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
-    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
-    return StateSpaceModel(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)
-
-
 def _finished(
     *,
     plant: GeneralizedPlant,
-    chosen: Candidate,
-    best: Candidate,
+    chosen: Verified,
+    best: Verified,
     disagree: float,
     gamma_rel: float,
     late: bool,
     method: str,
     weights: Mapping[str, StateSpaceModel],
 ) -> HinfSynthesis:
-    loop = plant.close(chosen.K)
+    loop = chosen.loop
     status = Status.CERTIFIED if chosen.norm.status is Status.CERTIFIED else Status.INACCURATE
     parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.norm.reason]
     if chosen is not best:

@@ -1,0 +1,65 @@
+"""Two scalings of one plant searched side by side: each alone fails somewhere, and their agreement is a sign of trust."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from robustlab.synthesis.partition import PlantMatrices
+from robustlab.synthesis.scaling import Scaling
+from robustlab.synthesis.search import IMPROVEMENT, SHARES, Candidate, Deadline, Search, smallest
+
+__all__ = ["Portfolio", "portfolio"]
+
+# The other scaling confirms the leader's gamma with the regularisation of this size.
+CONFIRMATION = SHARES[3:4]
+
+
+@dataclass(frozen=True, eq=False)
+class Portfolio:
+    """The searches over two scalings.
+
+    Attributes
+    ----------
+    leader
+        The search that found the smallest gamma.
+    other
+        The other one.
+    disagree
+        Relative difference of the gammas they reached; NaN where one found none.
+    """
+
+    leader: Search
+    other: Search
+    disagree: float
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """Of both."""
+        return self.leader.candidates + self.other.candidates
+
+
+def portfolio(
+    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], deadline: Deadline, careful: bool = False
+) -> Portfolio:
+    """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma."""
+    one, two = (Search(matrices, scaling, deadline, careful) for scaling in scalings)
+    for search in (one, two):
+        search.ladder()
+    leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
+    if not leader.settled:
+        leader.polish(leader.best)
+    reached = _gamma(other.best)
+    if not other.settled:
+        before = len(other.candidates)
+        other.polish(leader.best, CONFIRMATION)
+        reached = min(reached, _gamma(smallest(other.candidates[before:])))
+        if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
+            leader, other = other, leader
+            reached = _gamma(other.best)
+            leader.polish(leader.best, SHARES[2:])
+    smaller, larger = sorted((_gamma(leader.best), reached))
+    return Portfolio(leader, other, larger / smaller - 1 if 0 < smaller and larger < float("inf") else float("nan"))
+
+
+def _gamma(candidate: Candidate | None) -> float:
+    return float("inf") if candidate is None else candidate.gamma

@@ -1,0 +1,116 @@
+"""Candidates of a search, rebuilt on the plant as it was given, and their norm proved there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.search import Candidate
+
+__all__ = ["Verified", "Verifier"]
+
+# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
+ILL_POSED = 1e10
+# Candidates that are verified before the search counts as failed, and the loss against the search's own figure that
+# sends the verification on to the next one.
+TRIES, LOSS = 8, 1.0005
+
+
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm."""
+
+    candidate: Candidate
+    K: StateSpaceModel
+    loop: StateSpaceModel
+    norm: HinfNorm
+
+    @property
+    def gamma(self) -> float:
+        """Proved upper bound of the closed loop's norm."""
+        return self.norm.upper
+
+    @property
+    def certified(self) -> bool:
+        """Whether no digits were lost."""
+        return self.norm.status is Status.CERTIFIED
+
+
+class Verifier:
+    """Verifies candidates on one plant, each at most once.
+
+    Parameters
+    ----------
+    plant
+        The plant as given.
+    D22
+        The direct term that was left out of the continuous plant that the candidates are for.
+    """
+
+    def __init__(self, plant: GeneralizedPlant, D22: NDArray[np.float64]) -> None:
+        self.plant, self.D22 = plant, D22
+        self._known: dict[int, Verified | None] = {}
+
+    def __call__(self, candidate: Candidate) -> Verified | None:
+        """The candidate with its proved norm, or None where its loop is not stable."""
+        key = id(candidate)
+        if key not in self._known:
+            self._known[key] = self._verified(candidate)
+        return self._known[key]
+
+    def smallest(self, candidates: list[Candidate]) -> Verified | None:
+        """The candidate of smallest verified norm; one without lost digits goes before others."""
+        found: list[Verified] = []
+        for candidate in sorted(candidates, key=lambda c: c.gamma)[:TRIES]:
+            verified = self(candidate)
+            if verified is None:
+                continue
+            found.append(verified)
+            if verified.certified and verified.gamma <= LOSS * candidate.gamma:
+                break
+        return min(found, key=lambda v: (not v.certified, v.gamma), default=None)
+
+    def sanest(self, candidates: list[Candidate], best: Verified, gamma_rel: float) -> Verified:
+        """Of those within the ratio of the best gamma, the one of least stiffness that verifies; else the best."""
+        limit = gamma_rel * best.gamma
+        allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
+        for candidate in allowed[:TRIES]:
+            verified = self(candidate)
+            if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
+                return verified
+        return best
+
+    def _verified(self, candidate: Candidate) -> Verified | None:
+        plant = self.plant
+        try:
+            K = _with_direct_term(candidate.K, self.D22)
+            model = StateSpaceModel(*K)
+            if plant.model.dt:
+                model = bilinear_to_discrete(model, plant.model.dt)
+            states = [f"k{i + 1}" for i in range(model.n_states)]
+            matrices: tuple[Any, ...] = (model.A, model.B, model.C, model.D)
+            named = StateSpaceModel(*matrices, model.dt, plant.measurements, plant.controls, states)
+            loop = plant.close(named)
+            norm = hinf_norm(loop)
+        except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
+            return None
+        return Verified(candidate, named, loop, norm) if np.isfinite(norm.upper) else None
+
+
+def _with_direct_term(K: Realisation, D22: NDArray[np.float64]) -> Realisation:
+    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
+    if not D22.any():
+        return K
+    loop = np.eye(K.D.shape[0]) + K.D @ D22
+    if np.linalg.cond(loop) > ILL_POSED:
+        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
+    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
+    return Realisation(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)
