@@ -12,6 +12,7 @@ __all__ = ["Portfolio", "portfolio"]
 
 # The other scaling confirms the leader's gamma with the regularisation of this size.
 CONFIRMATION = SHARES[3:4]
+DISAGREEMENT = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +49,33 @@ def portfolio(
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.polish(leader.best)
-    reached = _gamma(other.best)
-    if not other.settled:
-        before = len(other.candidates)
-        other.polish(leader.best, CONFIRMATION)
-        reached = min(reached, _gamma(smallest(other.candidates[before:])))
+    # Settled or not: the Riccati test may have failed by rounding alone.
+    reached = min(_gamma(other.best), _confirmed(leader, other, CONFIRMATION))
+    if not _agree(leader, reached):
+        # One of them is stuck: go over both once more from the better loop, with every solver and all probes.
+        for search in (leader, other):
+            search.take_care()
+        leader.polish(leader.best)
+        reached = min(reached, _confirmed(leader, other, SHARES[1:]))
         if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
             leader, other = other, leader
             reached = _gamma(other.best)
-            leader.polish(leader.best, SHARES[2:])
     smaller, larger = sorted((_gamma(leader.best), reached))
     return Portfolio(leader, other, larger / smaller - 1 if 0 < smaller and larger < float("inf") else float("nan"))
+
+
+def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> float:
+    """What the other search reaches from the leader's best loop."""
+    before = len(other.candidates)
+    other.polish(leader.best, shares)
+    return _gamma(smallest(other.candidates[before:]))
+
+
+def _agree(leader: Search, reached: float) -> bool:
+    best = leader.best
+    if best is None:
+        return False
+    return leader.negligible(best) or abs(reached - best.gamma) <= DISAGREEMENT * best.gamma
 
 
 def _gamma(candidate: Candidate | None) -> float:

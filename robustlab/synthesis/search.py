@@ -111,9 +111,10 @@ class Search:
 
     def __init__(self, plant: PlantMatrices, scaling: Scaling, deadline: Deadline, careful: bool = False) -> None:
         self.scaling, self.plant = scaling, scaling.apply(plant)
-        self.deadline, self.careful = deadline, careful
+        self.deadline, self.careful, self.probes = deadline, False, PROBES[:1]
         self.candidates: list[Candidate] = []
-        self.probes = PROBES if careful else PROBES[:1]
+        if careful:
+            self.take_care()
         # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
         self.regular_gamma: float | None = None
 
@@ -127,6 +128,14 @@ class Search:
         """True where the plant is regular and a controller was found for its own optimum."""
         best = self.best
         return self.regular_gamma is not None and best is not None and best.gamma <= 1.0005 * self.regular_gamma
+
+    def take_care(self) -> None:
+        """From now on solve in two ways, and probe far below every gamma found."""
+        self.careful, self.probes = True, PROBES
+
+    def negligible(self, candidate: Candidate) -> bool:
+        """True for a gain that is zero for every purpose, in the plant scaled to order one."""
+        return candidate.gamma * self.scaling.gain <= NEGLIGIBLE
 
     def ladder(self) -> None:
         """Regularisations of fixed size, from large to small, until gamma falls no more."""
@@ -161,7 +170,7 @@ class Search:
         for _ in range(SELF_SCALED_STEPS):
             if best is None or k == len(shares) or self.deadline.passed():
                 return
-            if best.gamma * self.scaling.gain <= NEGLIGIBLE:
+            if self.negligible(best):
                 return
             regularisation = self.relative(best, shares[k], 0.3)
             if regularisation is None:

@@ -14,7 +14,7 @@ from robustlab.synthesis.search import Candidate, Search
 
 __all__ = ["soften"]
 
-ROUNDS, STEPS = 3, 5
+ROUNDS, STEPS, LATER_STEPS = 3, 5, 3
 BASE_SHARE = 0.05
 
 
@@ -44,10 +44,10 @@ def soften(search: Search, start: Candidate, gamma: float) -> None:
 
 def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> None:
     """Largest relative weights by bisection, repeated because their scale follows the loop found last."""
+    low, high, steps = 1e-2, 10.0, STEPS
     for _ in range(ROUNDS):
-        low, high = 1e-2, 10.0
         softest: Candidate | None = None
-        for _ in range(STEPS):
+        for _ in range(steps):
             if search.deadline.passed():
                 return
             middle = float(np.sqrt(low * high))
@@ -61,4 +61,4 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
                 high = middle
         if softest is None or softest.pace > 0.9 * start.pace:
             return
-        start = softest
+        start, low, high, steps = softest, low / 2, 3 * low, LATER_STEPS

@@ -88,6 +88,15 @@ class Verifier:
                 return verified
         return best
 
+    def accurate(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
+        """The sanest candidate within the ratio of the best gamma whose norm is certified; else the best."""
+        limit = ratio * best.gamma
+        for candidate in sorted((c for c in candidates if c.gamma <= limit), key=lambda c: c.stiffness)[:TRIES]:
+            verified = self(candidate)
+            if verified is not None and verified.certified and verified.gamma <= limit:
+                return verified
+        return best
+
     def _verified(self, candidate: Candidate) -> Verified | None:
         plant = self.plant
         try:
