@@ -11,8 +11,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.assumptions import require_stabilisable
+from robustlab.synthesis.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.design import HinfSynthesis, limiting_channels
+from robustlab.synthesis.gamma_bounds import GammaBound, place_in_s, place_in_z, pointwise_bound
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.portfolio import portfolio
 from robustlab.synthesis.scaling import equilibrated, paths_first
@@ -110,9 +111,11 @@ def _synthesize(
         continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)
     matrices = continuous.matrices()
     scalings = (paths_first(matrices), equilibrated(matrices))
-    require_stabilisable(scalings[0].apply(matrices), plant.model.state_names, f"synth {method}", scalings[0].rate)
+    scaled, rate = scalings[0].apply(matrices), scalings[0].rate
+    require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
+    lower = pointwise_bound(matrices, scalings, place_in_z(dt) if dt else place_in_s)
     verifier = Verifier(plant, continuous.D22)
-    found = portfolio(matrices, scalings, deadline)
+    found = portfolio(matrices, scalings, deadline, lower.value)
     best = verifier.smallest(found.candidates)
     if best is None:
         late = " in the time limit" if deadline.passed() else ""
@@ -133,6 +136,9 @@ def _synthesize(
         chosen=chosen,
         best=best,
         disagree=found.disagree,
+        lower=lower,
+        optimum=found.estimated_optimum(),
+        assumptions=broken_assumptions(scaled, plant, rate),
         gamma_rel=gamma_rel,
         late=deadline.passed(),
         method=method,
@@ -146,6 +152,9 @@ def _finished(
     chosen: Verified,
     best: Verified,
     disagree: float,
+    lower: GammaBound,
+    optimum: float,
+    assumptions: tuple[str, ...],
     gamma_rel: float,
     late: bool,
     method: str,
@@ -170,6 +179,9 @@ def _finished(
         limit=limiting_channels(loop, chosen.norm.frequency),
         smallest_gamma=best.gamma,
         scalings_disagree=disagree,
+        lower_bound=lower,
+        estimated_optimum=optimum,
+        assumptions=assumptions,
         norm=chosen.norm,
         plant=plant,
         method=method,

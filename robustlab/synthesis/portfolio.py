@@ -26,12 +26,31 @@ class Portfolio:
     other
         The other one.
     disagree
-        Relative difference of the gammas they reached; NaN where one found none.
+        Relative difference of the gammas they reached; NaN where one found none or was not asked.
     """
 
     leader: Search
     other: Search
     disagree: float
+
+    @property
+    def regular(self) -> bool:
+        """Whether the plant needed no regularisation."""
+        return self.leader.regular_gamma is not None and self.leader.settled
+
+    def estimated_optimum(self) -> float:
+        """The infimum of gamma over all controllers as the search sees it; NaN where it cannot tell.
+
+        Of a regular plant the smallest gamma that passes its own Riccati test; else extrapolated over the size of the
+        regularisation, with whose square the regularised optimum rises.
+        """
+        if self.regular and self.leader.regular_gamma is not None:
+            return self.leader.regular_gamma
+        by_share = dict(self.leader.optima[-2:])
+        if len(by_share) < 2:
+            return float("nan")
+        (small, low), (large, high) = sorted(by_share.items())
+        return max(low - max(high - low, 0.0) * small**2 / (large**2 - small**2), self.leader.floor)
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -40,15 +59,22 @@ class Portfolio:
 
 
 def portfolio(
-    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], deadline: Deadline, careful: bool = False
+    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], deadline: Deadline, floor: float = 0.0
 ) -> Portfolio:
-    """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma."""
-    one, two = (Search(matrices, scaling, deadline, careful) for scaling in scalings)
+    """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
+
+    ``floor`` is a proved lower bound of gamma: a search that meets it is done.
+    """
+    one, two = (Search(matrices, scaling, deadline, floor) for scaling in scalings)
     for search in (one, two):
         search.ladder()
+        if search.best is not None and search.proved(search.best):
+            return Portfolio(search, two if search is one else one, float("nan"))
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.polish(leader.best)
+    if leader.best is not None and leader.proved(leader.best):
+        return Portfolio(leader, other, _difference(leader, _gamma(other.best)))
     # Settled or not: the Riccati test may have failed by rounding alone.
     reached = min(_gamma(other.best), _confirmed(leader, other, CONFIRMATION))
     if not _agree(leader, reached):
@@ -60,8 +86,12 @@ def portfolio(
         if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
             leader, other = other, leader
             reached = _gamma(other.best)
+    return Portfolio(leader, other, _difference(leader, reached))
+
+
+def _difference(leader: Search, reached: float) -> float:
     smaller, larger = sorted((_gamma(leader.best), reached))
-    return Portfolio(leader, other, larger / smaller - 1 if 0 < smaller and larger < float("inf") else float("nan"))
+    return larger / smaller - 1 if 0 < smaller and larger < float("inf") else float("nan")
 
 
 def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> float:

@@ -31,6 +31,7 @@ COARSE, FINE = (1e-2, 0.1), (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
 SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
 SELF_SCALED_STEPS = 14
 IMPROVEMENT = 5e-4
+PROVED = 3e-4
 REGULAR = 1e-6
 # In a plant scaled to order one, a gain below this is zero for every purpose.
 NEGLIGIBLE = 1e-7
@@ -105,18 +106,18 @@ class Search:
         Its scaling.
     deadline
         Asked between trials and between gamma tests.
-    careful
-        See `TwoRiccatiProblem`.
+    floor
+        Proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
     """
 
-    def __init__(self, plant: PlantMatrices, scaling: Scaling, deadline: Deadline, careful: bool = False) -> None:
+    def __init__(self, plant: PlantMatrices, scaling: Scaling, deadline: Deadline, floor: float = 0.0) -> None:
         self.scaling, self.plant = scaling, scaling.apply(plant)
-        self.deadline, self.careful, self.probes = deadline, False, PROBES[:1]
+        self.deadline, self.floor, self.careful, self.probes = deadline, floor, False, PROBES[:1]
         self.candidates: list[Candidate] = []
-        if careful:
-            self.take_care()
         # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
         self.regular_gamma: float | None = None
+        # Optima of the regularised problems scaled by the best loop, as (share, gamma).
+        self.optima: list[tuple[float, float]] = []
 
     @property
     def best(self) -> Candidate | None:
@@ -125,9 +126,15 @@ class Search:
 
     @property
     def settled(self) -> bool:
-        """True where the plant is regular and a controller was found for its own optimum."""
+        """True where the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
         best = self.best
-        return self.regular_gamma is not None and best is not None and best.gamma <= 1.0005 * self.regular_gamma
+        if best is None:
+            return False
+        return best.gamma <= 1.0005 * (self.regular_gamma or 0.0) or self.proved(best)
+
+    def proved(self, candidate: Candidate) -> bool:
+        """True where no controller can be better by more than a few parts in ten thousand."""
+        return candidate.gamma <= (1 + PROVED) * self.floor
 
     def take_care(self) -> None:
         """From now on solve in two ways, and probe far below every gamma found."""
@@ -170,13 +177,15 @@ class Search:
         for _ in range(SELF_SCALED_STEPS):
             if best is None or k == len(shares) or self.deadline.passed():
                 return
-            if self.negligible(best):
+            if self.negligible(best) or self.proved(best):
                 return
             regularisation = self.relative(best, shares[k], 0.3)
             if regularisation is None:
                 return
             rtol = float(np.clip(0.2 * shares[k] ** 2, 5e-5, 5e-3))
-            _, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE)
+            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE)
+            if gamma is not None:
+                self.optima.append((shares[k], gamma))
             if found is None or found.gamma >= best.gamma * (1 - max(IMPROVEMENT, rtol)):
                 k += 1
             if found is not None and found.gamma < best.gamma:
