@@ -104,7 +104,7 @@ def care(
 
 
 def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6) -> Array | None:
-    r"""Stabilising solution of a Riccati equation whose quadratic term is given whole; the quick inner loop of searches.
+    r"""Stabilising solution of a Riccati equation with its quadratic term given whole: the inner loop of searches.
 
     .. math:: A^T X + X A - X G X + Q = 0, \qquad A - G X \text{ stable}
 

@@ -1,5 +1,4 @@
-"""What the plant must have: stabilisable modes; and what the Riccati method would like: penalties, noises, no zeros on
-the axis."""
+"""What a plant must have, stabilisable modes, and what the Riccati method would like: penalties, noises, no axis zeros."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ PBH_TOLERANCE = 1e-11
 AXIS = 1e-10
 # A singular value of D12 or D21 below this (plant scaled to order one) is regularised.
 DIRECT = 1e-6
-# sigma_min of the system matrix below this share of its norm counts as a zero; zeros this near to the axis are looked at.
+# sigma_min of the system matrix below this share of its norm is a zero; candidates this near to the axis are looked at.
 ZERO, NEAR = 1e-9, 1e-5
 
 
@@ -111,11 +110,19 @@ def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 
     states = plant.model.state_names
     sides = (
         (p.A, p.B2, p.C1, p.D12, "can go on undamped without any performance output showing it"),
-        (p.A.T, p.C2.T, p.B1.T, p.D21.T, "can go on undamped without any disturbance driving it through the measurements"),
+        (
+            p.A.T,
+            p.C2.T,
+            p.B1.T,
+            p.D21.T,
+            "can go on undamped without any disturbance driving it through the measurements",
+        ),
     )
     for A, B, C, D, text in sides:
         for omega, state in _axis_zeros(A, B, C, D):
-            found.append(f"zero on the axis at {_rounded(omega * rate)} rad/s: a motion mostly of {states[state]} {text}")
+            found.append(
+                f"zero on the axis at {_rounded(omega * rate)} rad/s: a motion mostly of {states[state]} {text}"
+            )
     return tuple(found)
 
 

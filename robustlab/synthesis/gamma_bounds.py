@@ -1,15 +1,15 @@
 r"""What no controller can get below: lower bounds of the closed-loop norm that hold for every stabilising controller.
 
-For a stabilising K the closed loop ``T = P11 + P12 Q P21`` with ``Q = K (I - P22 K)^{-1}`` is analytic in the right half
-plane, so by the maximum principle its norm is at least ``sigma_max(T(s))`` for every s there. At a single s the matrix
-Q(s) may be whatever it likes; what it cannot reach is left:
+For a stabilising K the closed loop ``T = P11 + P12 Q P21`` with ``Q = K (I - P22 K)^{-1}`` is analytic in the right
+half plane, so by the maximum principle its norm is at least ``sigma_max(T(s))`` for every s there. At a single s the
+matrix Q(s) may be whatever it likes; what it cannot reach is left:
 
 .. math::
     \|T\|_\infty \ge \max\left(\sigma_{max}(U_\perp^* P_{11}(s)),\ \sigma_{max}(P_{11}(s) V_\perp)\right),
     \qquad U_\perp^* P_{12}(s) = 0, \quad P_{21}(s) V_\perp = 0
 
-(Parrott's bound). On the axis this is what no controller, causal or not, can do better; at a zero in the right half plane
-it is the price of that zero.
+(Parrott's bound). On the axis this is what no controller, causal or not, can do better; at a zero in the right half
+plane it is the price of that zero.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Two scalings of one plant searched side by side: each alone fails somewhere, and their agreement is a sign of trust."""
+"""Two scalings of one plant searched side by side: each alone fails somewhere, and where they agree trust grows."""
 
 from __future__ import annotations
 
@@ -33,19 +33,15 @@ class Portfolio:
     other: Search
     disagree: float
 
-    @property
-    def regular(self) -> bool:
-        """Whether the plant needed no regularisation."""
-        return self.leader.regular_gamma is not None and self.leader.settled
-
     def estimated_optimum(self) -> float:
         """The infimum of gamma over all controllers as the search sees it; NaN where it cannot tell.
 
         Of a regular plant the smallest gamma that passes its own Riccati test; else extrapolated over the size of the
         regularisation, with whose square the regularised optimum rises.
         """
-        if self.regular and self.leader.regular_gamma is not None:
-            return self.leader.regular_gamma
+        best, regular = self.leader.best, self.leader.regular_gamma
+        if best is not None and regular is not None and regular <= best.gamma * (1 + 1e-9) <= 1.0006 * regular:
+            return regular
         by_share = dict(self.leader.optima[-2:])
         if len(by_share) < 2:
             return float("nan")
@@ -70,6 +66,10 @@ def portfolio(
         search.ladder()
         if search.best is not None and search.proved(search.best):
             return Portfolio(search, two if search is one else one, float("nan"))
+    if one.best is None and two.best is None:
+        for search in (one, two):
+            search.take_care()
+            search.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.polish(leader.best)
@@ -77,7 +77,7 @@ def portfolio(
         return Portfolio(leader, other, _difference(leader, _gamma(other.best)))
     # Settled or not: the Riccati test may have failed by rounding alone.
     reached = min(_gamma(other.best), _confirmed(leader, other, CONFIRMATION))
-    if not _agree(leader, reached):
+    if leader.best is not None and not _agree(leader.best, leader, reached):
         # One of them is stuck: go over both once more from the better loop, with every solver and all probes.
         for search in (leader, other):
             search.take_care()
@@ -91,7 +91,7 @@ def portfolio(
 
 def _difference(leader: Search, reached: float) -> float:
     smaller, larger = sorted((_gamma(leader.best), reached))
-    return larger / smaller - 1 if 0 < smaller and larger < float("inf") else float("nan")
+    return larger / smaller - 1 if smaller > 0 and larger < float("inf") else float("nan")
 
 
 def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> float:
@@ -101,10 +101,7 @@ def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> floa
     return _gamma(smallest(other.candidates[before:]))
 
 
-def _agree(leader: Search, reached: float) -> bool:
-    best = leader.best
-    if best is None:
-        return False
+def _agree(best: Candidate, leader: Search, reached: float) -> bool:
     return leader.negligible(best) or abs(reached - best.gamma) <= DISAGREEMENT * best.gamma
 
 

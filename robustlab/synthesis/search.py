@@ -216,9 +216,7 @@ class Search:
     def _channel_gains(self, candidate: Candidate) -> tuple[Array, Array, Array, Array] | None:
         """Peak gains in scaled units on a grid: w to each u, noise on each y to z, w to x, x disturbance to z."""
         n, n_w, n_u, n_z, n_y = self.plant.sizes
-        loop = closed(
-            self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K)
-        )
+        loop = closed(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
         if not all(np.isfinite(part).all() for part in loop):
             return None
         omega = trial_frequencies(np.linalg.eigvals(loop.A) if loop.A.size else np.zeros(0))
@@ -262,11 +260,19 @@ class Search:
             K = problem.central_controller(pair)
         except NoTrustworthyNumber:
             return None
+        return self._kept(K, limit)
+
+    def adopt(self, K: Realisation) -> Candidate | None:
+        """A controller from elsewhere, in the plant's units, as a candidate; None where its loop is not stable."""
+        return self._kept(self.scaling.controller_from_plant(K), np.inf)
+
+    def _kept(self, K: Realisation, limit: float) -> Candidate | None:
+        """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units)."""
+        scale = self.scaling
         loop = closed(self.plant, K)
-        gain = loop_gain(loop, limit * self.scaling.gain)
+        gain = loop_gain(loop, limit * scale.gain)
         if not np.isfinite(gain):
             return None
-        scale = self.scaling
         poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))
         candidate = Candidate(
             scale.controller_to_plant(K),

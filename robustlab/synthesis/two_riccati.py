@@ -219,9 +219,7 @@ class _Equation:
         n = self.A.shape[0]
         by_B, by_S = solved[:, :n], solved[:, n:]
         G, Q = self.B @ by_B, self.Q - self.S @ by_S
-        X = hamiltonian_riccati(
-            self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=RESIDUAL
-        )
+        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=RESIDUAL)
         if X is None and careful:
             try:
                 X = care(self.A, self.B, self.Q, R, self.S, tolerance=RESIDUAL).X

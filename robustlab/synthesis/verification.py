@@ -13,7 +13,7 @@ from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.partition import GeneralizedPlant, Realisation
-from robustlab.synthesis.search import Candidate
+from robustlab.synthesis.search import Candidate, Deadline
 
 __all__ = ["Verified", "Verifier"]
 
@@ -53,10 +53,12 @@ class Verifier:
         The plant as given.
     D22
         The direct term that was left out of the continuous plant that the candidates are for.
+    deadline
+        After it no second candidate is verified.
     """
 
-    def __init__(self, plant: GeneralizedPlant, D22: NDArray[np.float64]) -> None:
-        self.plant, self.D22 = plant, D22
+    def __init__(self, plant: GeneralizedPlant, D22: NDArray[np.float64], deadline: Deadline) -> None:
+        self.plant, self.D22, self.deadline = plant, D22, deadline
         self._known: dict[int, Verified | None] = {}
 
     def __call__(self, candidate: Candidate) -> Verified | None:
@@ -74,7 +76,7 @@ class Verifier:
             if verified is None:
                 continue
             found.append(verified)
-            if verified.certified and verified.gamma <= LOSS * candidate.gamma:
+            if self.deadline.passed() or (verified.certified and verified.gamma <= LOSS * candidate.gamma):
                 break
         return min(found, key=lambda v: (not v.certified, v.gamma), default=None)
 
@@ -83,6 +85,8 @@ class Verifier:
         limit = gamma_rel * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
         for candidate in allowed[:TRIES]:
+            if self.deadline.passed():
+                break
             verified = self(candidate)
             if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
                 return verified
@@ -96,6 +100,29 @@ class Verifier:
             if verified is not None and verified.certified and verified.gamma <= limit:
                 return verified
         return best
+
+    def within(self, candidates: list[Candidate], best: Verified, gamma_rel: float, bandwidth: float) -> Verified:
+        """The smallest gamma of those within the ratio of the best whose poles all lie below the bandwidth.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            There is none; the message says how slow the slowest is.
+        """
+        limit = gamma_rel * best.gamma
+        allowed = [c for c in candidates if c.gamma <= limit]
+        slow = sorted((c for c in allowed if c.pace <= bandwidth), key=lambda c: c.gamma)
+        for candidate in slow[:TRIES]:
+            verified = self(candidate)
+            if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
+                return verified
+        pace = min((c.pace for c in [*allowed, best.candidate]), default=np.inf)
+        raise NoTrustworthyNumber(
+            "bandwidth",
+            f"no controller with all poles below {bandwidth:g} rad/s was found within {gamma_rel:g} times the smallest "
+            f"gamma {best.gamma:.6g}; the slowest there has its fastest pole at {pace:.4g} rad/s",
+            hint="a larger gamma_rel, a larger bandwidth, or weights that ask for less",
+        )
 
     def _verified(self, candidate: Candidate) -> Verified | None:
         plant = self.plant
