@@ -1,4 +1,4 @@
-"""What a plant must have, stabilisable modes, and what the Riccati method would like: penalties, noises, no axis zeros."""
+"""What a plant must have, stabilisable modes; and what the Riccati method would like, penalties and noises."""
 
 from __future__ import annotations
 

@@ -118,6 +118,8 @@ class Search:
         self.regular_gamma: float | None = None
         # Optima of the regularised problems scaled by the best loop, as (share, gamma).
         self.optima: list[tuple[float, float]] = []
+        # Channel gains of the loop they were last asked for.
+        self._gains: tuple[Candidate, tuple[Array, Array, Array, Array] | None] | None = None
 
     @property
     def best(self) -> Candidate | None:
@@ -201,7 +203,9 @@ class Search:
 
     def relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
         """Added channels that each carry about ``share`` of the gain of this loop."""
-        gains = self._channel_gains(loop)
+        if self._gains is None or self._gains[0] is not loop:
+            self._gains = (loop, self._channel_gains(loop))
+        gains = self._gains[1]
         if gains is None:
             return None
         gamma = loop.gamma * self.scaling.gain
