@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 
-__all__ = ["RiccatiSolution", "care", "hamiltonian_riccati", "lyapunov"]
+__all__ = ["RiccatiSolution", "balanced_eigenvalues", "care", "hamiltonian_riccati", "lyapunov"]
 
 Array = NDArray[Any]
 
@@ -131,8 +132,6 @@ def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6
     >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
     2.0
     """
-    from scipy.linalg.lapack import dgebal, dgees
-
     n = A.shape[0]
     if n == 0:
         return np.zeros((0, 0))
@@ -141,8 +140,9 @@ def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6
     hamiltonian[n:, :n], hamiltonian[n:, n:] = -Q, -A.T
     if not np.isfinite(hamiltonian).all():  # LAPACK may not return from NaN
         return None
-    balanced, _, _, scale, _ = dgebal(hamiltonian, scale=1, permute=0)
-    _, count, _, _, z, _, info = dgees(lambda re, im: re < 0, balanced, sort_t=1)
+    gebal, gees = _lapack()
+    balanced, _, _, scale, _ = gebal(hamiltonian, scale=1, permute=0)
+    _, count, _, _, z, _, info = gees(lambda re, im: re < 0, balanced, sort_t=1)
     if info != 0 or count != n:
         return None
     z = scale[:, None] * z[:, :n]
@@ -157,6 +157,22 @@ def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6
     size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
     residual = np.linalg.norm(linear + linear.T - quadratic + Q)
     return X if residual <= tolerance * size else None
+
+
+def balanced_eigenvalues(matrix: Array) -> Array | None:
+    """Eigenvalues of a square matrix after balancing, shape (n,); None where it is not finite."""
+    if not np.isfinite(matrix).all():
+        return None
+    return np.linalg.eigvals(_lapack()[0](matrix, scale=1, permute=0)[0])
+
+
+@functools.cache
+def _lapack() -> tuple[Any, Any]:
+    """LAPACK's balancing and ordered real Schur form for float64, without scipy's checks around them."""
+    from scipy.linalg import get_lapack_funcs
+
+    gebal, gees = get_lapack_funcs(("gebal", "gees"), dtype=np.float64)
+    return gebal, gees
 
 
 def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | None:

@@ -80,7 +80,7 @@ def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], place: Callab
     values = _bounds(scaled, points)
     for _ in range(REFINEMENTS):
         order = np.argsort(-values)[:REFINED]
-        around = np.concatenate([_around(points[k], points) for k in order])
+        around = np.concatenate([_around(complex(points[k]), points) for k in order])
         points, values = np.concatenate([points, around]), np.concatenate([values, _bounds(scaled, around)])
     top = np.argsort(-values)[:CONFIRMED]
     points, values = points[top], values[top] / first.gain
@@ -152,7 +152,7 @@ def _bounds(p: PlantMatrices, s: Array) -> Array:
             P = C @ np.linalg.solve(s[:, None, None] * np.eye(n) - p.A, B[None].astype(complex)) + D
         except np.linalg.LinAlgError:
             return np.zeros(len(s))
-    usable = np.isfinite(P).all(axis=(1, 2))
+    usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     P = np.where(usable[:, None, None], P, 0.0)
     # Close to a pole P11 and P12 Q P21 are large and nearly cancel: such a point proves nothing in floating point.
     calm = np.linalg.norm(P, axis=(1, 2)) < 1e8

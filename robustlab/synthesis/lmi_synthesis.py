@@ -118,14 +118,14 @@ def _projection(
 
     n, m, _, q, _ = p.sizes
     R, S = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
-    gamma = cp.Variable() if level is None else level
+    gamma: Any = cp.Variable() if level is None else level
     N_R, N_S = _outer_factors(p)
     left = cp.bmat([[p.A @ R + R @ p.A.T, R @ p.C1.T, p.B1], [p.C1 @ R, -gamma * np.eye(q), p.D11],
                     [p.B1.T, p.D11.T, -gamma * np.eye(m)]])  # fmt: skip
     right = cp.bmat([[p.A.T @ S + S @ p.A, S @ p.B1, p.C1.T], [p.B1.T @ S, -gamma * np.eye(m), p.D11.T],
                      [p.C1, p.D11, -gamma * np.eye(q)]])  # fmt: skip
     parts = [N.T @ M @ N for N, M in ((N_R, left), (N_S, right))]
-    constraints = [0.5 * (part + part.T) << 0 for part in parts]
+    constraints: list[Any] = [0.5 * (part + part.T) << 0 for part in parts]
     constraints.append(cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0)
     goal = gamma if level is None else cp.trace(R) + cp.trace(S)
     outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), seconds)
@@ -142,7 +142,7 @@ def _outer_factors(p: PlantMatrices) -> tuple[Array, Array]:
     _, m, _, q, _ = p.sizes
     by_control = null_space(np.hstack([p.B2.T, p.D12.T]), NULL)
     by_measurement = null_space(np.hstack([p.C2, p.D21]), NULL)
-    return block_diag(by_control, np.eye(m)), block_diag(by_measurement, np.eye(q))
+    return np.asarray(block_diag(by_control, np.eye(m))), np.asarray(block_diag(by_measurement, np.eye(q)))
 
 
 def _reconstructed(p: PlantMatrices, R: Array, S: Array, gamma: float, seconds: float) -> Realisation | None:
@@ -172,7 +172,7 @@ def _reconstructed(p: PlantMatrices, R: Array, S: Array, gamma: float, seconds: 
     D = p.D11 + z_u @ K @ y_w
     real = cp.bmat([[A + A.T, B, C.T], [B.T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
     shift = block_diag(np.eye(2 * n), np.zeros((m + q, m + q)))
-    constraints = [0.5 * (real + real.T) + margin * shift << 0, margin <= 1e3]
+    constraints: list[Any] = [0.5 * (real + real.T) + margin * shift << 0, margin <= 1e3]
     outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), seconds)
     value = K.value
     if not outcome.usable or value is None or not np.isfinite(value).all():

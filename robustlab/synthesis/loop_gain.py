@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.matrix_equations import balanced_eigenvalues
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 
 __all__ = ["closed", "loop_gain", "responses", "trial_frequencies"]
@@ -40,9 +41,9 @@ def trial_frequencies(poles: Array) -> Array:
         return np.array([0.0, 1.0])
     low, high = size.min() / 10, size.max() * 10
     points = int(np.clip(GRID_PER_DECADE * np.log10(high / low), 8, LARGEST_GRID))
-    upper = poles[poles.imag >= 0]
-    resonance = np.sqrt(np.maximum(upper.imag**2 - upper.real**2, 0.0))
-    omega = np.sort(np.concatenate([np.abs(upper), upper.imag, resonance, np.geomspace(low, high, points)]))
+    upper: Array = poles[np.imag(poles) >= 0]
+    resonance = np.sqrt(np.maximum(np.imag(upper) ** 2 - np.real(upper) ** 2, 0.0))
+    omega = np.sort(np.concatenate([np.abs(upper), np.imag(upper), resonance, np.geomspace(low, high, points)]))
     omega = omega[omega > 0]
     # Frequencies closer than a share of the nearest pole's damping tell nothing new; keep all that are apart.
     return np.concatenate([[0.0], omega[np.append(True, np.diff(omega) > 1e-6 * omega[1:])]])
@@ -101,8 +102,6 @@ def loop_gain(loop: Realisation, limit: float = np.inf) -> float:
 
 def _crossings(loop: Realisation, level: float) -> Array:
     """Frequencies at which a singular value may cross the level, and points between them."""
-    from scipy.linalg.lapack import dgebal
-
     if level <= 0:
         return np.zeros(0)
     root = np.sqrt(level)
@@ -115,12 +114,12 @@ def _crossings(loop: Realisation, level: float) -> Array:
     n = loop.A.shape[0]
     a1 = loop.A + b @ r[:, :n]
     hamiltonian = np.block([[a1, b @ r[:, n:]], [-c.T @ s, -a1.T]])
-    if not np.isfinite(hamiltonian).all():
+    values = balanced_eigenvalues(hamiltonian)
+    if values is None:
         return np.zeros(0)
-    values = np.linalg.eigvals(dgebal(hamiltonian, scale=1, permute=0)[0])
     size = np.abs(values)
-    near = np.abs(values.real) < np.maximum(1e-4 * size, 1e-10 * size.max())
-    crossing = np.unique(np.abs(values.imag[near]))
+    near = np.abs(np.real(values)) < np.maximum(1e-4 * size, 1e-10 * size.max())
+    crossing = np.unique(np.abs(np.imag(values)[near]))
     if not len(crossing):
         return crossing
     return np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0], 1.5 * crossing[-1]]])

@@ -26,10 +26,10 @@ Array = NDArray[np.float64]
 class Realisation(NamedTuple):
     """Bare matrices of a model or a controller inside a search."""
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+    A: NDArray[Any]
+    B: NDArray[Any]
+    C: NDArray[Any]
+    D: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,6 +59,6 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
                 low, softest = middle, found
             else:
                 high = middle
-        if softest is None or softest.pace > 0.9 * start.pace:
+        if softest is None or softest.pace > 0.7 * start.pace:
             return
         start, low, high, steps = softest, low / 2, 3 * low, LATER_STEPS

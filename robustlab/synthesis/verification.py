@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,8 +131,9 @@ class Verifier:
             if plant.model.dt:
                 model = bilinear_to_discrete(model, plant.model.dt)
             states = [f"k{i + 1}" for i in range(model.n_states)]
-            matrices: tuple[Any, ...] = (model.A, model.B, model.C, model.D)
-            named = StateSpaceModel(*matrices, model.dt, plant.measurements, plant.controls, states)
+            named = StateSpaceModel(
+                model.A, model.B, model.C, model.D, model.dt, plant.measurements, plant.controls, states
+            )
             loop = plant.close(named)
             norm = hinf_norm(loop)
         except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
