@@ -198,8 +198,8 @@ def _finished(
     weights: Mapping[str, StateSpaceModel],
 ) -> HinfSynthesis:
     loop = chosen.loop
-    status = Status.CERTIFIED if chosen.norm.status is Status.CERTIFIED else Status.INACCURATE
-    parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.norm.reason]
+    status = Status.CERTIFIED if chosen.certified else Status.INACCURATE
+    parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.doubt]
     parts.append(f"by {by}")
     if chosen is not best:
         parts.append(

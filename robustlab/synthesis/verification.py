@@ -13,6 +13,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.search import Candidate, Deadline
+from robustlab.synthesis.stability import proved_stable
 
 __all__ = ["Verified", "Verifier"]
 
@@ -25,12 +26,16 @@ TRIES, LOSS = 8, 1.0005
 
 @dataclass(frozen=True, eq=False)
 class Verified:
-    """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm."""
+    """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm.
+
+    ``stable`` says whether stability of the loop was proved beyond its computed eigenvalues.
+    """
 
     candidate: Candidate
     K: StateSpaceModel
     loop: StateSpaceModel
     norm: HinfNorm
+    stable: bool
 
     @property
     def gamma(self) -> float:
@@ -39,8 +44,15 @@ class Verified:
 
     @property
     def certified(self) -> bool:
-        """Whether no digits were lost."""
-        return self.norm.status is Status.CERTIFIED
+        """Whether no digits were lost, in the norm and in the proof of stability."""
+        return self.stable and self.norm.status is Status.CERTIFIED
+
+    @property
+    def doubt(self) -> str:
+        """Why it is not certified; empty where it is."""
+        if self.norm.status is not Status.CERTIFIED:
+            return self.norm.reason
+        return "" if self.stable else "stability rests on ill-conditioned eigenvalues and could not be proved"
 
 
 class Verifier:
@@ -138,7 +150,9 @@ class Verifier:
             norm = hinf_norm(loop)
         except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
             return None
-        return Verified(candidate, named, loop, norm) if np.isfinite(norm.upper) else None
+        if not np.isfinite(norm.upper):
+            return None
+        return Verified(candidate, named, loop, norm, proved_stable(loop.A, loop.is_discrete))
 
 
 def _with_direct_term(K: Realisation, D22: NDArray[np.float64]) -> Realisation:
