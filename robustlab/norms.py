@@ -354,8 +354,11 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
     e = np.linalg.inv(plus)
     root = np.sqrt(2 * a)
     A = a * e @ (model.A - np.eye(model.n_states))
+    D = model.D - model.C @ e @ model.B
+    # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
+    D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(model.C @ e) @ np.abs(model.B))] = 0.0
     return StateSpaceModel(
-        A, root * e @ model.B, root * model.C @ e, model.D - model.C @ e @ model.B, 0.0,
+        A, root * e @ model.B, root * model.C @ e, D, 0.0,
         model.inputs, model.outputs, model.states, where="bilinear map",
     )  # fmt: skip
 

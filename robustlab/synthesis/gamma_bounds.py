@@ -88,9 +88,12 @@ def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], place: Callab
         values = np.minimum(values, _bounds(scaling.apply(p), points * first.rate / scaling.rate) / scaling.gain)
     at_infinity = float(_parrott(*(part[None].astype(complex) for part in (p.D11, p.D12, p.D21)))[0])
     best = int(np.argmax(values))
-    value = max(float(values[best]), at_infinity) * (1 - MARGIN)
+    zero, at_zero = min((_at_zeros(p, scaling) for scaling in scalings), key=lambda found: found[1])
+    value = max(float(values[best]), at_infinity, at_zero) * (1 - MARGIN)
     if value <= 0:
         return GammaBound(0.0, "at no single frequency does anything keep gamma from zero", True)
+    if at_zero >= max(float(values[best]), at_infinity):
+        return GammaBound(value, f"proved at the zero {place(zero)}", True)
     if at_infinity >= values[best]:
         return GammaBound(value, "proved: D11 leaves it at infinite frequency", True)
     point = complex(points[best])
@@ -126,6 +129,43 @@ def _points(p: PlantMatrices) -> Array:
     polar = np.geomspace(low, high, RADII)[:, None] * np.exp(1j * np.array(ANGLES))
     near = np.abs(poles.real) * 1.001 + 1j * np.abs(poles.imag)
     return np.concatenate([polar.ravel(), near, 1j * np.abs(poles), [0.0]])
+
+
+def _at_zeros(p: PlantMatrices, scaling: Scaling) -> tuple[complex, float]:
+    """The right half plane zero of P12 or P21, where square, that costs most, and its bound, in the plant's units."""
+    q = scaling.apply(p)
+    best: tuple[complex, float] = (0j, 0.0)
+    for A, B1, B2, C1, D11, D12 in ((q.A, q.B1, q.B2, q.C1, q.D11, q.D12),
+                                    (q.A.T, q.C1.T, q.C2.T, q.B1.T, q.D11.T, q.D21.T)):  # fmt: skip
+        for zero, direction in _zero_directions(A, B2, C1, D12):
+            response = C1 @ np.linalg.solve(zero * np.eye(len(A)) - A, B1.astype(complex)) + D11
+            value = float(np.linalg.norm(direction @ response)) / scaling.gain
+            if np.isfinite(value) and value > best[1]:
+                best = (zero * scaling.rate, value)
+    return best
+
+
+def _zero_directions(A: Array, B: Array, C: Array, D: Array) -> list[tuple[complex, Array]]:
+    """Zeros of a square system in the open right half plane, with the unit row v for which ``v G(zero) = 0``."""
+    from scipy.linalg import eigvals
+
+    n, m = B.shape
+    if n == 0 or C.shape[0] != m:
+        return []
+    whole, shift = np.block([[A, B], [C, D]]).astype(complex), np.zeros((n + m, n + m))
+    shift[:n, :n] = np.eye(n)
+    zeros, poles = np.asarray(eigvals(whole, shift, check_finite=False)), np.linalg.eigvals(A)
+    found: list[tuple[complex, Array]] = []
+    for zero in zeros[np.isfinite(zeros)]:
+        size = abs(zero)
+        if zero.real <= 1e-9 * size or size > 1e8 * np.linalg.norm(whole) or np.abs(poles - zero).min() < 1e-6 * size:
+            continue
+        u, sigma, _ = np.linalg.svd(whole - zero * shift)
+        direction = u[n:, -1].conj()
+        length = float(np.linalg.norm(direction))
+        if sigma[-1] <= 1e-10 * sigma[0] and sigma[-2] > 1e-6 * sigma[0] and length > 1e-6:
+            found.append((complex(zero), direction / length))
+    return found
 
 
 def _around(centre: complex, points: Array) -> Array:
