@@ -5,10 +5,10 @@
 Every tool runs each plant in a child process with a limit on its CPU time (from after its imports) and on its wall
 clock: Fortran cannot be interrupted and does not always return. The controllers come back, and the *true* norm of each
 loop is the largest that three voices give: `robustlab.norms.hinf_norm`, a dense grid with zoom written here with numpy
-alone, and the gain at the peak that slycot's ab13dd names (again in a child; its own figure is not taken: on stiff loops
-its scaling makes it wrong, on AC7 by a factor of 178 against exact rational arithmetic). An unstable loop has no norm. "Best known" is the smallest verified norm
-in the data; where the infimum looks like zero a norm of at most 1e-2 counts as reached. A false claim is a gamma that
-the tool states and the true norm exceeds by more than 0.1 %.
+alone, and the gain at the peak that slycot's ab13dd names (in a child; its own figure is not taken: on stiff loops
+its scaling makes it wrong, on AC7 by a factor of 178 against exact arithmetic). An unstable loop has no norm. "Best
+known" is the smallest verified norm in the data; where the infimum looks like zero a norm of at most 1e-2 counts as
+reached. A false claim is a gamma that the tool states and the true norm exceeds by more than 0.1 %.
 
 dkpy is left out where it is not installed, and for more than 12 states.
 """
