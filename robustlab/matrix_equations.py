@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 
-__all__ = ["RiccatiSolution", "care", "dare", "gramians", "lyapunov", "lyapunov_factor"]
+__all__ = [
+    "RiccatiSolution",
+    "balanced_eigenvalues",
+    "care",
+    "dare",
+    "gramians",
+    "hamiltonian_riccati",
+    "lyapunov",
+    "lyapunov_factor",
+]
 
 Array = NDArray[Any]
 
@@ -101,6 +111,77 @@ def care(
             "care", "no stabilising solution: the Hamiltonian has eigenvalues on the imaginary axis"
         )
     raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
+
+
+def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6) -> Array | None:
+    r"""Stabilising solution of a Riccati equation with its quadratic term given whole: the inner loop of searches.
+
+    .. math:: A^T X + X A - X G X + Q = 0, \qquad A - G X \text{ stable}
+
+    Parameters
+    ----------
+    A, G, Q
+        Shapes (n, n); G and Q symmetric, both may be indefinite. Shapes are not checked.
+    tolerance
+        Largest relative residual that is accepted.
+
+    Returns
+    -------
+    ndarray or None
+        X, symmetric; None where the Hamiltonian has eigenvalues on the imaginary axis, where it has no graph subspace,
+        for input that is not finite, and where the residual is too large.
+
+    References
+    ----------
+    Laub 1979: ordered real Schur form of the (balanced) Hamiltonian.
+
+    Examples
+    --------
+    >>> one = np.eye(1)
+    >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
+    2.0
+    """
+    n = A.shape[0]
+    if n == 0:
+        return np.zeros((0, 0))
+    hamiltonian = np.empty((2 * n, 2 * n))
+    hamiltonian[:n, :n], hamiltonian[:n, n:] = A, -G
+    hamiltonian[n:, :n], hamiltonian[n:, n:] = -Q, -A.T
+    if not np.isfinite(hamiltonian).all():  # LAPACK may not return from NaN
+        return None
+    gebal, gees = _lapack()
+    balanced, _, _, scale, _ = gebal(hamiltonian, scale=1, permute=0)
+    _, count, _, _, z, _, info = gees(lambda re, im: re < 0, balanced, sort_t=1)
+    if info != 0 or count != n:
+        return None
+    z = scale[:, None] * z[:, :n]
+    try:
+        X = np.linalg.solve(z[:n].T, z[n:].T)
+    except np.linalg.LinAlgError:
+        return None
+    X = 0.5 * (X + X.T)
+    if not np.isfinite(X).all():
+        return None
+    linear, quadratic = A.T @ X, X @ G @ X
+    size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
+    residual = np.linalg.norm(linear + linear.T - quadratic + Q)
+    return X if residual <= tolerance * size else None
+
+
+def balanced_eigenvalues(matrix: Array) -> Array | None:
+    """Eigenvalues of a square matrix after balancing, shape (n,); None where it is not finite."""
+    if not np.isfinite(matrix).all():
+        return None
+    return np.linalg.eigvals(_lapack()[0](matrix, scale=1, permute=0)[0])
+
+
+@functools.cache
+def _lapack() -> tuple[Any, Any]:
+    """LAPACK's balancing and ordered real Schur form for float64, without scipy's checks around them."""
+    from scipy.linalg import get_lapack_funcs
+
+    gebal, gees = get_lapack_funcs(("gebal", "gees"), dtype=np.float64)
+    return gebal, gees
 
 
 def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | None:

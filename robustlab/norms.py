@@ -22,6 +22,8 @@ EPS = float(np.finfo(float).eps)
 MAX_LEVELS = 60
 # Points of a zoom step and steps of a zoom: the bracket of a peak shrinks by a factor of 6 in each.
 ZOOM_POINTS, ZOOM_STEPS, ZOOM_PEAKS = 13, 8, 6
+# A bracket is left where the fall from its top to the points beside it, times this, no longer matters.
+ZOOM_RISE, ZOOM_FLAT = 4.0, 1e-9
 
 
 @dataclass(frozen=True)
@@ -283,11 +285,18 @@ def _zoom(m: StateSpaceModel, omega: Array, sigma: Array) -> tuple[float, float]
         points = low[:, None] + (high - low)[:, None] * share
         values = _sigma(m, points.ravel()).reshape(points.shape)
         top = values.argmax(axis=1)
-        rows = np.arange(len(peaks))
+        rows = np.arange(len(points))
         k = int(values[rows, top].argmax())
         if values[k, top[k]] > best:
             best, at = float(values[k, top[k]]), float(points[k, top[k]])
-        low, high = points[rows, np.maximum(top - 1, 0)], points[rows, np.minimum(top + 1, ZOOM_POINTS - 1)]
+        before, after = np.maximum(top - 1, 0), np.minimum(top + 1, ZOOM_POINTS - 1)
+        low, high = points[rows, before], points[rows, after]
+        # Between the points next to the top of a smooth peak nothing rises by more than it fell towards them.
+        rise = values[rows, top] - np.minimum(values[rows, before], values[rows, after])
+        open_ = values[rows, top] + ZOOM_RISE * rise > best * (1 + ZOOM_FLAT)
+        if not open_.any():
+            break
+        low, high = low[open_], high[open_]
     return best, at
 
 
@@ -344,8 +353,11 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
     e = np.linalg.inv(plus)
     root = np.sqrt(2 * a)
     A = a * e @ (model.A - np.eye(model.n_states))
+    D = model.D - model.C @ e @ model.B
+    # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
+    D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(model.C @ e) @ np.abs(model.B))] = 0.0
     return StateSpaceModel(
-        A, root * e @ model.B, root * model.C @ e, model.D - model.C @ e @ model.B, 0.0,
+        A, root * e @ model.B, root * model.C @ e, D, 0.0,
         model.inputs, model.outputs, model.states, where="bilinear map",
     )  # fmt: skip
 

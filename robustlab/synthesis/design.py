@@ -13,6 +13,7 @@ from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.controller import Controller
+from robustlab.synthesis.gamma_bounds import GammaBound
 from robustlab.synthesis.partition import GeneralizedPlant
 
 __all__ = ["HinfSynthesis", "Synthesis", "limiting_channels"]
@@ -114,6 +115,13 @@ class HinfSynthesis(Synthesis):
         Relative difference between the best gammas of the two scalings that were tried; NaN where one gave none.
     norm
         The bracket of the closed loop's norm.
+    lower_bound
+        What no stabilising controller gets below, and how that is known.
+    estimated_optimum
+        The infimum of gamma as the search sees it, an estimate: of a regular plant the smallest gamma that passes its
+        Riccati test; else extrapolated to no regularisation. NaN where it cannot tell.
+    assumptions
+        The textbook assumptions that the plant does not meet, in words; the search regularised where there are any.
     weights
         Weights of a mixed-sensitivity problem, by name.
     """
@@ -122,6 +130,9 @@ class HinfSynthesis(Synthesis):
     smallest_gamma: float
     scalings_disagree: float
     norm: HinfNorm
+    lower_bound: GammaBound
+    estimated_optimum: float
+    assumptions: tuple[str, ...]
     weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
 
     def _gamma_text(self) -> str:
@@ -130,7 +141,23 @@ class HinfSynthesis(Synthesis):
     def summary(self) -> list[tuple[str, str]]:
         """What a person wants to read, as (label, text)."""
         rows = super().summary()
-        return [*rows[:2], ("smallest gamma found", f"{self.smallest_gamma:.6g}"), *rows[2:]]
+        found = f"{self.smallest_gamma:.6g}"
+        if np.isfinite(self.regularisation_cost):
+            found += f" ({self.regularisation_cost:.2%} above the estimated optimum)"
+        bound = f"{self.lower_bound.value:.6g}, {self.lower_bound.known}"
+        broken = [("regularised, because" if i == 0 else "", text) for i, text in enumerate(self.assumptions)]
+        return [*rows[:2], ("smallest gamma found", found), ("no controller below", bound), *rows[2:], *broken]
+
+    @property
+    def gamma_lower(self) -> float:
+        """What no stabilising controller gets below."""
+        return self.lower_bound.value
+
+    @property
+    def regularisation_cost(self) -> float:
+        """How far the smallest gamma found lies above the estimated optimum, as a share of it; NaN where unknown."""
+        optimum = self.estimated_optimum
+        return max(self.smallest_gamma / optimum - 1, 0.0) if optimum > 0 else float("nan")
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant and the weights, with arrays."""
@@ -139,6 +166,11 @@ class HinfSynthesis(Synthesis):
             "peak_frequency": self.peak_frequency,
             "scalings_disagree": self.scalings_disagree,
             "norm": self.norm.to_json(),
+            "gamma_lower": self.gamma_lower,
+            "lower_bound": self.lower_bound.to_json(),
+            "estimated_optimum": self.estimated_optimum,
+            "regularisation_cost": self.regularisation_cost,
+            "assumptions": list(self.assumptions),
         }
 
 

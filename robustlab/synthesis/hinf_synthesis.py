@@ -6,35 +6,45 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
+from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.assumptions import require_stabilisable
+from robustlab.synthesis.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.design import HinfSynthesis, limiting_channels
-from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.gamma_bounds import GammaBound, place_in_s, place_in_z, pointwise_bound
+from robustlab.synthesis.lmi_synthesis import lmi_controllers
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant
+from robustlab.synthesis.portfolio import portfolio
 from robustlab.synthesis.scaling import equilibrated, paths_first
-from robustlab.synthesis.search import Candidate, Deadline, Search, smallest
+from robustlab.synthesis.search import Deadline, Search
+from robustlab.synthesis.softening import soften
+from robustlab.synthesis.verification import Verified, Verifier
 
 __all__ = ["hinf", "synthesize"]
 
-# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
-ILL_POSED = 1e10
+# What a certified norm may cost where the best loop is so stiff that its norm loses digits.
+CALMER = 1.001
 
 
 def hinf(
-    P: Any, n_meas: int | None = None, n_con: int | None = None, *, gamma_rel: float = 1.05, time_limit: float = 60.0
+    P: Any,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    *,
+    gamma_rel: float = 1.05,
+    bandwidth: float | None = None,
+    time_limit: float = 60.0,
 ) -> HinfSynthesis:
     r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
-    Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant. Nothing is assumed about
-    the ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the
-    verified norm of the loop rebuilt from the returned K. A discrete P is mapped by the bilinear rule and verified in
-    discrete time.
+    Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant; linear matrix
+    inequalities where they give nothing. Nothing is assumed about the ranks of D12 and D21 or about zeros on the axis;
+    every controller is verified on P as given, and gamma is the verified norm of the loop rebuilt from the returned K.
+    A discrete P is mapped by the bilinear rule and verified in discrete time.
 
     Parameters
     ----------
@@ -47,6 +57,9 @@ def hinf(
     gamma_rel
         How much larger than the smallest gamma found the returned controller's may be (>= 1); within it the one with
         the slowest poles is taken. 1 asks for the smallest gamma, whose controller is often absurdly fast.
+    bandwidth
+        Where given, all controller poles must lie below it (modulus, rad/s; of a discrete controller those of its
+        bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma that obeys is taken.
     time_limit
         Time in s, asked between trials. A controller verified by then is returned, and ``reason`` says that time was
         up.
@@ -61,11 +74,13 @@ def hinf(
     InputError
         Numbers of channels that P does not have, ``gamma_rel`` below 1.
     NoTrustworthyNumber
-        An unstable or marginal mode that no controller can stabilise (named), or no controller could be verified.
+        An unstable or marginal mode that no controller can stabilise (named), no controller could be verified, or none
+        has its poles below ``bandwidth``.
 
     References
     ----------
-    Glover, Doyle 1988; Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapters 16 and 17.
+    Glover, Doyle 1988; Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapters 16 and 17;
+    Gahinet, Apkarian 1994.
 
     Examples
     --------
@@ -75,7 +90,7 @@ def hinf(
     ('certified', 0.732)
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
-    return synthesize(plant, "hinf", gamma_rel, time_limit)
+    return synthesize(plant, "hinf", gamma_rel, time_limit, bandwidth=bandwidth)
 
 
 def synthesize(
@@ -84,6 +99,7 @@ def synthesize(
     gamma_rel: float,
     time_limit: float,
     weights: Mapping[str, StateSpaceModel] | None = None,
+    bandwidth: float | None = None,
 ) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
@@ -91,15 +107,22 @@ def synthesize(
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
     if np.isnan(time_limit) or time_limit <= 0:
         raise InputError(where, f"time_limit is {time_limit}", "a positive time in s")
+    if bandwidth is not None and not bandwidth > 0:
+        raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
     from threadpoolctl import threadpool_limits
 
     # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
     with threadpool_limits(limits=1):
-        return _synthesize(plant, method, gamma_rel, time_limit, weights or {})
+        return _synthesize(plant, method, gamma_rel, time_limit, weights or {}, bandwidth)
 
 
 def _synthesize(
-    plant: GeneralizedPlant, method: str, gamma_rel: float, time_limit: float, weights: Mapping[str, StateSpaceModel]
+    plant: GeneralizedPlant,
+    method: str,
+    gamma_rel: float,
+    time_limit: float,
+    weights: Mapping[str, StateSpaceModel],
+    bandwidth: float | None,
 ) -> HinfSynthesis:
     deadline = Deadline(time_limit)
     dt = plant.model.dt
@@ -108,97 +131,76 @@ def _synthesize(
         continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)
     matrices = continuous.matrices()
     scalings = (paths_first(matrices), equilibrated(matrices))
-    require_stabilisable(scalings[0].apply(matrices), plant.model.state_names, f"synth {method}", scalings[0].rate)
-
-    def verify(K: StateSpaceModel) -> Candidate | None:
-        return _verified(plant, continuous.D22, K)
-
-    searches = [Search(matrices, scaling, verify, deadline) for scaling in scalings]
-    for search in searches:
-        search.run()
-    best = smallest([c for search in searches for c in search.candidates])
+    scaled, rate = scalings[0].apply(matrices), scalings[0].rate
+    require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
+    lower = pointwise_bound(matrices, scalings, place_in_z(dt) if dt else place_in_s)
+    verifier = Verifier(plant, continuous.D22, deadline)
+    found = portfolio(matrices, scalings, deadline, lower.value)
+    best, by = verifier.smallest(found.candidates), "two Riccati equations"
     if best is None:
-        late = " in the time limit" if deadline.passed() else ""
+        note = _by_lmi(matrices, found.leader, deadline)
+        best, by = verifier.smallest(found.candidates), f"two Riccati equations gave none; {note}"
+    if best is None:
+        late = f" in the time limit of {time_limit:g} s" if deadline.passed() else ""
         raise NoTrustworthyNumber(
             f"synth {method}",
-            f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
+            f"no controller could be verified{late} ({len(found.candidates)} were found; {by})",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
+            more=broken_assumptions(scaled, plant, rate),
         )
-    reached = [search.best.gamma for search in searches if search.best is not None]
-    disagree = max(reached) / min(reached) - 1 if len(reached) == 2 and min(reached) > 0 else float("nan")
+    if not best.certified:  # so fast a controller that digits are lost: a little more gamma buys a calmer one
+        soften(found.leader, best.candidate, (0.2 + 0.8 * CALMER) * best.gamma)
+        best = verifier.accurate(found.candidates, best, CALMER)
     chosen = best
     if gamma_rel > 1:
-        next(search for search in searches if search.best is best).soften(best, gamma_rel * best.gamma)
-        chosen = _sanest([c for search in searches for c in search.candidates], best, gamma_rel)
+        soften(found.leader, best.candidate, gamma_rel * best.gamma)
+        chosen = verifier.sanest(found.candidates, best, gamma_rel)
+    if bandwidth is not None and chosen.candidate.pace > bandwidth:
+        chosen = verifier.within(found.candidates, best, gamma_rel, bandwidth)
     return _finished(
         plant=plant,
         chosen=chosen,
         best=best,
-        disagree=disagree,
+        disagree=found.disagree,
+        lower=lower,
+        optimum=found.estimated_optimum(),
+        assumptions=broken_assumptions(scaled, plant, rate),
         gamma_rel=gamma_rel,
         late=deadline.passed(),
+        by=by,
         method=method,
         weights=weights,
     )
 
 
-def _sanest(candidates: list[Candidate], best: Candidate, gamma_rel: float) -> Candidate:
-    """Of the candidates allowed, the one with the smallest ratio of fastest controller pole to slowest loop mode."""
-    allowed = [c for c in candidates if c.gamma <= gamma_rel * best.gamma and c.norm.status == best.norm.status]
-    return min(allowed, key=lambda c: (c.stiffness, c.gamma))
-
-
-def _verified(plant: GeneralizedPlant, D22: NDArray[np.float64], K: StateSpaceModel) -> Candidate | None:
-    """K for the plant as given (D22 taken back in, bilinear map undone) with its loop's norm; None if not stable."""
-    try:
-        full = _with_direct_term(K, D22)
-        if plant.model.dt:
-            full = bilinear_to_discrete(full, plant.model.dt)
-        named = StateSpaceModel(
-            full.A,
-            full.B,
-            full.C,
-            full.D,
-            full.dt,
-            plant.measurements,
-            plant.controls,
-            [f"k{i + 1}" for i in range(full.n_states)],
-        )
-        loop = plant.close(named)
-        norm = hinf_norm(loop)
-    except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
-        return None
-    if not np.isfinite(norm.upper):
-        return None
-    decay = -loop.spectral_abscissa() / (loop.dt or 1.0)
-    return Candidate(named, K, norm, float(decay))
-
-
-def _with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:
-    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
-    if not D22.any():
-        return K
-    loop = np.eye(K.n_outputs) + K.D @ D22
-    if np.linalg.cond(loop) > ILL_POSED:
-        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
-    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
-    return StateSpaceModel(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)
+def _by_lmi(matrices: PlantMatrices, search: Search, deadline: Deadline) -> str:
+    """Add the controllers of the projection LMIs to the search, and refine the best of them; how it went."""
+    controllers, note = lmi_controllers(matrices, search.scaling, deadline)
+    for K in controllers:
+        search.adopt(K)
+    search.polish(search.best)
+    return note
 
 
 def _finished(
     *,
     plant: GeneralizedPlant,
-    chosen: Candidate,
-    best: Candidate,
+    chosen: Verified,
+    best: Verified,
     disagree: float,
+    lower: GammaBound,
+    optimum: float,
+    assumptions: tuple[str, ...],
     gamma_rel: float,
     late: bool,
+    by: str,
     method: str,
     weights: Mapping[str, StateSpaceModel],
 ) -> HinfSynthesis:
-    loop = plant.close(chosen.K)
-    status = Status.CERTIFIED if chosen.norm.status is Status.CERTIFIED else Status.INACCURATE
-    parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.norm.reason]
+    loop = chosen.loop
+    status = Status.CERTIFIED if chosen.certified else Status.INACCURATE
+    parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.doubt]
+    parts.append(f"by {by}")
     if chosen is not best:
         parts.append(
             f"the softest controller within the allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
@@ -215,6 +217,9 @@ def _finished(
         limit=limiting_channels(loop, chosen.norm.frequency),
         smallest_gamma=best.gamma,
         scalings_disagree=disagree,
+        lower_bound=lower,
+        estimated_optimum=optimum,
+        assumptions=assumptions,
         norm=chosen.norm,
         plant=plant,
         method=method,

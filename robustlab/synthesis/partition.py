@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,18 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["GeneralizedPlant", "PlantMatrices", "as_generalized_plant", "generalized_plant"]
+__all__ = ["GeneralizedPlant", "PlantMatrices", "Realisation", "as_generalized_plant", "generalized_plant"]
 
 Array = NDArray[np.float64]
+
+
+class Realisation(NamedTuple):
+    """Bare matrices of a model or a controller inside a search."""
+
+    A: NDArray[Any]
+    B: NDArray[Any]
+    C: NDArray[Any]
+    D: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

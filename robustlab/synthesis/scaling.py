@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.partition import PlantMatrices
+from robustlab.synthesis.partition import PlantMatrices, Realisation
 
 __all__ = ["Scaling", "equilibrated", "paths_first"]
 
@@ -54,15 +53,15 @@ class Scaling:
             p.D21 * self.w * self.y[:, None],
         )
 
-    def controller_to_plant(self, K: StateSpaceModel) -> StateSpaceModel:
+    def controller_to_plant(self, K: Realisation) -> Realisation:
         """The controller for the plant that belongs to one for the scaled plant."""
         u = self.u[:, None]
-        return StateSpaceModel(self.rate * K.A, self.rate * K.B * self.y, u * K.C, u * K.D * self.y)
+        return Realisation(self.rate * K.A, self.rate * K.B * self.y, u * K.C, u * K.D * self.y)
 
-    def controller_from_plant(self, K: StateSpaceModel) -> StateSpaceModel:
+    def controller_from_plant(self, K: Realisation) -> Realisation:
         """Inverse of `controller_to_plant`."""
         u = self.u[:, None]
-        return StateSpaceModel(K.A / self.rate, K.B / self.rate / self.y, K.C / u, K.D / u / self.y)
+        return Realisation(K.A / self.rate, K.B / self.rate / self.y, K.C / u, K.D / u / self.y)
 
 
 def _power(x: Array | float) -> Array:

@@ -1,42 +1,40 @@
-"""Search for a controller of small verified gamma over regularisations of one scaled generalised plant.
+"""Search for a controller of small gamma over regularisations of one scaled generalised plant.
 
 Most practical plants are singular for the two Riccati equations: D12 or D21 has no full rank, or there are zeros on
 the imaginary axis. Each trial adds small penalties on u and x and small noises on y and x, solves that regular
-problem, and judges its controller by the norm of the loop rebuilt on the plant as it was given.
+problem, and judges its controller by the gain of the loop on the plant without them.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import frequency_response
-from robustlab.norms import HinfNorm
-from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.partition import PlantMatrices
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.synthesis.loop_gain import closed, loop_gain, responses, trial_frequencies
+from robustlab.synthesis.partition import PlantMatrices, Realisation
 from robustlab.synthesis.scaling import Scaling
-from robustlab.synthesis.two_riccati import TwoRiccatiProblem
+from robustlab.synthesis.two_riccati import PROBES, TwoRiccatiProblem
 
-__all__ = ["Candidate", "Deadline", "Regularisation", "Search"]
+__all__ = ["Candidate", "Deadline", "Regularisation", "Search", "smallest"]
 
 Array = NDArray[Any]
 
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-# A central controller at gamma itself is ill-conditioned: gamma is backed off until the verified norm agrees.
-BACKOFF = (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
+# A central controller at gamma itself is ill-conditioned: gamma is backed off until the gain of the loop agrees.
+COARSE, FINE = (1e-2, 0.1), (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
 # Shares of the closed loop's gain that the self-scaled regularisation may cost; the optimum rises by their squares.
 SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
 SELF_SCALED_STEPS = 14
 IMPROVEMENT = 5e-4
+PROVED = 3e-4
 REGULAR = 1e-6
-SOFTENING_ROUNDS, SOFTENING_STEPS = 3, 6
+# In a plant scaled to order one, a gain below this is zero for every purpose.
+NEGLIGIBLE = 1e-7
 
 
 class Deadline:
@@ -47,7 +45,11 @@ class Deadline:
 
     def passed(self) -> bool:
         """True when the time is up."""
-        return time.monotonic() >= self._end
+        return self.left() <= 0
+
+    def left(self) -> float:
+        """Seconds until then; negative afterwards."""
+        return self._end - time.monotonic()
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,43 +70,33 @@ class Regularisation:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A verified controller.
+    """A controller whose loop is stable, as far as the search can tell.
 
     Attributes
     ----------
     K
-        In the units and the time domain of the plant as given, D22 included.
-    K_bare
-        For the continuous plant without D22.
-    norm
-        Norm of the loop rebuilt on the plant as given.
+        For the continuous plant without D22, in its units.
+    gamma
+        Gain of its loop, attained at a frequency.
+    pace
+        Largest modulus of its poles in rad/s: what makes it hard to build.
     decay
-        Decay rate of that loop's slowest mode in 1/s.
+        Decay rate of the loop's slowest mode in 1/s.
     """
 
-    K: StateSpaceModel
-    K_bare: StateSpaceModel
-    norm: HinfNorm
+    K: Realisation
+    gamma: float
+    pace: float
     decay: float
-
-    @property
-    def gamma(self) -> float:
-        """Proved upper bound of the closed loop's norm."""
-        return self.norm.upper
-
-    @property
-    def pace(self) -> float:
-        """Largest modulus of the poles of the continuous controller: what makes it hard to build."""
-        return float(np.abs(self.K_bare.poles()).max(initial=0.0))
 
     @property
     def stiffness(self) -> float:
         """Fastest controller pole over slowest mode of the loop: the span of time scales that K brings in."""
-        return self.pace / self.decay
+        return self.pace / max(self.decay, 1e-300)
 
 
 class Search:
-    """Trials on one scaled plant; every verified controller is kept.
+    """Trials on one scaled plant; every controller that stabilises is kept.
 
     Parameters
     ----------
@@ -112,127 +104,108 @@ class Search:
         Continuous plant without D22.
     scaling
         Its scaling.
-    verify
-        Takes a controller for ``plant`` and returns it verified on the plant as given, or None where that loop is
-        unstable.
+    deadline
+        Asked between trials and between gamma tests.
+    floor
+        Proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
     """
 
-    def __init__(
-        self,
-        plant: PlantMatrices,
-        scaling: Scaling,
-        verify: Callable[[StateSpaceModel], Candidate | None],
-        deadline: Deadline,
-    ) -> None:
+    def __init__(self, plant: PlantMatrices, scaling: Scaling, deadline: Deadline, floor: float = 0.0) -> None:
         self.scaling, self.plant = scaling, scaling.apply(plant)
-        self.verify, self.deadline = verify, deadline
+        self.deadline, self.floor, self.careful, self.probes = deadline, floor, False, PROBES[:1]
         self.candidates: list[Candidate] = []
+        # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
+        self.regular_gamma: float | None = None
+        # Optima of the regularised problems scaled by the best loop, as (share, gamma).
+        self.optima: list[tuple[float, float]] = []
+        # Channel gains of the loop they were last asked for.
+        self._gains: tuple[Candidate, tuple[Array, Array, Array, Array] | None] | None = None
 
     @property
     def best(self) -> Candidate | None:
-        """The candidate of smallest gamma, certified ones before others."""
+        """The candidate of smallest gamma."""
         return smallest(self.candidates)
 
-    def run(self) -> None:
-        """Ladder of regularisations first, then regularisations scaled by the best loop so far."""
-        settled = self._ladder()
-        self._self_scaled(SHARES[2:4] if settled else SHARES)
+    @property
+    def settled(self) -> bool:
+        """True where the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
+        best = self.best
+        if best is None:
+            return False
+        return best.gamma <= 1.0005 * (self.regular_gamma or 0.0) or self.proved(best)
 
-    def _ladder(self) -> bool:
-        """True where the plant is regular and its own optimum was verified."""
+    def proved(self, candidate: Candidate) -> bool:
+        """True where no controller can be better by more than a few parts in ten thousand."""
+        return candidate.gamma <= (1 + PROVED) * self.floor
+
+    def take_care(self) -> None:
+        """From now on solve in two ways, and probe far below every gamma found."""
+        self.careful, self.probes = True, PROBES
+
+    def negligible(self, candidate: Candidate) -> bool:
+        """True for a gain that is zero for every purpose, in the plant scaled to order one."""
+        return candidate.gamma * self.scaling.gain <= NEGLIGIBLE
+
+    def ladder(self) -> None:
+        """Regularisations of fixed size, from large to small, until gamma falls no more."""
         s_u = np.linalg.svd(self.plant.D12, compute_uv=False)
         s_y = np.linalg.svd(self.plant.D21, compute_uv=False)
         _, n_w, n_u, n_z, n_y = self.plant.sizes
         size_u = float(s_u.min()) if n_z >= n_u else 0.0
         size_y = float(s_y.min()) if n_w >= n_y else 0.0
         if size_u > REGULAR and size_y > REGULAR:
-            gamma, found = self._trial(Regularisation(), 1.0)
-            if found is not None and gamma is not None and found.gamma <= 1.001 * gamma:
-                return True
-        worse, best = 0, np.inf
+            self.regular_gamma, _ = self._trial(Regularisation(), 1.0, 1e-4, FINE)
+            if self.settled:
+                return
+        worse, best, start = 0, np.inf, 1.0
         for eps in LADDER:
             if self.deadline.passed():
-                break
+                return
             u = 0.0 if size_u > max(REGULAR, eps) else eps
             y = 0.0 if size_y > max(REGULAR, eps) else eps
-            _, found = self._trial(Regularisation(u, y, eps / 10, eps / 10), 1.0)
+            gamma, found = self._trial(Regularisation(u, y, eps / 10, eps / 10), start, 2e-2, COARSE)
+            if gamma is not None:
+                start = gamma * self.scaling.gain
             if found is None:
                 continue
-            worse = worse + 1 if found.gamma > 0.95 * best else 0
+            worse = worse + 1 if found.gamma > 0.9 * best else 0
             best = min(best, found.gamma)
             if worse == 2:
-                break
-        return False
+                return
 
-    def _self_scaled(self, shares: tuple[float, ...]) -> None:
+    def polish(self, best: Candidate | None, shares: tuple[float, ...] = SHARES) -> None:
+        """Regularisations scaled by the best loop so far, smaller and smaller, until gamma falls no more."""
         k = 0
         for _ in range(SELF_SCALED_STEPS):
-            before = self.best
-            if before is None or k == len(shares) or self.deadline.passed() or before.gamma <= 0:
+            if best is None or k == len(shares) or self.deadline.passed():
                 return
-            regularisation = self._relative(before, shares[k], 0.3)
+            if self.negligible(best) or self.proved(best):
+                return
+            regularisation = self.relative(best, shares[k], 0.3)
             if regularisation is None:
                 return
-            self._trial(regularisation, before.gamma * self.scaling.gain)
-            after = self.best
-            if after is not None and after.gamma >= before.gamma * (1 - IMPROVEMENT):
+            rtol = float(np.clip(0.2 * shares[k] ** 2, 5e-5, 5e-3))
+            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE)
+            if gamma is not None:
+                self.optima.append((shares[k], gamma))
+            if found is None or found.gamma >= best.gamma * (1 - max(IMPROVEMENT, rtol)):
                 k += 1
+            if found is not None and found.gamma < best.gamma:
+                best = found
 
-    def soften(self, start: Candidate, gamma: float) -> None:
-        """Look for saner controllers up to this verified gamma: slower poles, and no needlessly slow modes of the loop.
-
-        The added channels are made as large as the test at this gamma allows. Once with all of them relative to the
-        gains of the loop; and once after half of the slack has gone into an x disturbance and penalty of fixed size,
-        because a mode that w does not excite (an integrator of the plant, behind a reference) otherwise stays in the
-        loop as slow as it is.
-        """
-        self._slowest_poles(start, gamma, 0.0)
-        half = 0.5 * (start.gamma + gamma)
-        low, high, size = 1e-4, 1e2, 0.0
-        for _ in range(SOFTENING_STEPS):
-            if self.deadline.passed():
-                return
-            middle = float(np.sqrt(low * high))
-            base = self._relative(start, SHARES[2], 0.0)
-            if base is not None and self._found_within(replace(base, x_out=middle, x_in=middle), half) is not None:
-                low = size = middle
-            else:
-                high = middle
-        if size > 0:
-            self._slowest_poles(start, gamma, size)
-
-    def _slowest_poles(self, start: Candidate, gamma: float, x: float) -> None:
-        """Largest relative weights by bisection, up to three times, because their scale follows the loop found last."""
-        for _ in range(SOFTENING_ROUNDS):
-            low, high, softest = 1e-2, 10.0, None
-            for _ in range(SOFTENING_STEPS):
-                if self.deadline.passed():
-                    return
-                middle = float(np.sqrt(low * high))
-                weights = self._relative(start, middle, 0.0 if x else 0.1, 3.0)
-                if weights is not None and x:
-                    weights = replace(weights, x_out=x, x_in=x)
-                found = None if weights is None else self._found_within(weights, gamma)
-                if found is not None:
-                    low, softest = middle, found
-                else:
-                    high = middle
-            if softest is None or softest.pace > 0.9 * start.pace:
-                return
-            start = softest
-
-    def _found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
-        """The central controller of this regularisation at gamma, where it exists and verifies at most gamma."""
+    def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
+        """The central controller of this regularisation at gamma, where it exists and its loop stays below gamma."""
         try:
-            problem = TwoRiccatiProblem(weights.apply(self.plant))
+            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful)
         except NoTrustworthyNumber:
             return None
-        found = self._central(problem, gamma * self.scaling.gain * (1 - 1e-6))
-        return found if found is not None and found.gamma <= gamma else None
+        return self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
 
-    def _relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
+    def relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
         """Added channels that each carry about ``share`` of the gain of this loop."""
-        gains = self._channel_gains(loop)
+        if self._gains is None or self._gains[0] is not loop:
+            self._gains = (loop, self._channel_gains(loop))
+        gains = self._gains[1]
         if gains is None:
             return None
         gamma = loop.gamma * self.scaling.gain
@@ -244,20 +217,14 @@ class Search:
             float(state_share * share * x_in),
         )
 
-    def _channel_gains(self, loop: Candidate) -> tuple[Array, Array, Array, Array] | None:
+    def _channel_gains(self, candidate: Candidate) -> tuple[Array, Array, Array, Array] | None:
         """Peak gains in scaled units on a grid: w to each u, noise on each y to z, w to x, x disturbance to z."""
         n, n_w, n_u, n_z, n_y = self.plant.sizes
-        try:
-            model = self.plant.with_channels(1.0, 1.0, 1.0, 1.0).model()
-            closed = lower_lft(model, self.scaling.controller_from_plant(loop.K_bare))
-            size = np.abs(closed.poles())
-            size = size[size > 0]
-            omega = (
-                np.concatenate([[0.0], size, np.geomspace(size.min() / 3, size.max() * 3, 100)]) if len(size) else [0.0]
-            )
-            response = frequency_response(closed, omega)
-        except (InputError, NoTrustworthyNumber):
+        loop = closed(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
+        if not all(np.isfinite(part).all() for part in loop):
             return None
+        omega = trial_frequencies(np.linalg.eigvals(loop.A) if loop.A.size else np.zeros(0))
+        response = responses(loop, omega)
         if not np.isfinite(response).all():
             return None
         size_of = np.linalg.norm
@@ -267,17 +234,19 @@ class Search:
         x_in = size_of(response[:, :n_z, n_w + n_y :], 2, axis=(1, 2)).max(initial=0.0) if n and n_z else 0.0
         return u, y, np.asarray(x_out), np.asarray(x_in)
 
-    def _trial(self, regularisation: Regularisation, start: float) -> tuple[float | None, Candidate | None]:
-        """Smallest gamma of the regularised problem in the plant's units, and the best controller verified for it."""
+    def _trial(
+        self, regularisation: Regularisation, start: float, rtol: float, backoffs: tuple[float, ...]
+    ) -> tuple[float | None, Candidate | None]:
+        """Smallest gamma of the regularised problem in the plant's units, and the best controller found for it."""
         try:
-            problem = TwoRiccatiProblem(regularisation.apply(self.plant))
+            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful)
         except NoTrustworthyNumber:
             return None, None
-        gamma = problem.smallest_gamma(start, self.deadline.passed)
+        gamma = problem.smallest_gamma(start, self.deadline.passed, rtol, self.probes)
         if gamma is None:
             return None, None
         found: list[Candidate] = []
-        for backoff in BACKOFF:
+        for backoff in backoffs:
             candidate = self._central(problem, gamma * (1 + backoff))
             if candidate is None:
                 continue
@@ -286,21 +255,41 @@ class Search:
                 break
         return gamma / self.scaling.gain, smallest(found)
 
-    def _central(self, problem: TwoRiccatiProblem, gamma: float) -> Candidate | None:
+    def _central(self, problem: TwoRiccatiProblem, gamma: float, limit: float = np.inf) -> Candidate | None:
+        """The central controller at gamma (scaled units), where its loop's gain is at most limit (plant's units)."""
         pair = problem.solve(gamma)
         if pair is None:
             return None
         try:
-            K = self.scaling.controller_to_plant(problem.central_controller(pair))
-        except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
+            K = problem.central_controller(pair)
+        except NoTrustworthyNumber:
             return None
-        candidate = self.verify(K)
-        if candidate is not None:
-            self.candidates.append(candidate)
+        return self._kept(K, limit)
+
+    def adopt(self, K: Realisation) -> Candidate | None:
+        """A controller from elsewhere, in the plant's units, as a candidate; None where its loop is not stable."""
+        return self._kept(self.scaling.controller_from_plant(K), np.inf)
+
+    def _kept(self, K: Realisation, limit: float) -> Candidate | None:
+        """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units)."""
+        scale = self.scaling
+        loop = closed(self.plant, K)
+        gain = loop_gain(loop, limit * scale.gain)
+        if not np.isfinite(gain):
+            return None
+        poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))
+        candidate = Candidate(
+            scale.controller_to_plant(K),
+            gain / scale.gain,
+            scale.rate * float(np.abs(poles).max(initial=0.0)),
+            -scale.rate * float(modes.real.max(initial=-1e300)),
+        )
+        if not all(np.isfinite(part).all() for part in candidate.K):
+            return None
+        self.candidates.append(candidate)
         return candidate
 
 
 def smallest(candidates: list[Candidate]) -> Candidate | None:
-    """The candidate of smallest gamma; one whose norm is certified goes before one whose norm lost digits."""
-    order = {Status.CERTIFIED: 0}
-    return min(candidates, key=lambda c: (order.get(c.norm.status, 1), c.gamma), default=None)
+    """The candidate of smallest gamma."""
+    return min(candidates, key=lambda c: c.gamma, default=None)

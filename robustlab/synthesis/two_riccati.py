@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.matrix_equations import care
-from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.partition import PlantMatrices
+from robustlab.matrix_equations import care, hamiltonian_riccati
+from robustlab.synthesis.partition import PlantMatrices, Realisation
 
 __all__ = ["RiccatiPair", "TwoRiccatiProblem"]
 
@@ -28,22 +27,29 @@ RESIDUAL = 1e-3
 RANK = 1e-13
 # Range of gamma that is searched, in a plant scaled to order one.
 SMALLEST, LARGEST = 1e-9, 1e9
+# Shares of the smallest gamma found that are tried once more: the test in floating point is not monotone in gamma.
+PROBES = (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02)
 
 
 @dataclass(frozen=True, eq=False)
 class RiccatiPair:
-    """Solutions X, Y >= 0 at gamma with gains F, L, and ``rho(X Y) / gamma^2 < 1``."""
+    """Solutions X, Y >= 0 at gamma, and ``coupling = rho(X Y) / gamma^2``: the test is passed where it is below 1."""
 
     gamma: float
     X: Array
     Y: Array
-    F: Array
-    L: Array
     coupling: float
 
 
 class TwoRiccatiProblem:
     """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it.
+
+    Parameters
+    ----------
+    plant
+        The plant, D12 of full column rank and D21 of full row rank.
+    careful
+        Solve each equation in two ways where the quick one fails: slower, for plants on which rounding decides.
 
     Raises
     ------
@@ -51,7 +57,7 @@ class TwoRiccatiProblem:
         D12 has no full column rank or D21 no full row rank.
     """
 
-    def __init__(self, plant: PlantMatrices) -> None:
+    def __init__(self, plant: PlantMatrices, careful: bool = False) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
@@ -59,6 +65,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
+        self.careful = careful
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
@@ -68,69 +75,95 @@ class TwoRiccatiProblem:
         self.A, self.B1, self.B2 = plant.A, plant.B1 @ w_turn, plant.B2 @ self.u_back
         self.C1, self.C2 = z_turn.T @ plant.C1, self.y_into @ plant.C2
         self.D11 = z_turn.T @ plant.D11 @ w_turn
-        self.D12 = np.vstack([np.zeros((self.a, n_u)), np.eye(n_u)])
-        self.D21 = np.hstack([np.zeros((n_y, self.b)), np.eye(n_y)])
+        D12 = np.vstack([np.zeros((self.a, n_u)), np.eye(n_u)])
+        D21 = np.hstack([np.zeros((n_y, self.b)), np.eye(n_y)])
         parts = (self.D11[: self.a], self.D11[:, : self.b])
         self.floor = max((float(np.linalg.norm(part, 2)) if part.size else 0.0) for part in parts)
+        row, column = np.hstack([self.D11, D12]), np.vstack([self.D11, D21])
+        self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w)
+        self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z)
 
     def solve(self, gamma: float) -> RiccatiPair | None:
         """The pair at this gamma, or None where the test fails (gamma too small, or lost to rounding)."""
+        pair = self.pair(gamma)
+        return pair if pair is not None and pair.coupling < 1 else None
+
+    def pair(self, gamma: float) -> RiccatiPair | None:
+        """Both solutions, whatever their coupling; None where one does not exist or is not positive semidefinite."""
         if gamma <= self.floor * (1 + 1e-12):
             return None
-        B, row = np.hstack([self.B1, self.B2]), np.hstack([self.D11, self.D12])
-        R = row.T @ row
-        R[: self.n_w, : self.n_w] -= gamma**2 * np.eye(self.n_w)
-        state_feedback = _positive(self.A, B, self.C1.T @ self.C1, R, self.C1.T @ row)
-        if state_feedback is None:
+        X = self._control.solution(gamma, self.careful)
+        if X is None:
             return None
-        C, column = np.vstack([self.C1, self.C2]), np.vstack([self.D11, self.D21])
-        Rt = column @ column.T
-        Rt[: self.n_z, : self.n_z] -= gamma**2 * np.eye(self.n_z)
-        filtering = _positive(self.A.T, C.T, self.B1 @ self.B1.T, Rt, self.B1 @ column.T)
-        if filtering is None:
+        Y = self._filter.solution(gamma, self.careful)
+        if Y is None:
             return None
-        (X, F), (Y, L) = state_feedback, filtering
-        coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2
-        return RiccatiPair(gamma, X, Y, F, L.T, coupling) if coupling < 1 else None
+        return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
     def smallest_gamma(
-        self, start: float, stop: Callable[[], bool] = lambda: False, rtol: float = 1e-4
+        self,
+        start: float,
+        stop: Callable[[], bool] = lambda: False,
+        rtol: float = 1e-4,
+        probes: tuple[float, ...] = PROBES,
     ) -> float | None:
         """Smallest gamma that passes the test; None where none up to ``LARGEST`` does.
 
-        Brackets from ``start`` by growing steps, bisects, and then probes below the result, because the test in
-        floating point is not monotone in gamma. ``stop`` is asked between tests; then the smallest gamma so far is
-        returned.
+        Brackets from ``start`` by growing steps and closes the bracket: by a secant in log gamma where the coupling
+        fails, which is a smooth function, and by bisection where a solution ceases to exist. Then it probes below the
+        result, because the test in floating point is not monotone in gamma. ``stop`` is asked between tests; then the
+        smallest gamma so far is returned.
         """
-        high = max(start, self.floor * 1.01 + 1e-12)
-        while self.solve(high) is None:
-            high *= 4
+        high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
+        while (at_high := self.solve(high)) is None:
+            low, high = high, 4 * high
             if high > LARGEST or stop():
                 return None
-        share = 0.97
         while True:
-            low = max(high * share, self.floor)
-            while low > self.floor and self.solve(low) is not None and not stop():
-                high, share = low, max(share**2, 1e-2)
-                low = max(high * share, self.floor)
-                if high < SMALLEST:
-                    return high
-            while high - low > rtol * high and high > SMALLEST and not stop():
-                middle = float(np.sqrt(max(low, 1e-3 * high) * high))
-                if self.solve(middle) is None:
-                    low = middle
-                else:
-                    high = middle
-            for share in (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02):
+            high = self._closed(low, at_high, stop, rtol)
+            if high < SMALLEST:
+                return high
+            for share in probes:
                 if stop():
                     return high
-                if high * share > self.floor and self.solve(high * share) is not None:
-                    high, share = high * share, 0.97
+                at_high = self.solve(high * share)
+                if at_high is not None:
+                    high, low = high * share, self.floor
                     break
             else:
                 return high
 
-    def central_controller(self, pair: RiccatiPair) -> StateSpaceModel:
+    def _closed(self, low: float, at_high: RiccatiPair, stop: Callable[[], bool], rtol: float) -> float:
+        """The upper end of a bracket of relative width ``rtol``, from a passing pair and a gamma below it."""
+        at_low: RiccatiPair | None = None
+        step = 0.03
+        while not stop():
+            high = at_high.gamma
+            # rho(X Y) falls with gamma: below this one the coupling is 1 or more.
+            low = max(low, high * float(np.sqrt(at_high.coupling)) * (1 - 1e-9), 1e-3 * high)
+            if high - low <= rtol * high or high < SMALLEST:
+                return high
+            if at_low is not None and at_high.coupling > 0:
+                slope = float(np.log(at_low.coupling / at_high.coupling))
+                share = -float(np.log(at_high.coupling)) / slope if slope > 0 else 0.5
+                # Aim half a tolerance to the passing side: then the bracket closes from both ends.
+                trial = high * (at_low.gamma / high) ** share * (1 + 0.4 * rtol)
+                if at_low.coupling < 1 + rtol:
+                    trial = max(trial, low * (1 + 0.9 * rtol))
+                trial = min(max(trial, low * (low / high) ** -0.02), high * (low / high) ** 0.02)
+            elif low < high * (1 - 3 * step):  # nothing is known near: small steps down first, growing
+                trial, step = high * (1 - step), min(3 * step, 0.9)
+            else:
+                trial = float(np.sqrt(low * high))
+            found = self.pair(trial)
+            if found is not None and found.coupling < 1:
+                at_high = found
+            else:
+                low, at_low = trial, found
+                step = np.inf  # the bracket has a lower end: bisect from now on
+        return at_high.gamma
+
+    def central_controller(self, pair: RiccatiPair) -> Realisation:
         """The central controller of a pair, from y to u of the plant given.
 
         Raises
@@ -141,9 +174,10 @@ class TwoRiccatiProblem:
         a, b, g2 = self.a, self.b, pair.gamma**2
         D1111, D1112 = self.D11[:a, :b], self.D11[:a, b:]
         D1121, D1122 = self.D11[a:, :b], self.D11[a:, b:]
-        F12, F2 = pair.F[b : self.n_w], pair.F[self.n_w :]
-        L12, L2 = pair.L[:, a : self.n_z], pair.L[:, self.n_z :]
         try:
+            F, L = self._control.gain(pair.gamma, pair.X), self._filter.gain(pair.gamma, pair.Y).T
+            F12, F2 = F[b : self.n_w], F[self.n_w :]
+            L12, L2 = L[:, a : self.n_z], L[:, self.n_z :]
             left = np.linalg.solve(g2 * np.eye(a) - D1111 @ D1111.T, D1112)
             right = np.linalg.solve(g2 * np.eye(b) - D1111.T @ D1111, D1121.T)
             D11 = -D1121 @ D1111.T @ left - D1122
@@ -157,21 +191,47 @@ class TwoRiccatiProblem:
         except np.linalg.LinAlgError:
             raise NoTrustworthyNumber("central controller", "gamma is too close to its limit") from None
         C1 = F2 + D11 @ to_state
-        A = self.A + np.hstack([self.B1, self.B2]) @ pair.F + B1 @ to_state
-        parts = (A, B1 @ self.y_into, self.u_back @ C1, self.u_back @ D11 @ self.y_into)
-        if not all(np.isfinite(part).all() for part in parts):
+        A = self.A + np.hstack([self.B1, self.B2]) @ F + B1 @ to_state
+        found = Realisation(A, B1 @ self.y_into, self.u_back @ C1, self.u_back @ D11 @ self.y_into)
+        if not all(np.isfinite(part).all() for part in found):
             raise NoTrustworthyNumber("central controller", "the controller is not finite")
-        return StateSpaceModel(*parts)
+        return found
 
 
-def _positive(A: Array, B: Array, Q: Array, R: Array, S: Array) -> tuple[Array, Array] | None:
-    """Stabilising positive semidefinite solution and its gain, or None."""
-    try:
-        found = care(A, B, 0.5 * (Q + Q.T), 0.5 * (R + R.T), S, tolerance=RESIDUAL)
-    except NoTrustworthyNumber:
-        return None
-    values, vectors = np.linalg.eigh(found.X)
-    if len(values) and values[0] < -PSD_TOLERANCE * max(1.0, values[-1]):
-        return None
-    X = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return X, -np.linalg.solve(R, B.T @ X + S.T)
+class _Equation:
+    """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``."""
+
+    def __init__(self, A: Array, B: Array, C: Array, D: Array, n_disturbances: int) -> None:
+        self.A, self.B, self.Q, self.S, self.R = A, B, C.T @ C, C.T @ D, D.T @ D
+        self.disturbance = np.zeros(D.shape[1])
+        self.disturbance[:n_disturbances] = 1.0
+
+    def _weight(self, gamma: float) -> Array:
+        return self.R - gamma**2 * np.diag(self.disturbance)
+
+    def solution(self, gamma: float, careful: bool) -> Array | None:
+        """Stabilising positive semidefinite solution, or None."""
+        R = self._weight(gamma)
+        try:
+            solved = np.linalg.solve(R, np.vstack([self.B, self.S]).T)
+        except np.linalg.LinAlgError:
+            return None
+        n = self.A.shape[0]
+        by_B, by_S = solved[:, :n], solved[:, n:]
+        G, Q = self.B @ by_B, self.Q - self.S @ by_S
+        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=RESIDUAL)
+        if X is None and careful:
+            try:
+                X = care(self.A, self.B, self.Q, R, self.S, tolerance=RESIDUAL).X
+            except NoTrustworthyNumber:
+                return None
+        if X is None:
+            return None
+        values, vectors = np.linalg.eigh(X)
+        if n and values[0] < -PSD_TOLERANCE * max(1.0, values[-1]):
+            return None
+        return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+    def gain(self, gamma: float, X: Array) -> Array:
+        """``-R^-1 (B' X + S')``."""
+        return -np.linalg.solve(self._weight(gamma), self.B.T @ X + self.S.T)

@@ -10,6 +10,7 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import GeneralizedPlant, generalized_plant, hinf
+from robustlab.synthesis.partition import Realisation
 from robustlab.synthesis.scaling import equilibrated, paths_first
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -37,10 +38,10 @@ def test_scaling_changes_the_loop_by_its_gain_only(make, seed):
     scaling = make(plant.matrices())
     scaled = scaling.apply(plant.matrices()).model()
     rng = np.random.default_rng(seed)
-    K = StateSpaceModel(-np.eye(2), rng.standard_normal((2, 2)), rng.standard_normal((2, 2)), np.zeros((2, 2)))
+    K = Realisation(-np.eye(2), rng.standard_normal((2, 2)), rng.standard_normal((2, 2)), np.zeros((2, 2)))
     omega = np.array([0.1, 1.0, 10.0])
-    loop_scaled = frequency_response(lower_lft(scaled, K), omega)
-    loop = frequency_response(plant.close(scaling.controller_to_plant(K)), omega * scaling.rate)
+    loop_scaled = frequency_response(lower_lft(scaled, StateSpaceModel(*K)), omega)
+    loop = frequency_response(plant.close(StateSpaceModel(*scaling.controller_to_plant(K))), omega * scaling.rate)
     np.testing.assert_allclose(loop_scaled, loop * scaling.gain, rtol=1e-8, atol=1e-8 * np.abs(loop_scaled).max())
     back = scaling.controller_from_plant(scaling.controller_to_plant(K))
     for name in "ABCD":

@@ -1,0 +1,166 @@
+"""Candidates of a search, rebuilt on the plant as it was given, and their norm proved there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.search import Candidate, Deadline
+from robustlab.synthesis.stability import proved_stable
+
+__all__ = ["Verified", "Verifier"]
+
+# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
+ILL_POSED = 1e10
+# Candidates that are verified before the search counts as failed, and the loss against the search's own figure that
+# sends the verification on to the next one.
+TRIES, LOSS = 8, 1.0005
+
+
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm.
+
+    ``stable`` says whether stability of the loop was proved beyond its computed eigenvalues.
+    """
+
+    candidate: Candidate
+    K: StateSpaceModel
+    loop: StateSpaceModel
+    norm: HinfNorm
+    stable: bool
+
+    @property
+    def gamma(self) -> float:
+        """Proved upper bound of the closed loop's norm."""
+        return self.norm.upper
+
+    @property
+    def certified(self) -> bool:
+        """Whether no digits were lost, in the norm and in the proof of stability."""
+        return self.stable and self.norm.status is Status.CERTIFIED
+
+    @property
+    def doubt(self) -> str:
+        """Why it is not certified; empty where it is."""
+        if self.norm.status is not Status.CERTIFIED:
+            return self.norm.reason
+        return "" if self.stable else "stability rests on ill-conditioned eigenvalues and could not be proved"
+
+
+class Verifier:
+    """Verifies candidates on one plant, each at most once.
+
+    Parameters
+    ----------
+    plant
+        The plant as given.
+    D22
+        The direct term that was left out of the continuous plant that the candidates are for.
+    deadline
+        After it no second candidate is verified.
+    """
+
+    def __init__(self, plant: GeneralizedPlant, D22: NDArray[np.float64], deadline: Deadline) -> None:
+        self.plant, self.D22, self.deadline = plant, D22, deadline
+        self._known: dict[int, Verified | None] = {}
+
+    def __call__(self, candidate: Candidate) -> Verified | None:
+        """The candidate with its proved norm, or None where its loop is not stable."""
+        key = id(candidate)
+        if key not in self._known:
+            self._known[key] = self._verified(candidate)
+        return self._known[key]
+
+    def smallest(self, candidates: list[Candidate]) -> Verified | None:
+        """The candidate of smallest verified norm; one without lost digits goes before others."""
+        found: list[Verified] = []
+        for candidate in sorted(candidates, key=lambda c: c.gamma)[:TRIES]:
+            verified = self(candidate)
+            if verified is None:
+                continue
+            found.append(verified)
+            if self.deadline.passed() or (verified.certified and verified.gamma <= LOSS * candidate.gamma):
+                break
+        return min(found, key=lambda v: (not v.certified, v.gamma), default=None)
+
+    def sanest(self, candidates: list[Candidate], best: Verified, gamma_rel: float) -> Verified:
+        """Of those within the ratio of the best gamma, the one of least stiffness that verifies; else the best."""
+        limit = gamma_rel * best.gamma
+        allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
+        for candidate in allowed[:TRIES]:
+            if self.deadline.passed():
+                break
+            verified = self(candidate)
+            if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
+                return verified
+        return best
+
+    def accurate(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
+        """The sanest candidate within the ratio of the best gamma whose norm is certified; else the best."""
+        limit = ratio * best.gamma
+        for candidate in sorted((c for c in candidates if c.gamma <= limit), key=lambda c: c.stiffness)[:TRIES]:
+            verified = self(candidate)
+            if verified is not None and verified.certified and verified.gamma <= limit:
+                return verified
+        return best
+
+    def within(self, candidates: list[Candidate], best: Verified, gamma_rel: float, bandwidth: float) -> Verified:
+        """The smallest gamma of those within the ratio of the best whose poles all lie below the bandwidth.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            There is none; the message says how slow the slowest is.
+        """
+        limit = gamma_rel * best.gamma
+        allowed = [c for c in candidates if c.gamma <= limit]
+        slow = sorted((c for c in allowed if c.pace <= bandwidth), key=lambda c: c.gamma)
+        for candidate in slow[:TRIES]:
+            verified = self(candidate)
+            if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
+                return verified
+        pace = min((c.pace for c in [*allowed, best.candidate]), default=np.inf)
+        raise NoTrustworthyNumber(
+            "bandwidth",
+            f"no controller with all poles below {bandwidth:g} rad/s was found within {gamma_rel:g} times the smallest "
+            f"gamma {best.gamma:.6g}; the slowest there has its fastest pole at {pace:.4g} rad/s",
+            hint="a larger gamma_rel, a larger bandwidth, or weights that ask for less",
+        )
+
+    def _verified(self, candidate: Candidate) -> Verified | None:
+        plant = self.plant
+        try:
+            K = _with_direct_term(candidate.K, self.D22)
+            model = StateSpaceModel(*K)
+            if plant.model.dt:
+                model = bilinear_to_discrete(model, plant.model.dt)
+            states = [f"k{i + 1}" for i in range(model.n_states)]
+            named = StateSpaceModel(
+                model.A, model.B, model.C, model.D, model.dt, plant.measurements, plant.controls, states
+            )
+            loop = plant.close(named)
+            norm = hinf_norm(loop)
+        except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
+            return None
+        if not np.isfinite(norm.upper):
+            return None
+        return Verified(candidate, named, loop, norm, proved_stable(loop.A, loop.is_discrete))
+
+
+def _with_direct_term(K: Realisation, D22: NDArray[np.float64]) -> Realisation:
+    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
+    if not D22.any():
+        return K
+    loop = np.eye(K.D.shape[0]) + K.D @ D22
+    if np.linalg.cond(loop) > ILL_POSED:
+        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
+    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
+    return Realisation(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)

@@ -1,0 +1,218 @@
+"""Fault rows 18 to 23 for synthesis: each bad case ends in its time, with its message."""
+
+from __future__ import annotations
+
+import time
+
+import cvxpy
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.matrix_equations import hamiltonian_riccati
+from robustlab.norms import hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis import hinf, hinf_synthesis, mixsyn
+from robustlab.synthesis.lmi_synthesis import lmi_controllers, solve_conic
+from robustlab.synthesis.loop_gain import loop_gain
+from robustlab.synthesis.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.portfolio import Portfolio
+from robustlab.synthesis.scaling import paths_first
+from robustlab.synthesis.search import Deadline, Search
+
+
+def output_feedback_problem(a: float, d22: float = 0.0, dt: float = 0.0) -> StateSpaceModel:
+    """x' = a x + w1 + u, z = [x; u], y = x + w2 + d22 u; its smallest gamma is a + sqrt(a^2 + 2)."""
+    return StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, d22]], dt)
+
+
+# --- row 18: discrete and continuous ---
+
+
+def test_discrete_plant_with_continuous_weight_is_refused():
+    plant = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    weight = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(InputError, match=r"W1: dt is 0 s, expected 0.1 s"):
+        mixsyn(plant, weight, 1.0)
+
+
+def test_controller_of_a_discrete_plant_does_not_close_a_continuous_one():
+    design = hinf(output_feedback_problem(0.5, dt=0.1), 1, 1)
+    assert design.K.dt == 0.1
+    with pytest.raises(InputError):
+        lower_lft(output_feedback_problem(0.5), design.K)
+
+
+# --- row 20: what no controller can do, and what the textbook would not allow ---
+
+
+def test_plant_like_rea4_is_refused_at_once_with_the_mode():
+    """An unstable mode that neither control nor measurement reaches; a search would never end."""
+    rng = np.random.default_rng(4)
+    n = 8
+    A = np.zeros((n, n))
+    A[: n - 1, : n - 1] = rng.standard_normal((n - 1, n - 1)) - 3 * np.eye(n - 1)
+    A[: n - 1, n - 1] = 1.0
+    A[n - 1, n - 1] = 1.0
+    B, C = rng.standard_normal((n, 3)), rng.standard_normal((3, n))
+    B[n - 1, 2] = 0.0  # the control does not reach the last state
+    plant = StateSpaceModel(A, B, C, np.zeros((3, 3)), states=[f"temperature {i}" for i in range(n)])
+    start = time.process_time()
+    with pytest.raises(
+        NoTrustworthyNumber, match=r"unstable mode s = 1 rad/s \(mostly state temperature 7\)"
+    ) as raised:
+        hinf(plant, 1, 1)
+    assert time.process_time() - start < 1.0
+    assert raised.value.exit_code == 4
+
+
+def test_broken_assumptions_are_named_with_their_meaning():
+    """No direct penalty on the valve, no noise on the level, and an undamped oscillation that z does not show."""
+    A = np.zeros((3, 3))
+    A[:2, :2] = [[0.0, 2.0], [-2.0, 0.0]]
+    A[2, 2] = -1.0
+    plant = StateSpaceModel(
+        A, [[1.0, 1.0], [0.0, 1.0], [1.0, 1.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]], np.zeros((2, 2)),
+        inputs=["w", "valve"], outputs=["z", "level"], states=["swing", "swing rate", "tank"],
+    )  # fmt: skip
+    design = hinf(plant, 1, 1)
+    text = " | ".join(design.assumptions)
+    assert "control valve has no direct penalty" in text
+    assert "measurement level has no direct noise" in text
+    assert "zero on the axis at 2 rad/s" in text
+    assert "swing" in text
+    assert design.status is Status.CERTIFIED
+    assert ("regularised, because", design.assumptions[0]) in design.summary()
+
+
+def test_regular_plant_breaks_no_assumption():
+    assert hinf(output_feedback_problem(-1.0), 1, 1).assumptions == ()
+
+
+# --- row 21: scaling, ill-posed loops, lost digits ---
+
+
+def test_units_twelve_orders_apart_do_not_change_gamma():
+    base = output_feedback_problem(-1.0)
+    u, y = 1e-12, 1e12
+    plant = StateSpaceModel(
+        base.A * 1e6, base.B * [1, 1, u] * 1e6, base.C * np.array([[1], [1], [y]]),
+        base.D * np.array([[1], [1], [y]]) * [1, 1, u],
+    )  # fmt: skip
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    assert design.status is Status.CERTIFIED
+    assert design.gamma == pytest.approx(np.sqrt(3) - 1, rel=1e-3)
+
+
+@pytest.mark.parametrize("d22", [1e8, -1.0, 3.7])
+def test_direct_term_never_gives_an_ill_posed_loop(d22):
+    plant = output_feedback_problem(0.5, d22)
+    design = hinf(plant, 1, 1)
+    assert np.linalg.cond(np.eye(1) - design.K.D * d22) < 1e12
+    assert hinf_norm(lower_lft(plant, design.K)).value <= design.gamma
+
+
+def test_nan_is_refused_before_any_native_call():
+    with pytest.raises(InputError, match=r"NaN|not finite"):
+        output_feedback_problem(float("nan"))
+    bad = np.array([[np.nan]])
+    assert hamiltonian_riccati(bad, np.eye(1), np.eye(1)) is None
+    assert loop_gain(Realisation(bad, bad, bad, bad)) == np.inf
+
+
+# --- row 22: what solvers say ---
+
+
+def test_infeasible_and_unbounded_programs_are_named():
+    x = cvxpy.Variable()
+    outcome = solve_conic(cvxpy.Problem(cvxpy.Minimize(x), [x >= 1, x <= 0]), 10.0)
+    assert (outcome.usable, outcome.text) == (False, "the LMI solver says infeasible")
+    outcome = solve_conic(cvxpy.Problem(cvxpy.Minimize(x)), 10.0)
+    assert (outcome.usable, outcome.text) == (False, "the LMI solver says unbounded")
+
+
+class PanicException(BaseException):
+    """As pyo3 names it: no subclass of Exception."""
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (PanicException("Eigval error"), "panicked (Eigval error)"),
+        (cvxpy.SolverError("Solver 'CLARABEL' failed. Try another solver"), "gave up (Solver 'CLARABEL' failed"),
+        (ValueError("wrong"), "could not be posed (wrong)"),
+    ],
+)
+def test_what_a_solver_raises_becomes_a_sentence(monkeypatch, error, text):
+    def solve(*_, **__):
+        raise error
+
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.Variable()))
+    monkeypatch.setattr(problem, "solve", solve)
+    outcome = solve_conic(problem, 10.0)
+    assert not outcome.usable
+    assert text in outcome.text
+
+
+def test_interrupt_passes_through_the_solver_guard(monkeypatch):
+    def solve(*_, **__):
+        raise KeyboardInterrupt
+
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.Variable()))
+    monkeypatch.setattr(problem, "solve", solve)
+    with pytest.raises(KeyboardInterrupt):
+        solve_conic(problem, 10.0)
+
+
+def test_lmi_steps_in_where_the_riccati_equations_give_nothing(monkeypatch):
+    """With every Riccati trial taken away the LMIs still give a verified controller, and the reason says so."""
+
+    def nothing(matrices, scalings, deadline, floor=0.0):
+        return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
+
+    monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
+    monkeypatch.setattr(Search, "polish", lambda *_: None)
+    plant = output_feedback_problem(0.5)
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    assert "two Riccati equations gave none; LMI optimum" in design.reason
+    assert hinf_norm(lower_lft(plant, design.K)).value <= design.gamma <= 2.0 * 1.05
+
+
+def test_lmi_is_not_tried_on_large_plants_nor_without_time():
+    n = 40
+    large = GeneralizedPlant(StateSpaceModel(-np.eye(n), np.ones((n, 2)), np.ones((2, n)), np.zeros((2, 2))), 1, 1)
+    m = large.matrices()
+    assert lmi_controllers(m, paths_first(m), Deadline(10.0)) == ([], "the LMI was not tried: 40 states, at most 30")
+    m = GeneralizedPlant(output_feedback_problem(0.5), 1, 1).matrices()
+    assert lmi_controllers(m, paths_first(m), Deadline(-1.0)) == ([], "no time was left for the LMI")
+
+
+def test_no_controller_at_all_is_an_error_with_both_reasons(monkeypatch):
+    def nothing(matrices, scalings, deadline, floor=0.0):
+        return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
+
+    monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
+    monkeypatch.setattr(hinf_synthesis, "lmi_controllers", lambda *_: ([], "the LMI solver says infeasible"))
+    with pytest.raises(NoTrustworthyNumber, match=r"Riccati equations gave none|\(0 were found"):
+        hinf(output_feedback_problem(0.5), 1, 1)
+
+
+# --- row 23: time ---
+
+
+def test_time_limit_is_kept_and_said():
+    rng = np.random.default_rng(0)
+    n = 24
+    A = rng.standard_normal((n, n)) - 2 * np.eye(n)
+    plant = StateSpaceModel(A, rng.standard_normal((n, 5)), rng.standard_normal((5, n)), np.zeros((5, 5)))
+    start = time.process_time()
+    try:
+        design = hinf(plant, 2, 2, time_limit=0.2)
+    except NoTrustworthyNumber as error:
+        assert "time limit of 0.2 s" in str(error)
+    else:
+        assert "time limit reached" in design.reason
+        assert hinf_norm(lower_lft(plant, design.K)).value <= design.gamma
+    # One verification may still run; it is bounded by the plant's size.
+    assert time.process_time() - start < 2.0

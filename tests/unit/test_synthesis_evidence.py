@@ -1,0 +1,178 @@
+"""What an H-infinity design says about itself: lower bounds, estimates, bandwidth, proof of stability."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import bilinear_to_discrete, hinf_norm
+from robustlab.result import Status, plain
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis import GeneralizedPlant, hinf, mixsyn
+from robustlab.synthesis.gamma_bounds import place_in_s, place_in_z, pointwise_bound
+from robustlab.synthesis.loop_gain import closed, loop_gain
+from robustlab.synthesis.partition import Realisation
+from robustlab.synthesis.scaling import equilibrated, paths_first
+from robustlab.synthesis.stability import proved_stable
+
+SINGULAR = StateSpaceModel([[-1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]])
+
+
+def bound(plant: StateSpaceModel):
+    m = GeneralizedPlant(plant, 1, 1).matrices()
+    return pointwise_bound(m, (paths_first(m), equilibrated(m)), place_in_s)
+
+
+# --- lower bounds ---
+
+
+def test_right_half_plane_zero_costs_the_weight_there():
+    """S(z) = 1 at a zero z of the plant, so ||W1 S|| >= |W1(z)|; with a small penalty on u it is attained."""
+    zero = 2.0
+    G = StateSpaceModel([[-1.0]], [[1.0]], [[-1.0 - zero]], [[1.0]])  # (s - 2) / (s + 1)
+    W1 = StateSpaceModel([[-0.1]], [[1.0]], [[3.0]], [[0.0]])
+    design = mixsyn(G, W1, gamma_rel=1.0)
+    exact = 3.0 / (zero + 0.1)
+    assert design.gamma_lower == pytest.approx(exact, rel=1e-5)
+    assert design.gamma_lower <= exact
+    assert exact * (1 - 1e-9) <= design.gamma <= 1.001 * exact
+    assert "right half plane" in design.lower_bound.known
+    assert "proved at the zero s = 2 rad/s" in design.lower_bound.known
+
+
+def test_lower_bound_meets_gamma_where_one_frequency_decides():
+    design = hinf(SINGULAR, 1, 1, gamma_rel=1.0)
+    exact = 1 / np.sqrt(2)
+    assert design.gamma_lower <= exact * (1 + 1e-12)
+    assert design.gamma_lower == pytest.approx(exact, rel=1e-4)
+    assert "0 rad/s: no controller, causal or not" in design.lower_bound.known
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(0, 10**6))
+def test_no_stable_loop_is_below_the_bound(seed):
+    """Any stabilising controller, here the plant's own stability and a small random K, respects it."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 5))
+    A = rng.standard_normal((n, n))
+    A = A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
+    D = rng.standard_normal((3, 3)) * rng.integers(0, 2, (3, 3))
+    D[2, 2] = 0.0
+    plant = StateSpaceModel(A, rng.standard_normal((n, 3)), rng.standard_normal((3, n)), D)
+    found = bound(plant).value
+    for size in (0.0, 0.1, 1.0):
+        k = rng.standard_normal(4) * size
+        K = StateSpaceModel([[-1.0 - abs(k[0])]], [[k[1]]], [[k[2]]], [[k[3]]])
+        norm = hinf_norm(GeneralizedPlant(plant, 1, 1).close(K))
+        assert found <= norm.upper * (1 + 1e-9)
+
+
+def test_bound_of_a_discrete_plant_speaks_of_the_unit_circle():
+    plant = bilinear_to_discrete(SINGULAR, 0.5)
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    assert design.gamma_lower == pytest.approx(1 / np.sqrt(2), rel=1e-4)
+    assert "0 rad/s" in design.lower_bound.known
+    assert "z = 3: no stable loop" in place_in_z(1.0)(1.0 + 0j)
+    assert place_in_z(2.0)(1j).startswith(f"{np.pi / 4:.4g} rad/s")
+
+
+# --- estimates ---
+
+
+def test_estimated_optimum_and_cost_of_regularisation():
+    regular = StateSpaceModel([[0.5]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    design = hinf(regular, 1, 1)
+    assert design.estimated_optimum == pytest.approx(2.0, rel=3e-4)
+    assert 0 <= design.regularisation_cost < 1e-3
+    told = json.loads(json.dumps(plain(design.to_json())))
+    assert {"gamma_lower", "lower_bound", "estimated_optimum", "regularisation_cost", "assumptions"} <= told.keys()
+    assert told["lower_bound"]["proved"] is True
+
+
+# --- bandwidth ---
+
+
+def test_bandwidth_is_kept_at_a_price_in_gamma():
+    free = hinf(SINGULAR, 1, 1, gamma_rel=1.0)
+    slow = hinf(SINGULAR, 1, 1, gamma_rel=1.1, bandwidth=10.0)
+    assert free.fastest_controller_pole > 10.0
+    assert slow.fastest_controller_pole <= 10.0
+    assert slow.gamma <= 1.1 * slow.smallest_gamma
+    assert slow.status is Status.CERTIFIED
+
+
+def test_impossible_bandwidth_is_refused_with_what_is_possible():
+    with pytest.raises(NoTrustworthyNumber, match=r"below 1e-06 rad/s .* fastest pole at [\d.]+ rad/s"):
+        hinf(SINGULAR, 1, 1, bandwidth=1e-6)
+    with pytest.raises(InputError, match="bandwidth"):
+        hinf(SINGULAR, 1, 1, bandwidth=-1.0)
+
+
+# --- proof of stability ---
+
+
+def test_stability_is_proved_where_eigenvalues_are_sensitive_and_never_for_an_unstable_matrix():
+    rng = np.random.default_rng(0)
+    sensitive = 0
+    for k in range(40):
+        n = 6
+        T = np.eye(n) + np.triu(rng.standard_normal((n, n)), 1) * 10 ** rng.uniform(0, 2.5)
+        modes = -(10 ** rng.uniform(-6, 6, n))
+        A = np.triu(T @ np.diag(modes) @ np.linalg.inv(T))  # triangular: its eigenvalues are its diagonal, exactly
+        Q, _ = np.linalg.qr(rng.standard_normal((n, n)))
+        assert proved_stable(A) or np.linalg.cond(T) > 1e6
+        sensitive += np.linalg.cond(T) > 1e4
+        A[k % n, k % n] = 1e-3
+        assert not proved_stable(A)
+        assert not proved_stable(Q @ A @ Q.T) or np.linalg.eigvals(Q @ A @ Q.T).real.max() < 0
+    assert sensitive > 5
+
+
+def test_jordan_block_far_from_normal_is_not_called_stable_by_luck():
+    """A 12 x 12 Jordan block at -1e-3 becomes unstable under changes of 1e-16: no proof may be given."""
+    n = 12
+    A = -1e-3 * np.eye(n) + np.diag(np.ones(n - 1), 1)
+    Q, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((n, n)))
+    assert not proved_stable(Q @ A @ Q.T)
+
+
+@pytest.mark.parametrize(("radius", "stable"), [(0.999999, True), (1.0, False), (1.000001, False)])
+def test_discrete_stability_near_the_unit_circle(radius, stable):
+    assert proved_stable(radius * np.array([[0.0, 1.0], [-1.0, 0.0]]), discrete=True) is stable
+
+
+def test_empty_and_not_finite_matrices():
+    assert proved_stable(np.zeros((0, 0)))
+    assert not proved_stable(np.array([[np.inf]]))
+
+
+# --- the search's own gain against the proved norm ---
+
+
+@pytest.mark.parametrize("damping", [1e-1, 1e-3, 1e-5])
+def test_quick_gain_of_lightly_damped_loops_is_the_norm(damping):
+    rng = np.random.default_rng(3)
+    blocks = [np.array([[0.0, w], [-w, -2 * damping * w]]) for w in 10 ** rng.uniform(-1, 2, 5)]
+    A = np.zeros((10, 10))
+    for k, block in enumerate(blocks):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
+    loop = Realisation(A, rng.standard_normal((10, 2)), rng.standard_normal((3, 10)), rng.standard_normal((3, 2)))
+    norm = hinf_norm(StateSpaceModel(*loop))
+    assert loop_gain(loop) == pytest.approx(norm.value, rel=1e-4)
+    assert loop_gain(loop, 0.5 * norm.value) == np.inf
+
+
+def test_closed_loop_of_bare_matrices_is_the_lft():
+    rng = np.random.default_rng(0)
+    D = rng.standard_normal((4, 4))
+    D[3:, 3:] = 0.0
+    plant = GeneralizedPlant(StateSpaceModel(*(rng.standard_normal((4, 4)) for _ in "ABC"), D), 1, 1)
+    K = Realisation(*(rng.standard_normal(shape) for shape in ((2, 2), (2, 1), (1, 2), (1, 1))))
+    loop = plant.close(StateSpaceModel(*K))
+    for got, want in zip(closed(plant.matrices(), K), (loop.A, loop.B, loop.C, loop.D), strict=True):
+        np.testing.assert_allclose(got, want, atol=1e-13)
