@@ -15,7 +15,7 @@ from robustlab.norms import H2Norm, h2_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.design import Synthesis
-from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
 from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.search import Deadline
 from robustlab.synthesis.verified_loop import rebuilt_loop
@@ -268,7 +268,7 @@ def _trial(
     dt = plant.model.dt
     try:
         bare = _controller(regularised, dt)
-        K = scaling.controller_to_plant(bare)
+        K = scaling.controller_to_plant(Realisation(bare.A, bare.B, bare.C, bare.D))
         K = StateSpaceModel(K.A, K.B, K.C, K.D + start, dt)
     except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
         return None

@@ -18,7 +18,7 @@ from robustlab.synthesis.common_lyapunov import Channel, CommonLyapunov, least_s
 from robustlab.synthesis.design import Synthesis, limiting_channels
 from robustlab.synthesis.h2_synthesis import cancelled_direct_term, cancelling_gain, h2
 from robustlab.synthesis.hinf_synthesis import hinf
-from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
 from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.verified_loop import rebuilt_loop
 
@@ -329,10 +329,10 @@ class _Mixed:
     def _attempted(self, bare: StateSpaceModel, scaling: Scaling, how: str) -> bool:
         """Whether the true norm of this controller for the scaled plant keeps the bound."""
         try:
-            K = scaling.controller_to_plant(bare)
+            bare_plant = scaling.controller_to_plant(Realisation(bare.A, bare.B, bare.C, bare.D))
+            K = StateSpaceModel(*bare_plant, self.plant.model.dt)
         except InputError:  # entries overflow when scaled back
             return False
-        K = StateSpaceModel(K.A, K.B, K.C, K.D, self.plant.model.dt)
         norms = self._judge(K, f"linear matrix inequalities at {how}", self.plant.D22)
         text = "no verified loop" if norms is None else f"H2 {norms[0].value:.6g}, H-inf {norms[1].upper:.6g}"
         self.say(f"{how}: {text}")

@@ -11,14 +11,13 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.search import Candidate, Deadline
 from robustlab.synthesis.stability import proved_stable
+from robustlab.synthesis.verified_loop import named_controller, with_direct_term
 
 __all__ = ["Verified", "Verifier"]
 
-# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
-ILL_POSED = 1e10
 # Candidates that are verified before the search counts as failed, and the loss against the search's own figure that
 # sends the verification on to the next one.
 TRIES, LOSS = 8, 1.0005
@@ -138,14 +137,10 @@ class Verifier:
     def _verified(self, candidate: Candidate) -> Verified | None:
         plant = self.plant
         try:
-            K = _with_direct_term(candidate.K, self.D22)
-            model = StateSpaceModel(*K)
+            model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
             if plant.model.dt:
                 model = bilinear_to_discrete(model, plant.model.dt)
-            states = [f"k{i + 1}" for i in range(model.n_states)]
-            named = StateSpaceModel(
-                model.A, model.B, model.C, model.D, model.dt, plant.measurements, plant.controls, states
-            )
+            named = named_controller(model, plant.measurements, plant.controls, model.dt)
             loop = plant.close(named)
             norm = hinf_norm(loop)
         except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
@@ -153,14 +148,3 @@ class Verifier:
         if not np.isfinite(norm.upper):
             return None
         return Verified(candidate, named, loop, norm, proved_stable(loop.A, loop.is_discrete))
-
-
-def _with_direct_term(K: Realisation, D22: NDArray[np.float64]) -> Realisation:
-    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
-    if not D22.any():
-        return K
-    loop = np.eye(K.D.shape[0]) + K.D @ D22
-    if np.linalg.cond(loop) > ILL_POSED:
-        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
-    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
-    return Realisation(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)
