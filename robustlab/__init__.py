@@ -25,6 +25,8 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.mu_analysis import robust_stability as robust_stability
     from robustlab.mu_analysis import skew_mu as skew_mu
     from robustlab.mu_analysis import worst_case_gain as worst_case_gain
+    from robustlab.mu_analysis.cover import conservatism as conservatism
+    from robustlab.mu_analysis.cover import cover as cover
     from robustlab.mu_analysis.disk_margin import disk_margin as disk_margin
     from robustlab.mu_analysis.small_gain import small_gain as small_gain
     from robustlab.mu_analysis.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
@@ -58,6 +60,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.uncertainty.gap_metric import gap as gap
     from robustlab.uncertainty.gap_metric import nu_gap as nu_gap
     from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+    from robustlab.uncertainty.overbound import overbound as overbound
     from robustlab.uncertainty.parametric import parametric as parametric
     from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
     from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
@@ -99,6 +102,9 @@ _PUBLIC = {
     "beside": "uncertainty.algebra",
     "stacked": "uncertainty.algebra",
     "unstructured": "uncertainty.unstructured",
+    "cover": "mu_analysis.cover",
+    "conservatism": "mu_analysis.cover",
+    "overbound": "uncertainty.overbound",
     "realise_delta": "uncertainty.realised_delta",
     "perturbed_model": "uncertainty.realised_delta",
     # analysis

@@ -11,6 +11,7 @@ Březina 2010, sections 4.2, 10.2; Zhou, Doyle, Glover, *Robust and Optimal Cont
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, cast, get_args
@@ -236,7 +237,7 @@ def cover(
         return made
     say("cover: worst gain of the cover")
     compared = conservatism(made.model, found, loop=loop, time_limit=time_limit)
-    return Cover(**{**vars(made), "conservatism": compared})
+    return dataclasses.replace(made, conservatism=compared)
 
 
 def _nominal(given: Any, first: StateSpaceModel, same_states: bool) -> StateSpaceModel:

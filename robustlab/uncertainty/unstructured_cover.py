@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import default_grid
+from robustlab.frequency import default_grid, frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.uncertainty.lft import UncertainModel
@@ -44,7 +44,7 @@ from robustlab.uncertainty.unstructured import Form, unstructured
 __all__ = ["UnstructuredCover", "unstructured_cover"]
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+ComplexArray = NDArray[Any]
 
 # The bound is taken to be at least this share of its largest value: a weight needs a positive one.
 FLOOR = 1e-4
@@ -53,6 +53,8 @@ ANALYTIC = 1e-6
 # A pole this near to the stability boundary, relative to its size, may lie on either side.
 BOUNDARY = 1e-9
 CIRCLE = 64
+# Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
+BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
 DENSE = 150
 
 
@@ -151,12 +153,14 @@ def _around(
     size = _bound(models, centre, form, omega)
     if not size.any():
         raise InputError("cover", "models that are all the same", "models that differ")
+    _require_bounded(models, centre, form, omega, size)
     floor = FLOOR * float(size.max())
 
     def exact(w: Array) -> Array:
         return np.maximum(_bound(models, centre, form, w), floor)
 
     fit = overbound(omega, np.maximum(size, floor), *wanted, exact=exact, dt=centre.dt)
+    fit = _to_the_ends(fit, models, centre, form)
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
     proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
@@ -172,6 +176,39 @@ def _around(
         sizes = tuple(float((e / fit.magnitude).max()) for e in errors)
     model = unstructured(centre, fit.weight, form)
     return UnstructuredCover(model, number, fit, sizes, proved, deltas if proved else (), radius)
+
+
+def _to_the_ends(fit: Overbound, models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> Overbound:
+    """The weight, lifted where the error beyond the grid's ends is a little larger."""
+    beyond = _beyond(fit.omega, centre.dt)
+    ratio = float(
+        (_bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])).max()
+    )
+    return fit if ratio <= 1.0 else _lifted(fit, ratio)
+
+
+def _beyond(omega: Array, dt: float) -> Array:
+    low, high = omega[0] / BEYOND, omega[-1] * BEYOND
+    return low if dt else np.concatenate([low, high])
+
+
+def _require_bounded(
+    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array, size: Array
+) -> None:
+    """The error does not grow on and on beyond the grid.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        It does: no proper weight holds it.
+    """
+    beyond = _beyond(omega, centre.dt)
+    outside = _bound(models, centre, form, beyond)
+    worst = int(np.argmax(outside))
+    if outside[worst] > GROWTH * float(size.max()):
+        found = f"the error still grows at {beyond[worst]:.3g} rad/s, to {outside[worst]:.3g}"
+        hint = "models whose relative degrees or integrators differ, or inverses of strictly proper ones: form additive"
+        raise NoTrustworthyNumber(f"cover: form {form}", found, "an error that a proper weight bounds", hint)
 
 
 def _lifted(fit: Overbound, factor: float) -> Overbound:
@@ -319,11 +356,7 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
         bad = _pole_that_stays(model, centre, form, singular)
         if bad is not None:
             text = f"model {i} differs from the nominal one by an unstable error (pole {bad.real:.6g}{bad.imag:+.6g}j)"
-            hint = (
-                "unstable poles or integrators differ: an inverse form, or close the loop first"
-                if not inverse
-                else "zeros on the right differ: form additive or a multiplicative one"
-            )
+            hint = "an inverse form holds other poles on the right, additive other zeros; or close a loop first"
             raise NoTrustworthyNumber(f"cover: form {form}", text, "a stable one", hint)
 
 
@@ -335,7 +368,7 @@ def _pole_that_stays(
     margin = np.abs(singular) - 1.0 if model.is_discrete else singular.real / size
     outside = margin >= -BOUNDARY
     kept = singular[~outside]
-    for p in singular[outside]:
+    for p in (complex(s) for s in singular[outside]):
         far = np.concatenate([np.abs(kept - p), [max(abs(p), 1e-3 * scale)]])
         radius = 0.5 * float(far.min())
         points = p + radius * np.exp(2j * np.pi * (np.arange(CIRCLE) + 0.5) / CIRCLE)
@@ -345,7 +378,7 @@ def _pole_that_stays(
             reference = float(np.abs(error).max() + _own_size(model, centre, form, points))
         laurent = [np.abs((error * turns[:, None, None] ** k).mean(axis=0)).max() for k in range(1, 9)]
         if not np.isfinite(reference) or max(laurent) > ANALYTIC * reference:
-            return complex(p)
+            return p
     return None
 
 
@@ -390,8 +423,3 @@ def _inverse(weight: StateSpaceModel) -> StateSpaceModel:
 
 def _plain(model: StateSpaceModel) -> StateSpaceModel:
     return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt)
-
-
-def error_response(model: Any, centre: Any, form: Form, omega: Array) -> ComplexArray:
-    """Frequency response of the error of a form, (n_omega, ., .), as in the table of this module."""
-    return _error(model, centre, form, _circle(omega, centre.dt))
