@@ -144,7 +144,7 @@ def overbound(
         if found is None:
             continue
         weight = bilinear_to_discrete(found, dt) if dt else found
-        made = _judged(weight, n, fine, target, tolerance)
+        made = _judged(weight, n, fine, target, known, tolerance)
         if best is None or made.excess < best.excess:
             best = made
         if best.excess <= tolerance:
@@ -183,10 +183,11 @@ def _refined(w: Array) -> Array:
     return np.exp((np.log(w[:-1, None]) + np.diff(np.log(w))[:, None] * steps).ravel())
 
 
-def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, tolerance: float) -> Overbound:
+def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, known: Bound, tolerance: float) -> Overbound:
     """The weight, scaled so that it touches the bound from above on the grid (but for what rounding could take)."""
-    size = np.abs(frequency_response(weight, fine)[:, 0, 0])
-    ratio = size / target
+    ratio = np.abs(frequency_response(weight, fine)[:, 0, 0]) / target
+    near = _around_lows(ratio, fine)
+    ratio = np.append(ratio, np.abs(frequency_response(weight, near)[:, 0, 0]) / known(near))
     lift = (1.0 + ABOVE) / float(ratio.min())
     raised = StateSpaceModel(weight.A, weight.B, lift * weight.C, lift * weight.D, weight.dt)
     size = np.abs(frequency_response(raised, fine)[:, 0, 0])
@@ -194,6 +195,15 @@ def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, toleran
     excess, lowest = float(ratio.max()) - 1.0, float(ratio.min()) - 1.0
     status = Status.CONVERGED if excess <= tolerance else Status.INACCURATE
     return Overbound(raised, n, excess, lowest, fine, target, size, status)
+
+
+def _around_lows(ratio: Array, fine: Array) -> Array:
+    """Points between those of the grid, close to the local minima of the ratio."""
+    inner = (ratio[1:-1] <= ratio[:-2]) & (ratio[1:-1] <= ratio[2:]) & (ratio[1:-1] < 1.001 * ratio.min())
+    lows = 1 + np.flatnonzero(inner)
+    if not len(lows):
+        return fine[:1]
+    return np.unique(np.concatenate([np.geomspace(fine[k - 1], fine[k + 1], 41) for k in lows]))
 
 
 # --- the quasi-convex problem ----------------------------------------------------------------------------------------

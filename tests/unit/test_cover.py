@@ -31,7 +31,7 @@ def random_set(seed, count=5, directions=2):
 
 @pytest.mark.parametrize("form", ["elements", "pca", "ellipsoid"])
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_every_model_is_a_member_at_its_delta(form, seed):
     models = random_set(seed)
     found = rl.cover(models, form, gain=False)
@@ -56,21 +56,24 @@ def test_the_hull_is_the_smallest_box():
 
 def test_a_nominal_model_of_the_users_own_stays_nominal():
     found = rl.cover(LAGS, "elements", nominal=LAGS[0], gain=False)
-    assert found.nominal is None and found.model.nominal.A[0, 0] == -1.0
+    assert found.nominal is None
+    assert found.model.nominal.A[0, 0] == -1.0
     r = {b.name: b.parameter for b in found.model.blocks}["A[x1,x1]"]
     assert (r.low, r.high) == pytest.approx((-1 / 0.7, -1 / 1.3))
     assert max(found.misses) < 1e-14
     # at an end of the hull: mirrored
     end = rl.cover(LAGS, "elements", nominal=LAGS[3], gain=False)
     r = {b.name: b.parameter for b in end.model.blocks}["A[x1,x1]"]
-    assert r.low == pytest.approx(2 * (-1 / 0.7) + 1 / 1.3) and max(end.sizes) == 1.0
+    assert r.low == pytest.approx(2 * (-1 / 0.7) + 1 / 1.3)
+    assert max(end.sizes) == 1.0
 
 
 def test_worst_gain_of_an_element_cover_by_hand():
     """Gain b / a at zero frequency: the corner of largest b and smallest a."""
     found = rl.cover(LAGS, "elements")
     worst = max(m.B[0, 0] for m in LAGS) / min(-m.A[0, 0] for m in LAGS)
-    assert found.conservatism.set_gain == pytest.approx(1.2) and found.conservatism.set_model == 2
+    assert found.conservatism.set_gain == pytest.approx(1.2)
+    assert found.conservatism.set_model == 2
     assert found.conservatism.least == pytest.approx(worst / 1.2, rel=1e-3)
     assert found.conservatism.ratio == pytest.approx(worst / 1.2, rel=0.02)
 
@@ -78,10 +81,13 @@ def test_worst_gain_of_an_element_cover_by_hand():
 def test_few_directions_leave_the_rest_and_say_so():
     models = random_set(3, count=6, directions=3)
     one = rl.cover(models, "pca", directions=1, gain=False)
-    assert one.status is rl.Status.INACCURATE and "is missed by" in one.reason
-    assert len(one.model.blocks) == 1 and len(one.spread) == 3
+    assert one.status is rl.Status.INACCURATE
+    assert "is missed by" in one.reason
+    assert len(one.model.blocks) == 1
+    assert len(one.spread) == 3
     loose = rl.cover(models, "pca", tolerance=0.5, gain=False)
-    assert loose.status is rl.Status.CERTIFIED and len(loose.model.blocks) < 3
+    assert loose.status is rl.Status.CERTIFIED
+    assert len(loose.model.blocks) < 3
 
 
 def test_axes_of_the_ellipsoid_are_those_of_known_ellipse():
@@ -117,9 +123,11 @@ def test_every_form_holds_every_model(form):
         rl.StateSpaceModel(m.A, m.B, m.C, [[0.3 + 0.02 * i]]) for i, m in enumerate(LAGS)
     ]  # with a direct way, so that all inverses are proper
     found = rl.cover(models, form, gain=False)
-    assert found.status.trustworthy and found.fit.order <= 4 and found.fit.excess <= 0.1 and found.fit.lowest >= 0
+    assert found.status.trustworthy
+    assert found.fit.order <= 4
+    assert found.fit.excess <= 0.1
+    assert found.fit.lowest >= 0
     omega = np.logspace(-4, 5, 4001)
-    s = 1j * omega
     responses = [rl.frequency_response(m, omega)[:, 0, 0] for m in models]
     centre = rl.frequency_response(found.model.nominal, omega)[:, 0, 0]
     weight = rl.frequency_response(found.fit.weight, omega)[:, 0, 0]
@@ -129,7 +137,6 @@ def test_every_form_holds_every_model(form):
         k = 1234
         member = found.model.response(omega[k : k + 1], {"unmodelled": [[delta[k]]]})[0, 0, 0]
         assert member == pytest.approx(response[k], rel=1e-9)
-    assert s.size
 
 
 def test_an_additive_cover_is_proved_with_deltas_as_systems():
@@ -137,7 +144,7 @@ def test_an_additive_cover_is_proved_with_deltas_as_systems():
     assert found.status is rl.Status.CERTIFIED
     omega = np.logspace(-2, 3, 50)
     for model, delta in zip(LAGS, found.deltas, strict=True):
-        assert rl.hinf_norm(delta["unmodelled"]).upper <= 1 + 1e-9
+        assert rl.hinf_norm(delta["unmodelled"], 1e-9).upper <= 1 + 1e-9
         member = found.model.evaluate(delta)
         np.testing.assert_allclose(rl.frequency_response(member, omega), rl.frequency_response(model, omega), rtol=1e-7)
     assert 1 <= found.conservatism.ratio < 1.3
@@ -159,7 +166,8 @@ def test_several_channels_and_common_unstable_poles():
     models = [rl.StateSpaceModel(np.diag([0.5, -2.0]), b @ np.diag(g), c, np.eye(2) @ np.diag(g))
               for g in ([1.0, 1.0], [1.1, 0.95], [0.9, 1.05])]  # fmt: skip
     found = rl.cover(models, "input-multiplicative", nominal=models[0], gain=False)
-    assert found.fit.order == 0 and found.fit.weight.D[0, 0] == pytest.approx(0.1, rel=1e-6)
+    assert found.fit.order == 0
+    assert found.fit.weight.D[0, 0] == pytest.approx(0.1, rel=1e-6)
     with pytest.raises(rl.NoTrustworthyNumber, match="unstable error"):
         rl.cover(models, "additive")
 
@@ -176,15 +184,18 @@ def test_errors_that_are_not_stable_or_not_bounded_are_refused():
 def test_integrators_need_a_loop_for_a_gain():
     models = [rl.StateSpaceModel([[0.0]], [[g]], [[1.0]], [[0.0]]) for g in (1.0, 1.5, 2.0)]
     bare = rl.cover(models, "input-multiplicative", nominal=models[1])
-    assert bare.conservatism.status is rl.Status.FAILED and "close a loop" in bare.conservatism.reason
+    assert bare.conservatism.status is rl.Status.FAILED
+    assert "close a loop" in bare.conservatism.reason
     closed = rl.cover(models, "elements", loop=lambda g: g.feedback(1.0))
     assert closed.conservatism.ratio == pytest.approx(1.0, abs=0.01)
-    assert "ratio at most" in closed.summary() and "each model inside" in closed.summary()
+    assert "ratio at most" in closed.summary()
+    assert "each model inside" in closed.summary()
 
 
 def test_a_set_without_spread():
     found = rl.cover([LAGS[0], LAGS[0]], "pca", gain=False)
-    assert found.model.blocks == () and found.sizes == (0.0, 0.0)
+    assert found.model.blocks == ()
+    assert found.sizes == (0.0, 0.0)
     with pytest.raises(rl.InputError, match="all the same"):
         rl.cover([LAGS[0], LAGS[0]], "additive")
 

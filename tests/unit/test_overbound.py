@@ -39,45 +39,47 @@ def test_a_bound_that_is_the_size_of_a_weight_is_found_again(zeros, poles, order
     response = np.abs(rl.frequency_response(fit.weight, far)[:, 0, 0])
     assert np.abs(response / exact(far) - 1).max() < 0.006
     inverse = fit.weight.A - fit.weight.B @ fit.weight.C / fit.weight.D
-    assert np.linalg.eigvals(fit.weight.A).real.max() < 0 and np.linalg.eigvals(inverse).real.max() < 0
+    assert np.linalg.eigvals(fit.weight.A).real.max() < 0
+    assert np.linalg.eigvals(inverse).real.max() < 0
 
 
 def test_a_constant_needs_no_states():
     fit = overbound([1.0, 10.0], [0.3, 0.3])
-    assert fit.order == 0 and fit.weight.D[0, 0] == pytest.approx(0.3, rel=1e-9)
+    assert fit.order == 0
+    assert fit.weight.D[0, 0] == pytest.approx(0.3, rel=1e-9)
 
 
 def test_order_one_is_the_best_of_order_one():
-    """A corner between two levels: no weight k (s + z) / (s + p) of a brute-force search comes nearer."""
+    """A ramp between two levels: no weight k (s + z) / (s + p) of a brute-force search comes nearer."""
     omega = np.logspace(-2, 2, 80)
-    bound = np.where(omega < 1.0, 0.1, 1.0)
-    fit = overbound(omega, bound, 1, 1e-3, exact=lambda w: np.where(w < 1.0, 0.1, 1.0))
+    fit = overbound(omega, np.clip(omega, 0.1, 1.0), 1, 1e-3, exact=lambda w: np.clip(w, 0.1, 1.0))
     z, p = np.meshgrid(np.logspace(-2, 1, 181), np.logspace(-2, 1, 181))
     w = fit.omega[::5, None, None]
     ratio = np.sqrt((w**2 + z**2) / (w**2 + p**2)) / fit.bound[::5, None, None]
     best = (ratio.max(axis=0) / ratio.min(axis=0)).min() - 1
     assert fit.status is rl.Status.INACCURATE
-    assert fit.excess <= best * 1.01
+    assert fit.excess <= best + 0.005
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_never_below_the_bound_on_a_grid_of_its_own(seed):
     rng = np.random.default_rng(seed)
     parts = [
         size_of(-(10 ** rng.uniform(-1, 2, n)), -(10 ** rng.uniform(-1, 2, n)), 10 ** rng.uniform(-1, 0.5))
-        for n in rng.integers(1, 3, 2)
+        for n in rng.integers(1, 3, 2).tolist()
     ]
 
     def exact(w):
         return np.max([part(w) for part in parts], axis=0)
 
     omega = np.logspace(-2, 3, 60)
-    fit = overbound(omega, exact(omega), 3, exact=exact)
+    fit = overbound(omega, exact(omega), 2, exact=exact)
     own = np.logspace(-2, 3, 6000)
     ratio = np.abs(rl.frequency_response(fit.weight, own)[:, 0, 0]) / exact(own)
     assert ratio.min() > 1 - 1e-4  # between the points of the judged grid the two curves are smooth
-    assert fit.lowest >= 0 and fit.weight.is_stable()
+    assert fit.lowest >= 0
+    assert fit.weight.is_stable()
 
 
 def test_a_discrete_weight_bounds_on_the_unit_circle():
@@ -85,9 +87,12 @@ def test_a_discrete_weight_bounds_on_the_unit_circle():
     lag = rl.StateSpaceModel([[0.8]], [[1.0]], [[0.4]], [[0.1]], 0.1)
     bound = np.abs(rl.frequency_response(lag, omega)[:, 0, 0])
     fit = overbound(omega, bound, 2, 0.02, dt=0.1)
-    assert fit.weight.dt == 0.1 and fit.weight.is_stable() and fit.order <= 2
+    assert fit.weight.dt == 0.1
+    assert fit.weight.is_stable()
+    assert fit.order <= 2
     size = np.abs(rl.frequency_response(fit.weight, omega)[:, 0, 0])
-    assert (size >= bound).all() and (size <= 1.02 * bound).all()
+    assert (size >= bound).all()
+    assert (size <= 1.02 * bound).all()
 
 
 @pytest.mark.parametrize(
