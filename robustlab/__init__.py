@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.statespace import StateSpaceModel as StateSpaceModel
     from robustlab.storage import load as load
     from robustlab.storage import save as save
+    from robustlab.storage.controller_export import export_controller as export_controller
     from robustlab.structural import controllability as controllability
     from robustlab.structural import observability as observability
     from robustlab.synthesis import Controller as Controller
@@ -79,6 +80,7 @@ _PUBLIC = {
     "Record": "record",
     "load": "storage",
     "save": "storage",
+    "export_controller": "storage.controller_export",
     # plants from physics
     "plant": "dynamics",
     "trim": "dynamics",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, note, table
+from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, ends, note, table
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
@@ -90,7 +90,9 @@ def build(
         model, residual, origin = _from_expressions(expressions)
     elif plant is not None:
         kept = outputs.split(",") if outputs else None
-        model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance), kept, _ends(ranges))
+        model, residual, origin = _from_plant(
+            plant, assignments("--tolerance", tolerance), kept, ends("--range", ranges)
+        )
     else:
         assert nominal is not None
         if outputs or ranges:
@@ -245,21 +247,6 @@ def _from_plant(
     )
     inputs = {name: file_sha256(name)} if from_file else None
     return model, None, Provenance.now("uncertain build", inputs, note=f"{name} {said}".strip())
-
-
-def _ends(texts: list[str] | None) -> dict[str, tuple[float, float]]:
-    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``."""
-    ends: dict[str, tuple[float, float]] = {}
-    for text in texts or []:
-        name, _, value = text.rpartition("=")
-        low, colon, high = value.partition(":")
-        try:
-            ends[name] = float(low), float(high)
-        except ValueError:
-            raise UsageError(f"--range {text}", "no two numbers after =", "NAME=LOW:HIGH") from None
-        if not (name and colon):
-            raise UsageError(f"--range {text}", "no name", "NAME=LOW:HIGH")
-    return ends
 
 
 def _from_expressions(file: str) -> tuple[UncertainModel, None, Provenance]:

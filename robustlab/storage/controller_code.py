@@ -27,9 +27,10 @@ __all__ = ["c_source", "saturation_limits"]
 Array = NDArray[np.float64]
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
-RESERVED = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main".split()
+RESERVED = (
+    "auto break case char const continue default do double else enum extern float for goto if inline int long",
+    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while",
+    "main",
 )
 # Rows of one statement are broken after so many terms.
 TERMS = 4
@@ -103,7 +104,7 @@ def c_source(
         )
     if not model.n_inputs or not model.n_outputs:
         raise InputError("C export", f"{model.n_inputs} inputs and {model.n_outputs} outputs", "at least one of each")
-    if not PREFIX.fullmatch(prefix) or prefix in RESERVED:
+    if not PREFIX.fullmatch(prefix) or any(prefix in words.split() for words in RESERVED):
         raise InputError(
             "C export: prefix", f"{prefix!r}", "a lower-case letter, then lower-case letters, digits or underscores"
         )
@@ -169,7 +170,7 @@ def _init(model: StateSpaceModel, prefix: str) -> list[str]:
 
 def _step(model: StateSpaceModel, prefix: str, limits: Sequence[tuple[float, float]] | None) -> list[str]:
     lines = [
-        "/* One sample: outputs from states and inputs, then the states of the next sample. u and y may be one array. */",
+        "/* One sample: outputs, then the states of the next sample. u and y may be one array. */",
         f"void {prefix}_step({prefix}_state *s, const double u[{model.n_inputs}], double y[{model.n_outputs}])",
         "{",
     ]
