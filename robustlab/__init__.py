@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.frequency import frequency_response as frequency_response
     from robustlab.identification import compare as compare
     from robustlab.identification.discovery import discover as discover
+    from robustlab.identification.remaining_uncertainty import uncertain_from as uncertain_from
     from robustlab.mu_analysis import mu as mu
     from robustlab.mu_analysis import robust_performance as robust_performance
     from robustlab.mu_analysis import robust_stability as robust_stability
@@ -140,6 +141,7 @@ _PUBLIC = {
     # measurements
     "compare": "identification",
     "discover": "identification.discovery",
+    "uncertain_from": "identification.remaining_uncertainty",
     # trust
     "Status": "result",
     "RobustlabError": "errors",
