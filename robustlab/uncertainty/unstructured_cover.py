@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.frequency import default_grid, frequency_response
+from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.uncertainty.lft import UncertainModel
@@ -46,13 +46,15 @@ __all__ = ["UnstructuredCover", "unstructured_cover"]
 Array = NDArray[np.float64]
 ComplexArray = NDArray[Any]
 
-# The bound is taken to be at least this share of its largest value: a weight needs a positive one.
+# The bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one.
 FLOOR = 1e-4
 # Laurent coefficients below this share of the models' size around a point are rounding.
 ANALYTIC = 1e-6
 # A pole this near to the stability boundary, relative to its size, may lie on either side.
 BOUNDARY = 1e-9
 CIRCLE = 64
+# Poles and zeros this slow, relative to the fastest, are integrators that rounding has moved.
+STILL = 1e-7
 # Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
 DENSE = 150
@@ -157,9 +159,9 @@ def _around(
     floor = FLOOR * float(size.max())
 
     def exact(w: Array) -> Array:
-        return np.maximum(_bound(models, centre, form, w), floor)
+        return np.hypot(_bound(models, centre, form, w), floor)
 
-    fit = overbound(omega, np.maximum(size, floor), *wanted, exact=exact, dt=centre.dt)
+    fit = overbound(omega, np.hypot(size, floor), *wanted, exact=exact, dt=centre.dt)
     fit = _to_the_ends(fit, models, centre, form)
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
@@ -247,7 +249,7 @@ def _circle(omega: Array, dt: float) -> ComplexArray:
     return np.exp(1j * omega * dt) if dt else 1j * omega
 
 
-def _at(model: StateSpaceModel, s: ComplexArray) -> ComplexArray:
+def _at(model: StateSpaceModel, s: Any) -> ComplexArray:
     """``G(s)``, shape (len(s), n_y, n_u), for complex s (or z)."""
     if not model.n_states:
         return np.broadcast_to(model.D, (len(s), *model.D.shape)).astype(np.complex128)
@@ -301,25 +303,27 @@ def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) ->
 
 def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], points: int) -> Array:
     """Frequencies of all models' dynamics, dense about their resonances and anti-resonances."""
-    everything = [*models, *others]
-    spans = [default_grid(m, 3) for m in everything]
     dt = models[0].dt
-    low, high = min(float(g[g > 0][0]) for g in spans), max(float(g[-1]) for g in spans)
-    top = 0.999 * np.pi / dt if dt else np.inf
-    omega = [np.geomspace(low, min(high, top), points)]
-    for m in everything:
-        for s in np.concatenate([m.poles(), _zeros(m)]):
-            p = complex(np.log(s) / dt) if dt and s else complex(s)
-            if abs(p.real) < 0.3 * abs(p.imag) and low < abs(p.imag) < min(high, top):
-                near = abs(p.imag) + max(abs(p.real), 1e-6 * abs(p.imag)) * np.linspace(-3, 3, 13)
-                omega.append(near[(near > low) & (near < min(high, top))])
+    found = np.concatenate([x for m in (*models, *others) for x in (m.poles(), _zeros(m))])
+    if dt:
+        found = np.log(found[np.abs(found) > 1e-12]) / dt
+    size = np.abs(found)
+    known = found[size > STILL * size.max(initial=0.0)]
+    size = np.abs(known) if len(known) else np.ones(1)
+    low, top = float(size.min()) * 1e-2, 0.999 * np.pi / dt if dt else np.inf
+    high = min(float(size.max()) * 1e2, top)
+    omega = [np.geomspace(min(low, 0.1 * high), high, points)]
+    for p in known.tolist():
+        if abs(p.real) < 0.3 * abs(p.imag) and abs(p.imag) < high:
+            near = abs(p.imag) + max(abs(p.real), 1e-6 * abs(p.imag)) * np.linspace(-3, 3, 13)
+            omega.append(near[(near > low) & (near < high)])
     return np.unique(np.concatenate(omega))
 
 
 # --- are the errors stable? ------------------------------------------------------------------------------------------
 
 
-def _zeros(model: StateSpaceModel) -> ComplexArray:
+def _zeros(model: StateSpaceModel) -> NDArray[np.complex128]:
     """Finite transmission zeros of a square model; those of no other model are asked for."""
     from scipy.linalg import eigvals
 
@@ -334,7 +338,7 @@ def _zeros(model: StateSpaceModel) -> ComplexArray:
     mass[:n, :n] = np.eye(n)
     found = eigvals(pencil, mass, homogeneous_eigvals=True)
     finite = np.abs(found[1]) > 1e-9 * np.abs(found[0])
-    return scale * (found[0][finite] / found[1][finite])
+    return np.asarray(scale * found[0][finite] / found[1][finite], dtype=np.complex128)
 
 
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
@@ -361,14 +365,14 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
 
 
 def _pole_that_stays(
-    model: StateSpaceModel, centre: StateSpaceModel, form: Form, singular: ComplexArray
+    model: StateSpaceModel, centre: StateSpaceModel, form: Form, singular: NDArray[np.complex128]
 ) -> complex | None:
     scale = float(np.abs(singular).max(initial=0.0)) or 1.0
     size = np.maximum(np.abs(singular), 1e-6 * scale)
     margin = np.abs(singular) - 1.0 if model.is_discrete else singular.real / size
     outside = margin >= -BOUNDARY
     kept = singular[~outside]
-    for p in (complex(s) for s in singular[outside]):
+    for p in singular[outside].tolist():
         far = np.concatenate([np.abs(kept - p), [max(abs(p), 1e-3 * scale)]])
         radius = 0.5 * float(far.min())
         points = p + radius * np.exp(2j * np.pi * (np.arange(CIRCLE) + 0.5) / CIRCLE)

@@ -376,7 +376,7 @@ def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[Unce
     Returns
     -------
     tuple
-        The set, and the weight with its bound (kept above 1e-3).
+        The set, and the weight with its bound, ``hypot(bound, 1e-3)``.
     """
     if not 0 < delay < np.inf or not 0 <= spread < np.inf:
         raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
@@ -390,7 +390,7 @@ def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[Unce
         lag = -2.0 * np.angle((zeros - s) / zeros).sum(axis=1)
         low, high = omega * max(delay - spread, 0.0), omega * (delay + spread)
         off = np.maximum(np.abs(low - lag), np.abs(high - lag))
-        return np.maximum(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), LEAST_ERROR)
+        return np.hypot(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), LEAST_ERROR)
 
     omega = np.geomspace(1e-3, 1e3, 160) / delay
     fit = overbound(omega, error(omega), WEIGHT_ORDER, 0.1, exact=error)
