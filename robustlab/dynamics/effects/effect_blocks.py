@@ -46,6 +46,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.algebra import product
 from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -112,15 +113,16 @@ class EffectBlocks:
         """Block name -> where it comes from."""
         return {b.name: b.origin for b in self.model.blocks}
 
+    def rest(self) -> list[str]:
+        """One line for each noise input and each effect that is left out."""
+        return [
+            *(f"input {n.name}: at most {n.bound:.4g} {n.unit}, {n.origin}" for n in self.noise),
+            *(f"not in it: {name}: {reason}" for name, reason in self.left_out.items()),
+        ]
+
     def summary(self) -> str:
         """One line for each block, input and effect that is left out."""
-        return "\n".join(
-            [
-                *(f"{name}: {origin}" for name, origin in self.origins.items()),
-                *(f"input {n.name}: at most {n.bound:.4g} {n.unit}, {n.origin}" for n in self.noise),
-                *(f"not in it: {name}: {reason}" for name, reason in self.left_out.items()),
-            ]
-        )
+        return "\n".join([*(f"{name}: {origin}" for name, origin in self.origins.items()), *self.rest()])
 
     def to_json(self) -> dict[str, Any]:
         """All attributes and the origins."""
@@ -183,8 +185,9 @@ def effect_blocks(
 def _kept(made: EffectBlocks, outputs: Sequence[str] | None) -> EffectBlocks:
     if outputs is None:
         return made
-    kept = made.model.select(made.model.M.input_names[made.model.delta_shape[0] :], list(outputs))
-    return dataclasses.replace(made, model=kept)
+    m, (_, p) = made.model.M, made.model.delta_shape
+    kept = drop_unconnected(m.select(m.input_names, [*m.output_names[:p], *outputs]))
+    return dataclasses.replace(made, model=UncertainModel(kept, made.model.blocks))
 
 
 def _of_extended(
