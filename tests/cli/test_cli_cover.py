@@ -9,14 +9,16 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli.console import main_guard
+from robustlab.cli.model import app as model_app
+from robustlab.cli.uncertain import app as uncertain_app
 
 
 @pytest.fixture
 def call(capsys):
-    from robustlab.cli.main import app
+    groups = {"uncertain": uncertain_app, "model": model_app}
 
-    def run(*arguments):
-        code = main_guard(lambda: app(args=list(map(str, arguments)), standalone_mode=False))
+    def run(group, *arguments):
+        code = main_guard(lambda: groups[group](args=list(map(str, arguments)), standalone_mode=False))
         done = capsys.readouterr()
         return code, done.out, done.err
 

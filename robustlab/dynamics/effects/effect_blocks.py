@@ -63,7 +63,8 @@ Array = NDArray[np.float64]
 EXACT = 1e-8
 # The weight of a delay need not go below this: far beneath any other error.
 LEAST_ERROR = 1e-3
-WEIGHT_ORDER = 4
+# The error grows with the power 2 n + 1 of the frequency: the weight's order over that of the Padé part.
+WEIGHT_EXTRA = 2
 
 
 @dataclass(frozen=True)
@@ -396,7 +397,7 @@ def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[Unce
         return np.hypot(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), LEAST_ERROR)
 
     omega = np.geomspace(1e-3, 1e3, 160) / delay
-    fit = overbound(omega, error(omega), WEIGHT_ORDER, 0.1, exact=error)
+    fit = overbound(omega, error(omega), pade + WEIGHT_EXTRA, 0.1, exact=error)
     w, n = fit.weight, pade
     model = StateSpaceModel(
         np.block([[a, np.zeros((n, w.n_states))], [np.zeros((w.n_states, n)), w.A]]),
