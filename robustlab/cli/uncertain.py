@@ -111,7 +111,7 @@ def build(
     if sum(source is not None for source in (plant, nominal, expressions, cover, discovery)) != 1:
         raise UsageError(
             "uncertain build",
-            "no models, or more than one source",
+            "no models, or both files and a plant or another source",
             "NOMINAL [PERTURBED], or --plant NAME, --expressions FILE, --cover FILE --cover FILE, or --discovery DIR",
         )
     if cover is not None:

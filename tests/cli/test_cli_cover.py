@@ -66,7 +66,7 @@ def test_bad_covers(call, lags):
     assert "still grows" in err
     code, _, err = call("uncertain", "build", *lags, "--plant", "dc-motor")
     assert code == 2
-    assert "more than one source" in err
+    assert "another source" in err
 
 
 def test_an_updated_plant_becomes_blocks(call, tmp_path):
