@@ -10,7 +10,9 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.effects.effect_blocks import delay_block, effect_blocks
+from robustlab.identification.discovery_result import Discovery
 from robustlab.identification.remaining_uncertainty import uncertain_from
+from robustlab.identification.unnamed_effect import ForceCurve, ResidualForce
 
 SERVO = {"M": (95.0, 0.1), "Fv": (200.0, 0.05), "gain": 35.0}
 
@@ -152,3 +154,25 @@ def test_blocks_that_differ_in_origin_only_are_equal():
     told = dataclasses.replace(block, origin="a data sheet")
     assert told == block
     assert "origin" not in repr(told)
+
+
+def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
+    x = np.array([-0.3, -0.1, 0.1, 0.2, 0.4])
+    curve = ForceCurve("speed", "m/s", x, x, x - 1, x + 1, np.full(5, 40), 0.4, 0.01)
+    found = Discovery(
+        status=rl.Status.INCONCLUSIVE, verdict="unknown", complete=False, effects=(), rivals=(), nominal=(),
+        gap_before=3.0, gap_refitted=2.0, gap_after=1.0, gaps={}, held_out="test", plant="servo-axis",
+        records=("train",), window=1.0, steps=(), candidates=(), structure={},
+        residual_force=ResidualForce("N", 2.5, 0.1, {"speed": curve}, {}, 0.5, 16),
+        model=servo(coulomb_friction={"Fc": 20.0}),
+    )  # fmt: skip
+    made = uncertain_from(found, ["v"])
+    assert [(n.name, n.bound) for n in made.noise] == [("load v: unnamed", 7.5)]
+    assert "train" in made.noise[0].origin
+    sector = next(b.parameter for b in made.model.blocks if "coulomb" in b.name)
+    assert sector.high == pytest.approx(4 * 20.0 / (math.pi * 0.2))  # the median speed
+    assert found.uncertain_model(["v"], amplitude={"v": 1.0}).blocks[-1].parameter.high == pytest.approx(80 / math.pi)
+    with pytest.raises(rl.InputError, match="without an updated plant"):
+        uncertain_from(dataclasses.replace(found, model=None))
+    settled = uncertain_from(dataclasses.replace(found, complete=True), ["v"])
+    assert settled.noise == ()
