@@ -10,8 +10,9 @@ coefficients of N and D,
 .. math:: N - b^2 D \ge 0, \qquad \gamma^2 b^2 D - N \ge 0, \qquad D > 0
 
 so that bisection on :math:`\gamma` finds the best there is, as far as floating point solves the programme: on bounds
-with several sharp resonances it may stop short of it. The weight follows by spectral factorisation. N and D are written as sums of :math:`q / (x + q)` with q near their own roots, which keeps the programme well scaled over many
-decades.
+with several sharp resonances it may stop short of it. The weight follows by spectral factorisation. N and D are
+written in orthonormal combinations of :math:`q / (x + q)`, relative to the last feasible N and D, which keeps the
+programme well scaled over many decades.
 
 References
 ----------
