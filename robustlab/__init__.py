@@ -20,11 +20,14 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.frequency import frequency_response as frequency_response
     from robustlab.identification import compare as compare
     from robustlab.identification.discovery import discover as discover
+    from robustlab.identification.remaining_uncertainty import uncertain_from as uncertain_from
     from robustlab.mu_analysis import mu as mu
     from robustlab.mu_analysis import robust_performance as robust_performance
     from robustlab.mu_analysis import robust_stability as robust_stability
     from robustlab.mu_analysis import skew_mu as skew_mu
     from robustlab.mu_analysis import worst_case_gain as worst_case_gain
+    from robustlab.mu_analysis.cover import conservatism as conservatism
+    from robustlab.mu_analysis.cover import cover as cover
     from robustlab.mu_analysis.disk_margin import disk_margin as disk_margin
     from robustlab.mu_analysis.small_gain import small_gain as small_gain
     from robustlab.mu_analysis.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
@@ -35,6 +38,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.statespace import StateSpaceModel as StateSpaceModel
     from robustlab.storage import load as load
     from robustlab.storage import save as save
+    from robustlab.storage.controller_export import export_controller as export_controller
     from robustlab.structural import controllability as controllability
     from robustlab.structural import observability as observability
     from robustlab.synthesis import Controller as Controller
@@ -78,6 +82,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.uncertainty.gap_metric import gap as gap
     from robustlab.uncertainty.gap_metric import nu_gap as nu_gap
     from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+    from robustlab.uncertainty.overbound import overbound as overbound
     from robustlab.uncertainty.parametric import parametric as parametric
     from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
     from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
@@ -96,6 +101,7 @@ _PUBLIC = {
     "Record": "record",
     "load": "storage",
     "save": "storage",
+    "export_controller": "storage.controller_export",
     # plants from physics
     "plant": "dynamics",
     "trim": "dynamics",
@@ -119,6 +125,9 @@ _PUBLIC = {
     "beside": "uncertainty.algebra",
     "stacked": "uncertainty.algebra",
     "unstructured": "uncertainty.unstructured",
+    "cover": "mu_analysis.cover",
+    "conservatism": "mu_analysis.cover",
+    "overbound": "uncertainty.overbound",
     "realise_delta": "uncertainty.realised_delta",
     "perturbed_model": "uncertainty.realised_delta",
     # analysis
@@ -173,6 +182,7 @@ _PUBLIC = {
     # measurements
     "compare": "identification",
     "discover": "identification.discovery",
+    "uncertain_from": "identification.remaining_uncertainty",
     # trust
     "Status": "result",
     "RobustlabError": "errors",

@@ -21,6 +21,7 @@ __all__ = [
     "SeedOption",
     "assignments",
     "emit",
+    "ends",
     "main_guard",
     "note",
     "plant_settings",
@@ -66,6 +67,21 @@ def assignments(option: str, texts: list[str] | None) -> dict[str, float]:
         if not name:
             raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
     return values
+
+
+def ends(option: str, texts: list[str] | None) -> dict[str, tuple[float, float]]:
+    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``."""
+    found: dict[str, tuple[float, float]] = {}
+    for text in texts or []:
+        name, _, value = text.rpartition("=")
+        low, colon, high = value.partition(":")
+        try:
+            found[name] = float(low), float(high)
+        except ValueError:
+            raise UsageError(f"{option} {text}", "no two numbers after =", "NAME=LOW:HIGH") from None
+        if not (name and colon):
+            raise UsageError(f"{option} {text}", "no name", "NAME=LOW:HIGH")
+    return found
 
 
 def plant_settings(texts: list[str] | None) -> dict[str, Any]:

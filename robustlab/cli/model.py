@@ -200,23 +200,39 @@ def diff(
 def convert(
     source: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="IN")],
     target: Annotated[
-        str, typer.Argument(help="File to write: .h5 (format 1) or .mat (MATLAB version 5).", metavar="OUT")
+        str,
+        typer.Argument(
+            help="File to write: .h5 (format 1), .mat (MATLAB version 5), .json, or .c (a discrete controller as C99).",
+            metavar="OUT",
+        ),
     ],
     group: GroupOption = None,
     transpose: TransposeOption = False,
+    prefix: Annotated[str, typer.Option("--prefix", help="Of the names in a .c file.")] = "controller",
+    saturation: Annotated[
+        list[str] | None,
+        typer.Option("--saturation", help="Limits of a control signal in .c or .json, NAME=LOW:HIGH; repeatable."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a model in another format: plain HDF5 or MATLAB to format 1, or to MATLAB version 5.
+    """Write a model in another format: HDF5, MATLAB version 5, JSON; a discrete controller as C99.
 
     Example: robustlab model convert plant.mat plant.h5
     """
+    from robustlab.cli.console import ends
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
+    from robustlab.storage.controller_export import export_controller
 
     loaded = _read(source, group, transpose, False)
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
-    save(target, loaded.object, Provenance.now("model convert", inputs={source: file_sha256(source)}))
+    origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
+    limits = ends("--saturation", saturation) or None
+    if limits is not None or target.lower().endswith((".c", ".json")):
+        export_controller(target, loaded.object, prefix=prefix, saturation=limits, provenance=origin)
+    else:
+        save(target, loaded.object, origin)
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, note, table
+from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, ends, note, table
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
@@ -67,21 +67,61 @@ def build(
         str | None,
         typer.Option("--expressions", help="Instead of models: a TOML file with A, B, C, D in named parameters."),
     ] = None,
+    cover: Annotated[
+        list[str] | None,
+        typer.Option("--cover", help="Instead: a file of a set of models that is to be covered; at least two times."),
+    ] = None,
+    form: Annotated[
+        str,
+        typer.Option(
+            "--form",
+            help="Of the cover: elements, pca, ellipsoid, additive, input-multiplicative, output-multiplicative, or"
+            " inverse- and one of these three (inverse-additive, ...).",
+        ),
+    ] = "elements",
+    order: Annotated[int, typer.Option("--order", help="Largest order of the cover's weight.")] = 4,
+    directions: Annotated[
+        int | None, typer.Option("--directions", help="Number of directions of the forms pca and ellipsoid.")
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option("--controller", help="File of a controller u = K y: the cover's worst gain is that of its loop."),
+    ] = None,
+    time_limit: Annotated[
+        float, typer.Option("--time-limit", help="Time in s for the proof of the cover's worst gain.")
+    ] = 60.0,
+    discovery: Annotated[
+        str | None,
+        typer.Option("--discovery", help="Instead: folder of data discover --out, or its updated plant."),
+    ] = None,
+    amplitude: Annotated[
+        list[str] | None,
+        typer.Option("--amplitude", help="With --discovery: amplitude of a speed or signal, NAME=VALUE; repeatable."),
+    ] = None,
+    pade: Annotated[int, typer.Option("--pade", help="With --discovery: order of the Pade part of delays.")] = 2,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Uncertain model from two models, from a plant's parameter ranges, or from matrices of expressions.
+    """Uncertain model from two models, a set of models, a plant's ranges, a discovery, or matrices of expressions.
 
     Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
     """
     from robustlab.storage import save
 
-    if sum(source is not None for source in (plant, nominal, expressions)) != 1:
+    if sum(source is not None for source in (plant, nominal, expressions, cover, discovery)) != 1:
         raise UsageError(
             "uncertain build",
-            "no models, or both files and a plant or expressions",
-            "NOMINAL [PERTURBED], or --plant NAME, or --expressions FILE",
+            "no models, or both files and a plant or another source",
+            "NOMINAL [PERTURBED], or --plant NAME, --expressions FILE, --cover FILE --cover FILE, or --discovery DIR",
         )
+    if cover is not None:
+        _build_cover(cover, out, as_json, form=form, order=order, directions=directions, tolerance=noise,
+                     controller=controller, time_limit=time_limit)  # fmt: skip
+        return
+    if discovery is not None:
+        kept = outputs.split(",") if outputs else None
+        _build_discovery(discovery, kept, assignments("--amplitude", amplitude), pade, out, as_json)
+        return
     if nominal is not None and perturbed is None and _holds_plant(nominal):
         plant = nominal
     if expressions is not None:
@@ -90,7 +130,9 @@ def build(
         model, residual, origin = _from_expressions(expressions)
     elif plant is not None:
         kept = outputs.split(",") if outputs else None
-        model, residual, origin = _from_plant(plant, assignments("--tolerance", tolerance), kept, _ends(ranges))
+        model, residual, origin = _from_plant(
+            plant, assignments("--tolerance", tolerance), kept, ends("--range", ranges)
+        )
     else:
         assert nominal is not None
         if outputs or ranges:
@@ -110,6 +152,38 @@ def build(
         "delta_shape": model.delta_shape,
     }
     emit("uncertain build", {**result, "blocks": _blocks(model), "residual": residual}, "\n".join(lines), as_json)
+
+
+def _build_cover(files: list[str], out: str | None, as_json: bool, **options: Any) -> None:
+    from robustlab.cli.uncertain_sources import cover_of
+    from robustlab.storage import save
+
+    found, origin = cover_of(files, options.pop("form"), **options)
+    if out is not None:
+        save(out, found.model, origin)
+    lines = [*([f"{out}:"] if out else []), found.summary(), *_block_lines(found.model)]
+    evidence = {key: value for key, value in vars(found).items() if key not in ("model", "deltas")}
+    deltas = [{k: v for k, v in d.items() if isinstance(v, float)} for d in found.deltas]
+    result = {"file": out, "delta_shape": found.model.delta_shape, "blocks": _blocks(found.model)}
+    emit("uncertain build", {**result, **evidence, "deltas": deltas}, "\n".join(lines), as_json)
+    judged = found.conservatism
+    if not found.status.trustworthy or (judged is not None and not judged.reason and not judged.status.trustworthy):
+        raise typer.Exit(4)
+
+
+def _build_discovery(
+    path: str, outputs: list[str] | None, amplitude: dict[str, float], pade: int, out: str | None, as_json: bool
+) -> None:
+    from robustlab.cli.uncertain_sources import from_discovery
+    from robustlab.storage import save
+
+    found, origin = from_discovery(path, outputs, amplitude, pade)
+    if out is not None:
+        save(out, found.model, origin)
+    lines = [f"{out}: {found.model!r}" if out else repr(found.model), *_block_lines(found.model), *found.rest()]
+    result = {"file": out, "delta_shape": found.model.delta_shape, "blocks": _blocks(found.model)}
+    told = {"noise": found.noise, "left_out": found.left_out}
+    emit("uncertain build", {**result, **told}, "\n".join(lines), as_json)
 
 
 @app.command()
@@ -247,21 +321,6 @@ def _from_plant(
     return model, None, Provenance.now("uncertain build", inputs, note=f"{name} {said}".strip())
 
 
-def _ends(texts: list[str] | None) -> dict[str, tuple[float, float]]:
-    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``."""
-    ends: dict[str, tuple[float, float]] = {}
-    for text in texts or []:
-        name, _, value = text.rpartition("=")
-        low, colon, high = value.partition(":")
-        try:
-            ends[name] = float(low), float(high)
-        except ValueError:
-            raise UsageError(f"--range {text}", "no two numbers after =", "NAME=LOW:HIGH") from None
-        if not (name and colon):
-            raise UsageError(f"--range {text}", "no name", "NAME=LOW:HIGH")
-    return ends
-
-
 def _from_expressions(file: str) -> tuple[UncertainModel, None, Provenance]:
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage.expression_files import load_parametric
@@ -319,7 +378,8 @@ def _block_lines(model: UncertainModel) -> list[str]:
         return []
     lines = table(rows, ("block", "kind", "size", "stands for")).splitlines()
     hidden = len(model.blocks) - len(rows)
-    return [*lines, f"... and {hidden} more blocks"] if hidden else lines
+    told = [f"{b.name}: {b.origin}" for b in model.blocks[:SHOWN_BLOCKS] if b.origin]
+    return [*lines, *([f"... and {hidden} more blocks"] if hidden else []), *told]
 
 
 def _around(parameter: ParameterRange) -> str:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from robustlab.identification.noise_floor import NoiseFloor
     from robustlab.identification.suitability import Finding
     from robustlab.identification.unnamed_effect import ResidualForce, UnnamedForce
+    from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
     "Discovery",
@@ -253,6 +254,12 @@ class Discovery(Evidence):
     def answer(self) -> tuple[str, ...]:
         """Ids of the named effects and of all their rivals."""
         return tuple(dict.fromkeys([*self.names, *(r.name for r in self.rivals)]))
+
+    def uncertain_model(self, outputs: Any = None, **options: Any) -> UncertainModel:
+        """What was found and what remains as blocks; see `robustlab.identification.remaining_uncertainty`."""
+        from robustlab.identification.remaining_uncertainty import uncertain_from
+
+        return uncertain_from(self, outputs, **options).model
 
     def summary(self) -> str:
         """The result as a few lines of text."""

@@ -18,14 +18,15 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["decode_controller", "decode_uncertain", "encode_controller", "encode_uncertain"]
 
-FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below")
+FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin")
 KIND_OF = {RealScalar: "real", ComplexScalar: "complex", FullBlock: "full"}
 
 
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     """Group ``M`` as a state-space model, group ``blocks`` with one entry per block in each dataset.
 
-    The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric.
+    The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric,
+    ``origin`` only if some block says where it comes from.
     """
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:
@@ -43,6 +44,8 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     if any(p and p.below is not None for p in parameters):
         widths = [np.nan if p is None or p.below is None else p.below for p in parameters]
         columns["below"] = np.array(widths, dtype=np.float64)
+    if any(b.origin for b in model.blocks):
+        columns["origin"] = np.array([b.origin for b in model.blocks], dtype=np.str_)
     for name, values in columns.items():
         tree.group("blocks").put(name, values)
 
@@ -74,7 +77,7 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
         if name not in group.datasets:
             continue
         values = group.datasets[name].values
-        kinds = "U" if name in ("name", "kind", "unit") else "fi"
+        kinds = "U" if name in ("name", "kind", "unit", "origin") else "fi"
         if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
             wanted = "texts" if kinds == "U" else "real numbers"
             problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
@@ -103,12 +106,13 @@ def _block(i: int, columns: dict[str, list[Any]], path: str, problems: Problems)
             f"{path}: block {name!r} ({kind}) is {rows:g} x {cols:g}, expected whole sizes, square for a scalar block"
         )
         return None
+    origin = columns["origin"][i] if "origin" in columns else ""
     try:
         if kind == "full":
-            return FullBlock(name, int(rows), int(cols))
+            return FullBlock(name, int(rows), int(cols), origin=origin)
         if kind == "complex":
-            return ComplexScalar(name, int(rows))
-        return RealScalar(name, int(rows), _parameter(i, columns, path, problems))
+            return ComplexScalar(name, int(rows), origin=origin)
+        return RealScalar(name, int(rows), _parameter(i, columns, path, problems), origin=origin)
     except InputError as error:
         problems.absorb(error)
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -133,12 +133,14 @@ class RealScalar:
 
     ``parameter`` says which physical range the normalised delta stands for. Where that range is wider on one side, the
     number that stands in Delta is ``delta`` for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``: it fills
-    [-ratio, 1], and every value of the parameter enters M by one and the same affine law.
+    [-ratio, 1], and every value of the parameter enters M by one and the same affine law. ``origin`` says in words
+    where the block comes from; blocks that differ in nothing else are equal.
     """
 
     name: str
     repeats: int = 1
     parameter: ParameterRange | None = None
+    origin: str = field(default="", repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check(self.name, self.repeats)
@@ -173,6 +175,7 @@ class ComplexScalar:
 
     name: str
     repeats: int = 1
+    origin: str = field(default="", repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check(self.name, self.repeats)
@@ -195,6 +198,7 @@ class FullBlock:
     name: str
     rows: int
     cols: int
+    origin: str = field(default="", repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check(self.name, self.rows)

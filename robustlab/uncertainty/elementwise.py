@@ -242,7 +242,7 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
 
 
 def natural_magnitude(size: Array) -> Array:
-    """Powers of two ``r_i c_j``, shape of ``size``, for which ``size / (r c^T)`` has rows and columns with a largest entry near one.
+    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one.
 
     This takes the units of signals and states out: a rank does not change when a state is counted in mm instead of m.
     """

@@ -381,4 +381,4 @@ def _block_json(block: Block) -> dict[str, object]:
     data: dict[str, object] = {"name": block.name, "kind": type(block).__name__, "rows": block.rows, "cols": block.cols}
     if isinstance(block, RealScalar) and block.parameter is not None:
         data["parameter"] = block.parameter.to_json()
-    return data
+    return {**data, "origin": block.origin} if block.origin else data

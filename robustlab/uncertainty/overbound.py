@@ -9,21 +9,22 @@ coefficients of N and D,
 
 .. math:: N - b^2 D \ge 0, \qquad \gamma^2 b^2 D - N \ge 0, \qquad D > 0
 
-so that bisection on :math:`\gamma` finds the best there is; the weight follows by spectral factorisation. N and D are
-written as sums of :math:`q / (x + q)` with q near their own roots, which keeps the programme well scaled over many
-decades.
+so that bisection on :math:`\gamma` finds the best there is, as far as floating point solves the programme: on bounds
+with several sharp resonances it may stop short of it. The weight follows by spectral factorisation. N and D are
+written in orthonormal combinations of :math:`q / (x + q)`, relative to the last feasible N and D, which keeps the
+programme well scaled over many decades.
 
 References
 ----------
-Boyd, Vandenberghe, *Convex Optimization* (2004), section 4.2.5 (quasi-convex problems); Balas, Chiang, Packard, Safonov,
-*Robust Control Toolbox* (2005), the log-Chebyshev magnitude design; Březina 2010, section 4.2.
+Boyd, Vandenberghe, *Convex Optimization* (2004), section 4.2.5 (quasi-convex problems); Balas, Chiang, Packard,
+Safonov, *Robust Control Toolbox* (2005), the log-Chebyshev magnitude design; Březina 2010, section 4.2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,7 +49,9 @@ FINER = 10
 # Bisections with new bases.
 RESTARTS = 4
 # The smallest D, relative to its scale: keeps poles off the imaginary axis.
-LEAST = 1e-7
+LEAST = 1e-6
+# Ratio of the q of a basis, at least.
+APART = 2.0
 # Rounding in a frequency response.
 ABOVE = 1e-12
 
@@ -142,7 +145,7 @@ def overbound(
         if found is None:
             continue
         weight = bilinear_to_discrete(found, dt) if dt else found
-        made = _judged(weight, n, fine, target, tolerance)
+        made = _judged(weight, n, fine, target, known, tolerance)
         if best is None or made.excess < best.excess:
             best = made
         if best.excess <= tolerance:
@@ -153,9 +156,7 @@ def overbound(
     return best
 
 
-def _checked(
-    omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, dt: float
-) -> tuple[Array, Array]:
+def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, dt: float) -> tuple[Array, Array]:
     w, b = np.asarray(omega, dtype=np.float64), np.asarray(bound, dtype=np.float64)
     if w.ndim != 1 or w.shape != b.shape or len(w) < 2:
         raise InputError("overbound", f"shapes {w.shape} and {b.shape}", "two vectors of the same length, at least 2")
@@ -183,10 +184,11 @@ def _refined(w: Array) -> Array:
     return np.exp((np.log(w[:-1, None]) + np.diff(np.log(w))[:, None] * steps).ravel())
 
 
-def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, tolerance: float) -> Overbound:
+def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, known: Bound, tolerance: float) -> Overbound:
     """The weight, scaled so that it touches the bound from above on the grid (but for what rounding could take)."""
-    size = np.abs(frequency_response(weight, fine)[:, 0, 0])
-    ratio = size / target
+    ratio = np.abs(frequency_response(weight, fine)[:, 0, 0]) / target
+    near = _around_lows(ratio, fine)
+    ratio = np.append(ratio, np.abs(frequency_response(weight, near)[:, 0, 0]) / known(near))
     lift = (1.0 + ABOVE) / float(ratio.min())
     raised = StateSpaceModel(weight.A, weight.B, lift * weight.C, lift * weight.D, weight.dt)
     size = np.abs(frequency_response(raised, fine)[:, 0, 0])
@@ -194,6 +196,15 @@ def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, toleran
     excess, lowest = float(ratio.max()) - 1.0, float(ratio.min()) - 1.0
     status = Status.CONVERGED if excess <= tolerance else Status.INACCURATE
     return Overbound(raised, n, excess, lowest, fine, target, size, status)
+
+
+def _around_lows(ratio: Array, fine: Array) -> Array:
+    """Points between those of the grid, close to the local minima of the ratio."""
+    inner = (ratio[1:-1] <= ratio[:-2]) & (ratio[1:-1] <= ratio[2:]) & (ratio[1:-1] < 1.001 * ratio.min())
+    lows = 1 + np.flatnonzero(inner)
+    if not len(lows):
+        return fine[:1]
+    return np.unique(np.concatenate([np.geomspace(fine[k - 1], fine[k + 1], 41) for k in lows]))
 
 
 # --- the quasi-convex problem ----------------------------------------------------------------------------------------
@@ -229,108 +240,182 @@ def _extremes(ratio: Array) -> NDArray[np.intp]:
 
 
 def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel | None:
-    """Bisection on gamma, again and again with bases at the roots that the last feasible N and D have."""
+    """Bisection on gamma, again and again with the programme scaled by the last feasible N and D."""
     unit, mean = float(np.exp(0.5 * (np.log(w[0]) + np.log(w[-1])))), float(np.exp(np.log(b).mean()))
     x, square = (w / unit) ** 2, (b / mean) ** 2
-    bases, reached = _corners(n, x, square), float(np.log(b.max() / b.min())) + LEVEL
-    roots: tuple[Any, Any, float] | None = None
+    near, reached = _corners(n, x, square), float(np.log(b.max() / b.min())) + LEVEL
+    best: _Factors | None = None
     for _ in range(RESTARTS):
         low, high, before = 0.0, reached, reached
-        trial = reached if roots is None else 0.5 * reached
+        trial = reached if best is None else 0.5 * reached
         while high - low > LEVEL:
-            found = _programme(x, square, np.exp(2 * trial), *bases)
-            made = None if found is None else _roots(found, bases)
-            if made is not None:
-                roots, high = made, trial
-                bases = _spread(np.abs(made[0])), _spread(np.abs(made[1]))
-            else:
+            found = _programme(x, square, np.exp(2 * trial), near)
+            if found is None:
                 low = trial
+            else:
+                best, near, high = found, found, trial
             trial = 0.5 * (low + high)
         reached = high
-        if reached > 0.98 * before - LEVEL and roots is not None:
+        if reached > 0.98 * before - LEVEL and best is not None:
             break
-    if roots is None:
+    if best is None:
         return None
-    zeros, poles, gain = roots
-    return _sections(unit * _left(zeros), unit * _left(poles), mean * np.sqrt(gain))
+    return _sections(unit * _left(best.zeros), unit * _left(best.poles), mean * np.sqrt(best.gain))
 
 
-def _corners(n: int, x: Array, square: Array) -> tuple[Array, Array]:
-    """Real roots of N and D, (n,) each, with which log N / D comes near the bound in least squares: first bases."""
+class _Factors(NamedTuple):
+    """Roots in x of N and of D, and N / D at infinity."""
+
+    zeros: Any
+    poles: Any
+    gain: float
+
+
+def _corners(n: int, x: Array, square: Array) -> _Factors:
+    """Roots of N and D with which log N / D comes near the bound in least squares: where the search begins.
+
+    Factors are ``x^2 + 2 a r x + r^2`` with a > -1, which are resonances for a near -1, and one ``x + r`` for odd n.
+    """
     from scipy.optimize import least_squares
 
-    start = np.linspace(np.log(x[0]), np.log(x[-1]), 2 * n + 2)[1:-1]
-    wanted, level = np.log(square), np.log(x)[:, None]
+    wanted, pairs, odd = np.log(square), n // 2, n % 2
+    span, count = (np.log(x[0]), np.log(x[-1])), pairs + odd
+    steps = np.linspace(*span, 2 * count + 2)[1:-1]
+    peak = np.full(count, np.log(x[int(np.argmax(wanted))])) + 1e-2 * np.arange(count)
+    starts = [(steps[::2], steps[1::2]), (steps[1::2], steps[::2]), (steps[::2], peak)]
+    low = np.concatenate([np.full(2 * count, span[0] - 5.0), np.full(2 * pairs, np.log(1e-5)), [-np.inf]])
+    high = np.concatenate([np.full(2 * count, span[1] + 5.0), np.full(2 * pairs, np.log(1e3)), [np.inf]])
+
+    def parts(p: Array) -> list[tuple[Array, Array]]:
+        bends = p[2 * count : 2 * count + 2 * pairs]
+        return [(p[:count], bends[:pairs]), (p[count : 2 * count], bends[pairs:])]
 
     def residual(p: Array) -> Array:
-        logs = np.logaddexp(level, p[:-1])
-        return p[-1] + logs[:, :n].sum(axis=1) - logs[:, n:].sum(axis=1) - wanted
+        logs = [_log_factors(x, r, a, pairs) for r, a in parts(p)]
+        return p[-1] + logs[0] - logs[1] - wanted
 
-    def slopes(p: Array) -> Array:
-        share = 1.0 / (1.0 + np.exp(np.clip(level - p[:-1], -700.0, 700.0)))
-        return np.hstack([share[:, :n], -share[:, n:], np.ones((len(x), 1))])
-
-    begin = np.concatenate([start[::2], start[1::2], [wanted[-1]]])
-    edges = np.concatenate([np.full(2 * n, level[0, 0] - 5.0), [-np.inf]]), np.concatenate(
-        [np.full(2 * n, level[-1, 0] + 5.0), [np.inf]]
-    )
-    p = least_squares(residual, begin, slopes, edges, max_nfev=60).x
-    return _spread(np.exp(p[:n])), _spread(np.exp(p[n : 2 * n]))
-
-
-def _basis(x: Array, q: Array) -> Array:
-    return np.hstack([np.ones((len(x), 1)), q / (x[:, None] + q)])
+    best = None
+    for zeros, poles in starts:
+        begin = np.concatenate([zeros, poles, np.zeros(2 * pairs), [0.0]])
+        begin[-1] = -float(residual(begin).mean())
+        found = least_squares(residual, begin, bounds=(low, high), max_nfev=30)
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    (r_n, a_n), (r_d, a_d) = parts(best.x)
+    return _Factors(_factor_roots(r_n, a_n, pairs), _factor_roots(r_d, a_d, pairs), float(np.exp(best.x[-1])))
 
 
-def _programme(x: Array, square: Array, level: float, q_n: Array, q_d: Array) -> tuple[Array, Array] | None:
-    """Coefficients of N over prod(x + q_n) and of D over prod(x + q_d), or None where there are none.
+def _log_factors(x: Array, r: Array, a: Array, pairs: int) -> Array:
+    size = np.exp(r)
+    two = (x[:, None] - size[:pairs]) ** 2 + 2.0 * np.exp(a) * size[:pairs] * x[:, None]
+    return np.log(two).sum(axis=1) + np.log(x[:, None] + size[pairs:]).sum(axis=1)
 
-    The margin t of all inequalities, relative to the size of N, is maximised: 0 or more is feasible.
+
+def _factor_roots(r: Array, a: Array, pairs: int) -> Any:
+    size, bend = np.exp(r).astype(np.complex128), np.exp(a) - 1.0
+    half = np.sqrt(bend.astype(np.complex128) ** 2 - 1.0)
+    return np.concatenate([size[:pairs] * (half - bend), size[:pairs] * (-half - bend), -size[pairs:]])
+
+
+class _Basis(NamedTuple):
+    """Polynomials of degree n in x, divided by a given one of size 1 or so at every point, in orthonormal columns.
+
+    ``values @ c`` is the quotient at the points, ``to_sums @ c`` its coefficients in 1 and q / (x + q), with the
+    factor ``prod(x + q)`` taken out.
     """
+
+    values: Array
+    to_sums: Array
+    q: Array
+
+
+def _basis(x: Array, roots: Any) -> _Basis:
+    size = np.abs(roots)
+    q = np.exp(np.linspace(np.log(size.min()), np.log(size.max()), len(size)))
+    if len(q) > 1 and q[-1] < APART ** (len(q) - 1) * q[0]:
+        q = np.sqrt(q[0] * q[-1]) * APART ** (np.arange(len(q)) - 0.5 * (len(q) - 1))
+    relative = np.exp(np.log(x[:, None] + q).sum(axis=1) - np.log(np.abs(x[:, None] - roots)).sum(axis=1))
+    sums = np.hstack([np.ones((len(x), 1)), q / (x[:, None] + q)]) * relative[:, None]
+    orthonormal, upper = np.linalg.qr(sums)
+    root = np.sqrt(len(x))
+    return _Basis(root * orthonormal, root * np.linalg.inv(upper), q)
+
+
+def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factors | None:
+    """N and D between the bound and gamma times the bound, or None where there are none.
+
+    The margin t of both inequalities, relative to the terms that they compare, is maximised: 0 or more is feasible.
+    Where N or D turns out negative between the points, the place is added.
+    """
+    extra = np.zeros(0)
+    for _ in range(ROUNDS):
+        points = np.concatenate([x, extra])
+        n, d = _basis(points, near.zeros), _basis(points, near.poles)
+        coefficients = _solved(n, d, square, level, _quotient(x, near) / square, len(x))
+        if coefficients is None:
+            return None
+        parts = [_roots(basis, c) for basis, c in zip((n, d), coefficients, strict=True)]
+        wrong = [r.real for part in parts if part is not None for r in part[0] if _is_positive(r)]
+        if any(part is None for part in parts):
+            return None
+        if not wrong:
+            (zeros, top), (poles, bottom) = (part for part in parts if part is not None)
+            return _Factors(zeros, poles, near.gain * top / bottom) if top > 0 and bottom > 0 else None
+        extra = np.concatenate([extra, wrong])
+    return None
+
+
+def _quotient(x: Array, near: _Factors) -> Array:
+    up, down = (np.log(np.abs(x[:, None] - roots)).sum(axis=1) for roots in (near.zeros, near.poles))
+    return near.gain * np.exp(up - down)
+
+
+def _solved(n: _Basis, d: _Basis, square: Array, level: float, shape: Array, m: int) -> tuple[Array, Array] | None:
+    """Coefficients of N and D in their bases; ``shape`` is what N / D b^2 is where both quotients are 1."""
     from scipy.optimize import linprog
 
-    shape = np.exp(np.log(x[:, None] + q_n).sum(axis=1) - np.log(x[:, None] + q_d).sum(axis=1)) / square
-    f_n, f_d = _basis(x, q_n) * shape[:, None], _basis(x, q_d)
-    k = f_n.shape[1]
+    k = n.values.shape[1]
+    f_n, f_d, one = shape[:, None] * n.values[:m], d.values[:m], np.ones((m, 1))
     size = 1.0 / (1.0 + shape)[:, None]
-    above = np.hstack([-f_n, f_d, np.ones((len(x), 1))]) * size
-    under = np.hstack([f_n / level, -f_d, np.ones((len(x), 1))]) * size
-    positive = np.hstack([np.zeros((len(x), k)), -f_d, np.zeros((len(x), 1))])
-    ends = np.zeros((4, 2 * k + 1))  # N, D at x = 0 and at infinity
-    ends[0, :k], ends[1, k : 2 * k], ends[2, 0], ends[3, k] = -1.0, -1.0, -1.0, -1.0
-    norm = np.zeros((1, 2 * k + 1))
-    norm[0, k : 2 * k] = f_d.mean(axis=0)
-    rows = np.vstack([above, under, positive, ends])
-    right = np.concatenate([np.zeros(2 * len(x)), np.full(len(x), -LEAST), np.full(4, -LEAST)])
-    cost = np.zeros(2 * k + 1)
-    cost[-1] = -1.0
+    above, under = np.hstack([-f_n, f_d, one]) * size, np.hstack([f_n / level, -f_d, one]) * size
+    none = np.zeros((len(n.values), k))
+    positive = np.vstack([np.hstack([-n.values, none]), np.hstack([none, -d.values])])
+    # at x = 0 and at infinity
+    last = [np.concatenate([[1.0], np.zeros(k - 1)]), np.ones(k)]
+    ends = np.vstack(
+        [np.hstack([v @ n.to_sums, np.zeros(k)]) / _peak(v @ n.to_sums) for v in last]
+        + [np.hstack([np.zeros(k), v @ d.to_sums]) / _peak(v @ d.to_sums) for v in last]
+    )
+    signs = np.vstack([positive, -ends])
+    rows = np.vstack([above, under, np.hstack([signs, np.zeros((len(signs), 1))])])
+    right = np.concatenate([np.zeros(2 * m), np.full(len(signs), -LEAST)])
+    norm = np.concatenate([np.zeros(k), d.values.mean(axis=0), [0.0]])[None]
+    cost = np.append(np.zeros(2 * k), -1.0)
     limits = [(None, None)] * (2 * k) + [(-1.0, 1.0)]
     answer = linprog(cost, rows, right, norm, [1.0], limits, method="highs")
-    if answer.x is None or not answer.success or not np.isfinite(answer.x).all() or answer.x[-1] < 0:
+    if not answer.success or answer.x is None or not np.isfinite(answer.x).all() or answer.x[-1] < 0:
         return None
     return answer.x[:k], answer.x[k : 2 * k]
 
 
-def _roots(found: tuple[Array, Array], bases: tuple[Array, Array]) -> tuple[Any, Any, float] | None:
-    """Roots in x of N and of D, and |w|^2 at infinity; None where one lies on the positive axis."""
-    roots = []
-    for coefficients, q in zip(found, bases, strict=True):
-        if coefficients[0] <= 0:
-            return None
-        values = np.linalg.eigvals(-np.diag(q) - np.outer(np.ones(len(q)), coefficients[1:] * q) / coefficients[0])
-        positive = (values.real >= 0) & (np.abs(values.imag) <= 1e-9 * np.abs(values))
-        if positive.any() or not np.isfinite(values).all() or (values == 0).any():
-            return None
-        roots.append(values)
-    return roots[0], roots[1], float(found[0][0] / found[1][0])
+def _peak(row: Array) -> float:
+    return float(np.abs(row).max())
 
 
-def _spread(q: Array) -> Array:
-    """The same numbers, sorted and at least 5 % apart."""
-    values = np.sort(q)
-    for i in range(1, len(values)):
-        values[i] = max(values[i], 1.05 * values[i - 1])
-    return values
+def _roots(basis: _Basis, coefficients: Array) -> tuple[Any, float] | None:
+    """Roots in x, and the leading coefficient of the quotient; None where rounding took them."""
+    sums, q = basis.to_sums @ coefficients, basis.q
+    if sums[0] == 0:
+        return None
+    values = np.linalg.eigvals(-np.diag(q) - np.outer(np.ones(len(q)), sums[1:] * q) / sums[0])
+    if not np.isfinite(values).all() or (values == 0).any():
+        return None
+    return values, float(sums[0])
+
+
+def _is_positive(root: complex) -> bool:
+    return bool(root.real >= 0 and abs(root.imag) <= 1e-9 * abs(root))
 
 
 def _left(x: Any) -> Any:

@@ -42,7 +42,7 @@ PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 # Entries that differ by less than this share of their natural magnitude are equal: rounding of a linearisation.
 ROUNDING = 1e-13
 # Relative distance from the optimum at which Khachiyan's algorithm stops; the box is fitted to the cloud anyway.
-ELLIPSOID, ELLIPSOID_STEPS = 1e-4, 20000
+ELLIPSOID, ELLIPSOID_STEPS = 1e-2, 2000
 
 
 @dataclass(frozen=True, eq=False)

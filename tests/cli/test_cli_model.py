@@ -82,7 +82,7 @@ def test_usage(run):
     assert "NAME=VALUE" in run("build", "dc-motor", "--set", "R:2", "--out", "m.h5", code=2)
     assert "did you mean dc-motor?" in run("build", "dc-moter", "--out", "m.h5", code=3)
     run("build", "dc-motor", "--out", "m.h5")
-    assert "extension" in run("convert", "m.h5", "m.json", code=2)
+    assert "extension" in run("convert", "m.h5", "m.txt", code=2)
     assert "no such folder" in run("convert", "m.h5", "nowhere/m.h5", code=5)
 
 

@@ -25,7 +25,16 @@ from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
 if TYPE_CHECKING:
     from robustlab.dynamics.effects.extended_plant import ExtendedPlant, LeftOut
 
-__all__ = ["left_out", "linear_model", "pade_delay", "signal_gains"]
+__all__ = [
+    "effect_delay",
+    "effect_gain",
+    "left_out",
+    "linear_model",
+    "pade_delay",
+    "sector",
+    "signal_gains",
+    "signal_levels",
+]
 
 # Share of the signal over which the slope of an input or output map is taken, and the least absolute step.
 SIGNAL_STEP = 1e-3
@@ -59,9 +68,9 @@ def linear_model(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], 
     for e, law, port in plant.laws:
         q = 0.0 if port.position is None else float(port.position @ x)
         v = float(port.velocity @ x)
-        sector = _sector(e, amplitude, ("speed", "current"))
-        if sector is not None:
-            a -= np.outer(port.force, port.velocity) * 0.5 * (sector.gain_lower + sector.gain_upper)
+        middle = sector(e, amplitude, ("speed", "current"))
+        if middle is not None:
+            a -= np.outer(port.force, port.velocity) * 0.5 * (middle.gain_lower + middle.gain_upper)
             continue
         if v == 0.0 and is_set_valued(law, q):
             continue
@@ -71,8 +80,8 @@ def linear_model(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], 
             a += np.outer(port.force, stiffness * port.position)
     into, out = signal_gains(plant, x, u, amplitude)
     delays = {"input": [0.0] * len(into), "output": [0.0] * len(out)}
-    for e, k, _ in _signal_levels(plant, x, u):
-        delays[e.site.kind][k] += _delay(e)
+    for e, k, _ in signal_levels(plant, x, u):
+        delays[e.site.kind][k] += effect_delay(e)
     linear = StateSpaceModel(
         a, model.B * into, out[:, None] * model.C, out[:, None] * model.D * into, 0.0, plant.inputs, plant.outputs,
         plant.states, OperatingPoint(x, u, plant.output(x, u)), plant.name,
@@ -83,9 +92,9 @@ def linear_model(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], 
 def signal_gains(plant: ExtendedPlant, x: Array, u: Array, amplitude: Mapping[str, float]) -> tuple[Array, Array]:
     """Gains of the inputs, (n_u,), and of the outputs, (n_y,), that the effects on them have at (x, u)."""
     into, out = np.ones(len(plant.inputs)), np.ones(len(plant.outputs))
-    for e, k, level in _signal_levels(plant, x, u):
+    for e, k, level in signal_levels(plant, x, u):
         gains = into if e.site.kind == "input" else out
-        gains[k] *= _gain(e, level, amplitude)
+        gains[k] *= effect_gain(e, level, amplitude)
     return into, out
 
 
@@ -103,7 +112,7 @@ def left_out(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], pade
     for e, law, port in plant.laws:
         q = 0.0 if port.position is None else float(port.position @ x)
         v = float(port.velocity @ x)
-        if _sector(e, amplitude, ("speed", "current")) is not None:
+        if sector(e, amplitude, ("speed", "current")) is not None:
             note(e, "the middle of its sector at this amplitude stands for it")
         elif law.memory:
             note(e, "it remembers: the model has its slopes at the point only")
@@ -111,11 +120,11 @@ def left_out(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], pade
             note(e, "set-valued at rest: the model is that of free motion")
         else:
             note(e, "nonlinear: the model has its slopes at the point only")
-    for e, _, level in _signal_levels(plant, x, u):
+    for e, _, level in signal_levels(plant, x, u):
         seen_by = _footprint(e, amplitude)
-        if _delay(e):
+        if effect_delay(e):
             words = f"as a Padé approximation of order {pade}" if pade else "left out"
-            note(e, f"a delay of {_delay(e):g} s, {words}")
+            note(e, f"a delay of {effect_delay(e):g} s, {words}")
         elif seen_by is not None and _constant_gain(e) is None:
             chosen = e.site.name in amplitude
             dead = not chosen and _slope(e, level) == 0.0
@@ -136,7 +145,7 @@ def _point(plant: ExtendedPlant, at: Any) -> tuple[Array, Array]:
     raise InputError("linearise: at", f"{type(at).__name__}", "a trim or (x, u), or None for the rest of the plant")
 
 
-def _signal_levels(plant: ExtendedPlant, x: Array, u: Array) -> list[tuple[AttachedEffect, int, float]]:
+def signal_levels(plant: ExtendedPlant, x: Array, u: Array) -> list[tuple[AttachedEffect, int, float]]:
     """Effects on inputs and outputs, the index of their signal, and its value before the effect."""
     seen, shown = u.copy(), plant.model.C @ x + plant.model.D @ plant.mapped_input(u)
     found = []
@@ -168,7 +177,7 @@ def _footprint(e: AttachedEffect, amplitude: Mapping[str, float]) -> Footprint |
     return e.effect.footprint(e.site, e.values, amplitude.get(e.site.name, DEFAULT_AMPLITUDE))
 
 
-def _sector(e: AttachedEffect, amplitude: Mapping[str, float], signals: tuple[str, ...]) -> Footprint | None:
+def sector(e: AttachedEffect, amplitude: Mapping[str, float], signals: tuple[str, ...]) -> Footprint | None:
     """The footprint at an amplitude that was asked for, if it is a sector in one of these signals."""
     if e.site.name not in amplitude:
         return None
@@ -176,7 +185,8 @@ def _sector(e: AttachedEffect, amplitude: Mapping[str, float], signals: tuple[st
     return found if found is not None and found.signal in signals and found.gain_upper > found.gain_lower else None
 
 
-def _delay(e: AttachedEffect) -> float:
+def effect_delay(e: AttachedEffect) -> float:
+    """Pure delay in s that an effect stands for."""
     found = _footprint(e, {})
     return 0.0 if found is None else found.delay
 
@@ -188,10 +198,11 @@ def _mapped(e: AttachedEffect, level: float) -> float:
     return float(e.effect.output(np.full((1, 8), level), e.values, 1e-3)[0, -1])
 
 
-def _gain(e: AttachedEffect, level: float, amplitude: Mapping[str, float]) -> float:
-    sector = _sector(e, amplitude, ("input", "output"))
-    if sector is not None:
-        return 0.5 * (sector.gain_lower + sector.gain_upper)
+def effect_gain(e: AttachedEffect, level: float, amplitude: Mapping[str, float]) -> float:
+    """Gain of an effect on an input or output about a level of its signal, or the middle of its sector."""
+    seen = sector(e, amplitude, ("input", "output"))
+    if seen is not None:
+        return 0.5 * (seen.gain_lower + seen.gain_upper)
     constant = _constant_gain(e)  # perhaps with a delay or an offset
     return constant if constant is not None else _slope(e, level) or 1.0
 

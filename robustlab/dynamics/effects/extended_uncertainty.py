@@ -33,7 +33,7 @@ from robustlab.uncertainty.lft import UncertainModel
 if TYPE_CHECKING:
     from robustlab.dynamics.effects.extended_plant import ExtendedPlant
 
-__all__ = ["uncertain"]
+__all__ = ["GAINS", "uncertain", "without_signals"]
 
 # Effects that are a gain s of their signal and nothing else.
 GAINS = ("input-gain", "sensor-gain")
@@ -65,7 +65,7 @@ def uncertain(plant: ExtendedPlant, outputs: Sequence[str] | None, sigmas: float
     point = linear.operating_point
     assert point is not None
     into, out = signal_gains(plant, point.x, point.u, {})
-    whole = _with_signal_gains(_without_signals(plant, linear, width).uncertain(), plant, into, out, width)
+    whole = _with_signal_gains(without_signals(plant, linear, width).uncertain(), plant, into, out, width)
     _check(plant, whole, linear, width)
     if outputs is None:
         return UncertainModel(whole.M, whole.blocks, point)
@@ -76,7 +76,7 @@ def uncertain(plant: ExtendedPlant, outputs: Sequence[str] | None, sigmas: float
 # --- between the drivers and the sensors -----------------------------------------------------------------------------
 
 
-def _without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
+def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
     """The linear model as a plant in descriptor form, affine in the parameters that carry the tolerances."""
     base, scaled = plant.plant, _scaled_values(plant)
     parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}

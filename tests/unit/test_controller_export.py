@@ -1,0 +1,183 @@
+"""Controllers for other programs: the compiled C gives back the simulation, JSON and MATLAB give back every bit."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.errors import UsageError
+from robustlab.storage.controller_code import c_source
+
+GCC = shutil.which("gcc")
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-ffp-contract=off"]
+needs_gcc = pytest.mark.skipif(GCC is None, reason="no gcc here")
+
+
+def random_controller(seed, n=5, m=3, p=2, dt=1e-3):
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((n, n))
+    a *= 0.95 / max(np.abs(np.linalg.eigvals(a)).max(), 0.1) if n else 1.0
+    a[rng.random((n, n)) < 0.2] = 0.0
+    return rl.StateSpaceModel(a, rng.standard_normal((n, m)), rng.standard_normal((p, n)),
+                              rng.standard_normal((p, m)), dt)  # fmt: skip
+
+
+def compiled(folder, source, name="controller"):
+    (folder / f"{name}.c").write_text(source)
+    library = folder / f"{name}.so"
+    subprocess.run(
+        [GCC, *STRICT, "-shared", "-fPIC", "-o", str(library), str(folder / f"{name}.c")], check=True, timeout=60
+    )
+    return ctypes.CDLL(str(library))
+
+
+def run(library, model, y, prefix="controller"):
+    """Control signals of the compiled code, (n, p)."""
+    doubles = ctypes.POINTER(ctypes.c_double)
+    state = np.full(max(model.n_states, 1), 7.0)
+    out = np.zeros((len(y), model.n_outputs))
+    getattr(library, f"{prefix}_init")(state.ctypes.data_as(doubles))
+    step = getattr(library, f"{prefix}_step")
+    for k, row in enumerate(np.ascontiguousarray(y, dtype=float)):
+        step(state.ctypes.data_as(doubles), row.ctypes.data_as(doubles), out[k].ctypes.data_as(doubles))
+    return out
+
+
+@needs_gcc
+@pytest.mark.parametrize(("n", "m", "p"), [(5, 3, 2), (0, 2, 2), (1, 1, 1), (12, 1, 3)])
+def test_the_compiled_controller_is_the_simulated_one(tmp_path, n, m, p):
+    model = random_controller(n, n, m, p)
+    path = rl.export_controller(tmp_path / "k.c", model)
+    y = np.random.default_rng(0).standard_normal((400, m))
+    t = model.dt * np.arange(len(y))
+    record = rl.simulate(model, t, y)
+    wanted = np.column_stack([record[s.name] for s in model.outputs])
+    found = run(compiled(tmp_path, path.read_text()), model, y)
+    assert np.abs(found - wanted).max() <= 1e-12 * max(1.0, np.abs(wanted).max())
+    assert ctypes.c_double.in_dll(ctypes.CDLL(str(tmp_path / "controller.so")), "controller_sample_time").value == 1e-3
+
+
+@needs_gcc
+def test_outputs_are_held_and_states_go_on(tmp_path):
+    model = random_controller(4, 3, 1, 2)
+    model = model.renamed(outputs=[("u1", "V"), ("u2", "V")])
+    limits = {"u1": (-0.5, 0.25), "u2": (-2.0, 1e-3)}
+    path = rl.export_controller(tmp_path / "k.c", model, prefix="axis_3", saturation=limits)
+    y = np.random.default_rng(1).standard_normal((300, 1))
+    free = run(compiled(tmp_path, c_source(model), "free"), model, y)
+    held = run(compiled(tmp_path, path.read_text(), "held"), model, y, "axis_3")
+    np.testing.assert_array_equal(held, np.clip(free, [-0.5, -2.0], [0.25, 1e-3]))
+    assert (held != free).any(axis=0).all()
+
+
+HOSTILE = [
+    "*/ int main(void) { return 1; } /*",
+    'x"; system("rm -rf /"); //',
+    "ends with a backslash \\",
+    "trigraph ??/",
+    "line\nbreak",
+    "\u202egnirts",
+    "/* nested",
+    "**//",
+    "ß",
+]
+
+
+@needs_gcc
+def test_hostile_names_stay_comments(tmp_path):
+    m = len(HOSTILE)
+    rng = np.random.default_rng(0)
+    names = [(name, "/*" if i % 2 else "V*/") for i, name in enumerate(HOSTILE)]
+    try:
+        model = rl.StateSpaceModel(
+            [[0.5]], rng.standard_normal((1, m)), [[1.0]], rng.standard_normal((1, m)), 0.1, names, [("int", "")]
+        )
+    except rl.InputError:
+        pytest.fail("the model takes these names")
+    source = c_source(model, notes=['*/ #error "no"', "\\"])
+    assert source.count("*/") == source.count("/*")
+    assert all(" " <= c <= "~" or c == "\n" for c in source)
+    assert "system" not in source.split("*/", 1)[1]
+    library = compiled(tmp_path, source)
+    y = rng.standard_normal((5, m))
+    x, wanted = 0.0, []
+    for row in y:
+        wanted.append(x + float(model.D[0] @ row))
+        x = 0.5 * x + float(model.B[0] @ row)
+    assert run(library, model, y)[:, 0] == pytest.approx(wanted, abs=1e-12)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=4, max_size=4))
+@settings(max_examples=60, deadline=None)
+def test_every_constant_is_the_number_itself(values):
+    a, b, c, d = values
+    model = rl.StateSpaceModel([[a]], [[b]], [[c]], [[d]], 0.25)
+    lines = {line.split("=")[0].split()[-1]: line for line in c_source(model).splitlines() if "const double " in line}
+    for name, pair in (("y0", (c, d)), ("x0", (a, b))):
+        body = lines[name].split("=", 1)[1].split(";")[0]
+        terms = [float.fromhex(t.split("*")[0].strip(" ()")) for t in body.split(" + ") if "*" in t]
+        assert terms == [v for v in pair if v != 0]
+
+
+def test_json_and_matlab_give_back_every_bit(tmp_path):
+    from scipy.io import loadmat
+
+    model = random_controller(7).renamed([("phi", "rad"), ("omega", "rad/s"), ("i", "A")], [("u", "V"), ("v", "V")])
+    held = rl.Controller(model, 1.25, rl.Status.CERTIFIED, "hinf")
+    data = json.loads(rl.export_controller(tmp_path / "k.json", held, saturation=(-1.0, 1.0)).read_text())
+    stored = loadmat(rl.export_controller(tmp_path / "k.mat", held))
+    again = rl.load(rl.export_controller(tmp_path / "k.h5", held))
+    for name in "ABCD":
+        np.testing.assert_array_equal(np.array(data[name]), getattr(model, name))
+        np.testing.assert_array_equal(stored[name], getattr(model, name))
+        np.testing.assert_array_equal(getattr(again.K, name), getattr(model, name))
+    assert data["dt"] == stored["dt"].item() == model.dt
+    assert data["inputs"][1] == {"name": "omega", "unit": "rad/s"}
+    assert (data["gamma"], data["status"], data["method"]) == (1.25, "certified", "hinf")
+    assert data["saturation"] == [[-1.0, 1.0]] * 2
+
+
+def test_the_header_says_what_a_user_must_know():
+    model = random_controller(1, 2, 1, 1, dt=0.002).renamed([("phi", "rad")], [("u", "V")])
+    top = c_source(model, limits=[(-12.0, 12.0)]).split("*/")[0]
+    for words in ("sample time 0.002 s", "u[0]: phi [rad]", "y[0]: u [V], held in [-12.0, 12.0]", "positive"):
+        assert words in top
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"dt": 0.0}, "continuous controller"),
+        ({"prefix": "int"}, "prefix"),
+        ({"prefix": "Ab"}, "lower-case"),
+        ({"prefix": "a;b"}, "lower-case"),
+        ({"saturation": (1.0, -1.0)}, "low < high"),
+        ({"saturation": 3.0}, "two numbers"),
+        ({"saturation": {"y1": (-1, 1)}}, "no limits of 'y2'"),
+        ({"saturation": {"y1": (-1, 1), "y2": (-1, 1), "z": (0, 1)}}, "no output 'z'"),
+        ({"m": 0}, "at least one of each"),
+    ],
+)
+def test_bad_inputs_are_named(tmp_path, changes, words):
+    sizes = {k: changes[k] for k in ("dt", "m") if k in changes}
+    options = {k: v for k, v in changes.items() if k not in sizes}
+    with pytest.raises(rl.InputError, match=words) as caught:
+        rl.export_controller(tmp_path / "k.c", random_controller(0, **sizes), **options)
+    assert not list(tmp_path.iterdir())
+    if "dt" in changes:
+        assert "discretise" in str(caught.value)
+
+
+def test_other_extensions_are_refused(tmp_path):
+    with pytest.raises(UsageError, match=r"\.py"):
+        rl.export_controller(tmp_path / "k.py", random_controller(0))
+    with pytest.raises(UsageError, match="saturation"):
+        rl.export_controller(tmp_path / "k.mat", random_controller(0), saturation=(-1, 1))

@@ -1,0 +1,221 @@
+"""Covers of a set of models: every model is a member, proved by its own delta; no larger than need be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.uncertainty.parametric_cover import parametric_cover
+from robustlab.uncertainty.unstructured import FORMS
+
+
+def lag(gain, time, dt=0.0):
+    return rl.StateSpaceModel([[-1.0 / time]], [[gain / time]], [[1.0]], [[0.0]], dt)
+
+
+LAGS = [lag(1.0, 1.0), lag(1.2, 1.3), lag(0.9, 0.8), lag(1.1, 0.7)]
+
+
+def random_set(seed, count=5, directions=2):
+    """Models on a plane of the space of matrices."""
+    rng = np.random.default_rng(seed)
+    base = -2.0 * np.eye(3) + 0.3 * rng.standard_normal((3, 3))
+    ways = 0.1 * rng.standard_normal((directions, 3, 3))
+    b, c = rng.standard_normal((3, 2)), rng.standard_normal((1, 3))
+    shares = rng.uniform(-1, 1, (count, directions))
+    return [rl.StateSpaceModel(base + np.tensordot(s, ways, 1), b * (1 + 0.1 * s[0]), c, [[0.0, 0.5]]) for s in shares]
+
+
+@pytest.mark.parametrize("form", ["elements", "pca", "ellipsoid"])
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=4, deadline=None)
+def test_every_model_is_a_member_at_its_delta(form, seed):
+    models = random_set(seed)
+    found = rl.cover(models, form, gain=False)
+    assert found.status is rl.Status.CERTIFIED
+    for model, delta in zip(models, found.deltas, strict=True):
+        assert all(abs(v) <= 1 for v in delta.values())
+        member = found.model.evaluate(delta)
+        for name in "ABCD":
+            np.testing.assert_allclose(getattr(member, name), getattr(model, name), atol=1e-12)
+    if form != "elements":
+        assert len(found.model.blocks) == 2  # the plane
+
+
+def test_the_hull_is_the_smallest_box():
+    found = rl.cover(LAGS, "elements", gain=False)
+    ranges = {b.name: b.parameter for b in found.model.blocks}
+    poles, gains = [m.A[0, 0] for m in LAGS], [m.B[0, 0] for m in LAGS]
+    assert (ranges["A[x1,x1]"].low, ranges["A[x1,x1]"].high) == pytest.approx((min(poles), max(poles)))
+    assert (ranges["B[x1,u1]"].low, ranges["B[x1,u1]"].high) == pytest.approx((min(gains), max(gains)))
+    assert all(b.parameter.below is None for b in found.model.blocks)  # the middle
+
+
+def test_a_nominal_model_of_the_users_own_stays_nominal():
+    found = rl.cover(LAGS, "elements", nominal=LAGS[0], gain=False)
+    assert found.nominal is None
+    assert found.model.nominal.A[0, 0] == -1.0
+    r = {b.name: b.parameter for b in found.model.blocks}["A[x1,x1]"]
+    assert (r.low, r.high) == pytest.approx((-1 / 0.7, -1 / 1.3))
+    assert max(found.misses) < 1e-14
+    # at an end of the hull: mirrored
+    end = rl.cover(LAGS, "elements", nominal=LAGS[3], gain=False)
+    r = {b.name: b.parameter for b in end.model.blocks}["A[x1,x1]"]
+    assert r.low == pytest.approx(2 * (-1 / 0.7) + 1 / 1.3)
+    assert max(end.sizes) == 1.0
+
+
+def test_worst_gain_of_an_element_cover_by_hand():
+    """Gain b / a at zero frequency: the corner of largest b and smallest a."""
+    found = rl.cover(LAGS, "elements")
+    worst = max(m.B[0, 0] for m in LAGS) / min(-m.A[0, 0] for m in LAGS)
+    assert found.conservatism.set_gain == pytest.approx(1.2)
+    assert found.conservatism.set_model == 2
+    assert found.conservatism.least == pytest.approx(worst / 1.2, rel=1e-3)
+    assert found.conservatism.ratio == pytest.approx(worst / 1.2, rel=0.02)
+
+
+def test_few_directions_leave_the_rest_and_say_so():
+    models = random_set(3, count=6, directions=3)
+    one = rl.cover(models, "pca", directions=1, gain=False)
+    assert one.status is rl.Status.INACCURATE
+    assert "is missed by" in one.reason
+    assert len(one.model.blocks) == 1
+    assert len(one.spread) == 3
+    loose = rl.cover(models, "pca", tolerance=0.5, gain=False)
+    assert loose.status is rl.Status.CERTIFIED
+    assert len(loose.model.blocks) < 3
+
+
+def test_axes_of_the_ellipsoid_are_those_of_known_ellipse():
+    """Points on a tilted ellipse: the ellipsoid's axes are its own, which principal components of a crowded sample
+    are not."""
+    angle = 0.4
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    t = np.concatenate([np.linspace(0, 2 * np.pi, 24, endpoint=False), np.full(60, 0.9)])
+    points = (turn @ np.array([0.10 * np.cos(t), 0.02 * np.sin(t)])).T
+    models = tuple(rl.StateSpaceModel([[-1 + x]], [[1 + y]], [[1.0]], [[0.0]]) for x, y in points)
+    found = parametric_cover(models, "ellipsoid")
+    assert found.spread == pytest.approx((0.10 / 1.1, 0.02 / 1.1), rel=0.15)
+    ends = [found.model.evaluate({"direction1": v}) for v in (1.0, -1.0)]
+    slope = (ends[0].B - ends[1].B)[0, 0] / (ends[0].A - ends[1].A)[0, 0]
+    assert slope == pytest.approx(np.tan(angle), abs=0.12)
+
+
+# --- unstructured ----------------------------------------------------------------------------------------------------
+
+ERRORS = {  # written anew, for one input and output
+    "additive": lambda g, h: h - g,
+    "input-multiplicative": lambda g, h: h / g - 1,
+    "output-multiplicative": lambda g, h: h / g - 1,
+    "inverse-additive": lambda g, h: 1 / h - 1 / g,
+    "inverse-input-multiplicative": lambda g, h: g / h - 1,
+    "inverse-output-multiplicative": lambda g, h: g / h - 1,
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_holds_every_model(form):
+    models = [
+        rl.StateSpaceModel(m.A, m.B, m.C, [[0.3 + 0.02 * i]]) for i, m in enumerate(LAGS)
+    ]  # with a direct way, so that all inverses are proper
+    found = rl.cover(models, form, gain=False)
+    assert found.status.trustworthy
+    assert found.fit.order <= 4
+    assert found.fit.excess <= 0.1
+    assert found.fit.lowest >= 0
+    omega = np.logspace(-4, 5, 4001)
+    responses = [rl.frequency_response(m, omega)[:, 0, 0] for m in models]
+    centre = rl.frequency_response(found.model.nominal, omega)[:, 0, 0]
+    weight = rl.frequency_response(found.fit.weight, omega)[:, 0, 0]
+    for response in responses:
+        delta = ERRORS[form](centre, response) / weight
+        assert np.abs(delta).max() <= 1 + 1e-6
+        k = 1234
+        member = found.model.response(omega[k : k + 1], {"unmodelled": [[delta[k]]]})[0, 0, 0]
+        assert member == pytest.approx(response[k], rel=1e-9)
+
+
+def test_an_additive_cover_is_proved_with_deltas_as_systems():
+    found = rl.cover(LAGS, "additive")
+    assert found.status is rl.Status.CERTIFIED
+    omega = np.logspace(-2, 3, 50)
+    for model, delta in zip(LAGS, found.deltas, strict=True):
+        assert rl.hinf_norm(delta["unmodelled"], 1e-9).upper <= 1 + 1e-9
+        member = found.model.evaluate(delta)
+        np.testing.assert_allclose(rl.frequency_response(member, omega), rl.frequency_response(model, omega), rtol=1e-7)
+    assert 1 <= found.conservatism.ratio < 1.3
+    assert found.radius <= rl.cover(LAGS, "additive", nominal=LAGS[0], order=1, gain=False).radius
+
+
+def test_models_of_different_states_are_covered_by_frequency():
+    second = rl.StateSpaceModel([[-1.0, 0.0], [0.0, -30.0]], [[1.0], [3.0]], [[1.0, 0.1]], [[0.0]])
+    found = rl.cover([LAGS[0], second], "additive", gain=False)
+    assert found.status is rl.Status.CERTIFIED
+    with pytest.raises(rl.InputError, match="form additive"):
+        rl.cover([LAGS[0], second], "elements")
+
+
+def test_several_channels_and_common_unstable_poles():
+    rng = np.random.default_rng(1)
+    b, c = rng.standard_normal((2, 2)), rng.standard_normal((2, 2))
+    models = [rl.StateSpaceModel(np.diag([0.5, -2.0]), b @ np.diag(g), c, np.eye(2) @ np.diag(g))
+              for g in ([1.0, 1.0], [1.1, 0.95], [0.9, 1.05])]  # fmt: skip
+    found = rl.cover(models, "input-multiplicative", nominal=models[0], gain=False)
+    assert found.fit.order == 0
+    assert found.fit.weight.D[0, 0] == pytest.approx(0.1, rel=1e-6)
+    with pytest.raises(rl.NoTrustworthyNumber, match="unstable error"):
+        rl.cover(models, "additive")
+
+
+def test_errors_that_are_not_stable_or_not_bounded_are_refused():
+    right = [rl.StateSpaceModel([[-2.0]], [[1.0]], [[-z - 2.0]], [[1.0]]) for z in (1.0, 2.0)]  # (s - z) / (s + 2)
+    with pytest.raises(rl.NoTrustworthyNumber, match="pole 2"):
+        rl.cover(right, "input-multiplicative", nominal=right[1])
+    assert rl.cover(right, "additive", gain=False).status is rl.Status.CERTIFIED
+    with pytest.raises(rl.NoTrustworthyNumber, match="still grows"):
+        rl.cover(LAGS, "inverse-additive")
+
+
+def test_integrators_need_a_loop_for_a_gain():
+    models = [rl.StateSpaceModel([[0.0]], [[g]], [[1.0]], [[0.0]]) for g in (1.0, 1.5, 2.0)]
+    bare = rl.cover(models, "input-multiplicative", nominal=models[1])
+    assert bare.conservatism.status is rl.Status.FAILED
+    assert "close a loop" in bare.conservatism.reason
+    closed = rl.cover(models, "elements", loop=lambda g: g.feedback(1.0))
+    assert closed.conservatism.ratio == pytest.approx(1.0, abs=0.01)
+    assert "ratio at most" in closed.summary()
+    assert "each model inside" in closed.summary()
+
+
+def test_a_set_without_spread():
+    found = rl.cover([LAGS[0], LAGS[0]], "pca", gain=False)
+    assert found.model.blocks == ()
+    assert found.sizes == (0.0, 0.0)
+    with pytest.raises(rl.InputError, match="all the same"):
+        rl.cover([LAGS[0], LAGS[0]], "additive")
+
+
+@pytest.mark.parametrize(
+    ("models", "options", "words"),
+    [
+        ([LAGS[0]], {}, "at least two"),
+        (LAGS[0], {}, "a list"),
+        ([LAGS[0], "no model"], {}, "model 2"),
+        ([LAGS[0], lag(1, 1, 0.1)], {}, "dt"),
+        (LAGS, {"form": "element"}, "did you mean elements"),
+        (LAGS, {"tolerance": -1.0}, "tolerance"),
+        (LAGS, {"form": "pca", "directions": 0}, "positive whole"),
+        (LAGS, {"directions": 2}, "pca or ellipsoid"),
+        (LAGS, {"form": "additive", "directions": 2}, "pca or ellipsoid"),
+        (LAGS, {"form": "pca", "nominal": LAGS[0]}, "middle of the box"),
+        ([rl.StateSpaceModel([], [], [], [[1.0, k]]) for k in (1.0, 2.0)], {"form": "input-multiplicative"}, "as many"),
+        (LAGS, {"form": "additive", "order": 99}, "0 to 12"),
+    ],
+)
+def test_bad_inputs_are_named(models, options, words):
+    with pytest.raises(rl.InputError, match=words):
+        rl.cover(models, **{"gain": False, **options})

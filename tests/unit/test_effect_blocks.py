@@ -1,0 +1,178 @@
+"""Effects as blocks: members are the plants with the effects' gains, delays lie inside their weights, origins stay."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.effects.effect_blocks import delay_block, effect_blocks
+from robustlab.identification.discovery_result import Discovery
+from robustlab.identification.remaining_uncertainty import uncertain_from
+from robustlab.identification.unnamed_effect import ForceCurve, ResidualForce
+
+SERVO = {"M": (95.0, 0.1), "Fv": (200.0, 0.05), "gain": 35.0}
+
+
+def servo(**effects):
+    return rl.with_effects(rl.plant("servo-axis", **SERVO), {k.replace("_", "-"): v for k, v in effects.items()})
+
+
+def test_friction_is_a_gain_between_nothing_and_its_describing_function():
+    """(M s + Fv + k) v = gain u at every mass and every k of the sector 0 .. 4 Fc / (pi a): by hand."""
+    made = effect_blocks(servo(coulomb_friction={"Fc": 20.0}), ["v"], amplitude={"v": 0.05})
+    (name,) = [b.name for b in made.model.blocks if "coulomb" in b.name]
+    top = 4 * 20.0 / (math.pi * 0.05)
+    omega = np.array([0.3, 3.0, 40.0])
+    for mass, damping, sector in ((0, 0, 0), (1, -1, 1), (-1, 1, -1), (0.3, 0.2, 0.6)):
+        member = made.model.evaluate({"M": mass, "Fv": damping, name: sector})
+        M, k = 95 * (1 + 0.1 * mass), 200 * (1 + 0.05 * damping) + 0.5 * top * (1 + sector)
+        wanted = 35.0 / (M * 1j * omega + k)
+        np.testing.assert_allclose(rl.frequency_response(member, omega)[:, 0, 0], wanted, rtol=1e-9)
+    parameter = next(b.parameter for b in made.model.blocks if b.name == name)
+    assert (parameter.low, parameter.high) == pytest.approx((0.0, top))
+    assert "Fc = 20" in made.origins[name]
+    assert "Coulomb" in made.origins[name]
+
+
+def test_every_block_has_an_origin_and_keeps_it_in_a_file(tmp_path):
+    made = effect_blocks(
+        servo(
+            coulomb_friction={"Fc": (20.0, 1.0)},
+            input_delay={"d": (2e-3, 1e-4)},
+            input_gain={"s": (0.95, 0.01)},
+            **{"quantisation@q": {"lsb": 1e-4}},
+            constant_load={"T0": 3.0},
+        ),
+        amplitude={"v": 0.05},
+    )
+    assert set(made.origins) == {"M", "Fv", "coulomb-friction@v", "input-delay@u", "input-gain@u"}
+    assert all(made.origins.values())
+    assert {n.name: (n.bound, n.unit) for n in made.noise} == {
+        "load v: constant-load": (3.0, "N"),
+        "noise q: quantisation": (5e-5, "m"),
+    }
+    assert made.model.nominal.input_names == ("load v: constant-load", "noise q: quantisation", "u")
+    path = rl.save(tmp_path / "u.h5", made.model)
+    again = rl.load(path)
+    assert {b.name: b.origin for b in again.blocks} == made.origins
+    assert again.blocks == made.model.blocks
+    centred = rl.centred(again)  # they stay through the algebra, too
+    assert {b.name: b.origin for b in centred.blocks} == made.origins
+    assert "input noise q: quantisation: at most 5e-05 m" in made.summary()
+
+
+def test_loads_and_noise_act_where_they_should():
+    made = effect_blocks(servo(constant_load={"T0": 3.0}, **{"quantisation@q": {"lsb": 1e-4}}), amplitude={})
+    s = 1j * np.array([0.5, 7.0])
+    response = rl.frequency_response(made.model.evaluate({"M": 1.0}), s.imag)
+    names = made.model.nominal.output_names
+    q, v = names.index("q"), names.index("v")
+    np.testing.assert_allclose(response[:, v, 0], 3.0 / (95 * 1.1 * s + 200), rtol=1e-9)  # the heavier mass, too
+    np.testing.assert_allclose(response[:, q, 1], 5e-5, rtol=1e-12)
+    np.testing.assert_allclose(response[:, v, 1], 0.0, atol=1e-15)
+
+
+def test_a_fitted_gain_has_its_range():
+    made = effect_blocks(servo(input_gain={"s": (0.9, 0.02)}), ["v"], sigmas=3.0)
+    member = made.model.evaluate({"input-gain@u": 1.0})
+    assert member.dc_gain()[0, 0] == pytest.approx(0.96 * 35 / 200, rel=1e-9)
+
+
+@pytest.mark.parametrize(("spread", "pade"), [(0.0, 1), (0.0, 3), (3e-3, 2), (10e-3, 2)])
+def test_every_delay_lies_inside_the_weight(spread, pade):
+    delay = 10e-3
+    made, fit = delay_block(delay, spread, pade, "delay")
+    omega = np.geomspace(0.05, 9e4, 4001)
+    nominal = rl.frequency_response(made.nominal, omega)[:, 0, 0]
+    weight = rl.frequency_response(fit.weight, omega)[:, 0, 0]
+    np.testing.assert_allclose(np.abs(nominal), 1.0, rtol=1e-9)
+    for d in np.linspace(delay - spread, delay + spread, 7):
+        delta = (np.exp(-1j * omega * d) - nominal) / weight
+        assert np.abs(delta).max() <= 1 + 1e-6
+        k = 2000
+        member = made.response(omega[k : k + 1], {"delay": [[delta[k]]]})[0, 0, 0]
+        assert member == pytest.approx(np.exp(-1j * omega[k] * d), rel=1e-9)
+    assert fit.excess < 0.2
+
+
+def test_sectors_of_drivers():
+    made = effect_blocks(servo(input_saturation={"u_max": 5.0}), ["v"], amplitude={"u": 10.0})
+    gains = [made.model.evaluate({"input-saturation@u": d}).dc_gain()[0, 0] * 200 / 35 for d in (-1.0, 1.0)]
+    assert gains == pytest.approx([0.5, 1.0])
+
+
+def test_what_has_no_block_is_said():
+    made = effect_blocks(servo(cubic_stiffness={"k3": 10.0}), amplitude={})
+    assert "only its slope" in next(iter(made.left_out.values()))
+    assert "not in it: cubic-stiffness" in made.summary()
+
+
+def test_a_linear_plant_is_its_own_uncertainty():
+    made = uncertain_from(rl.plant("servo-axis", **SERVO), ["v"])
+    assert {b.name for b in made.model.blocks} == {"M", "Fv"}
+    assert all("parameter" in text for text in made.origins.values())
+
+
+def test_an_unnamed_force_becomes_an_input():
+    plant = rl.plant("servo-axis", **SERVO)
+    made = effect_blocks(plant, ["v"], unnamed=(4.0, "left over"))
+    assert made.noise[0].origin == "left over"
+    assert made.model.nominal.dc_gain()[0, 0] == pytest.approx(4.0 / 200)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "without an amplitude"),
+        ({"amplitude": {"v": 1.0, "nowhere": 1.0}}, "no effect there"),
+        ({"amplitude": {"v": -1.0}}, "positive"),
+        ({"amplitude": {"v": 1.0}, "sigmas": -1.0}, "sigmas"),
+        ({"amplitude": {"v": 1.0}, "pade": 0}, "order"),
+        ({"amplitude": {"v": 1.0}, "unnamed": (0.0, "")}, "positive bound"),
+    ],
+)
+def test_bad_inputs_are_named(options, words):
+    with pytest.raises(rl.InputError, match=words):
+        effect_blocks(servo(coulomb_friction={"Fc": 20.0}), **options)
+
+
+def test_things_that_are_no_plant():
+    with pytest.raises(rl.InputError, match="a linear plant"):
+        uncertain_from(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    with pytest.raises(rl.InputError, match="no effects"):
+        effect_blocks(rl.plant("servo-axis"), amplitude={"v": 1.0})
+    with pytest.raises(rl.InputError, match="positive delay"):
+        delay_block(0.0, 0.0, 2, "delay")
+
+
+def test_blocks_that_differ_in_origin_only_are_equal():
+    block = rl.RealScalar("k")
+    told = dataclasses.replace(block, origin="a data sheet")
+    assert told == block
+    assert "origin" not in repr(told)
+
+
+def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
+    x = np.array([-0.3, -0.1, 0.1, 0.2, 0.4])
+    curve = ForceCurve("speed", "m/s", x, x, x - 1, x + 1, np.full(5, 40), 0.4, 0.01)
+    found = Discovery(
+        status=rl.Status.INCONCLUSIVE, verdict="unknown", complete=False, effects=(), rivals=(), nominal=(),
+        gap_before=3.0, gap_refitted=2.0, gap_after=1.0, gaps={}, held_out="test", plant="servo-axis",
+        records=("train",), window=1.0, steps=(), candidates=(), structure={},
+        residual_force=ResidualForce("N", 2.5, 0.1, {"speed": curve}, {}, 0.5, 16),
+        model=servo(coulomb_friction={"Fc": 20.0}),
+    )  # fmt: skip
+    made = uncertain_from(found, ["v"])
+    assert [(n.name, n.bound) for n in made.noise] == [("load v: unnamed", 7.5)]
+    assert "train" in made.noise[0].origin
+    sector = next(b.parameter for b in made.model.blocks if "coulomb" in b.name)
+    assert sector.high == pytest.approx(4 * 20.0 / (math.pi * 0.2))  # the median speed
+    assert found.uncertain_model(["v"], amplitude={"v": 1.0}).blocks[-1].parameter.high == pytest.approx(80 / math.pi)
+    with pytest.raises(rl.InputError, match="without an updated plant"):
+        uncertain_from(dataclasses.replace(found, model=None))
+    settled = uncertain_from(dataclasses.replace(found, complete=True), ["v"])
+    assert settled.noise == ()
