@@ -11,6 +11,14 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from robustlab.recipe.control_schema import (
+    CascadeStep,
+    FollowTrajectoryStep,
+    HinfStep,
+    RobustPerformanceStep,
+    SimulateControlStep,
+    TrackingProblemStep,
+)
 from robustlab.recipe.vocabulary import (
     ComplementaryWeight,
     ControlWeight,
@@ -285,16 +293,6 @@ class MixsynStep(StepBase):
         return self
 
 
-class HinfStep(StepBase):
-    """H-infinity controller of a generalised plant: its last inputs are controls, its last outputs measurements."""
-
-    gives: ClassVar[str] = "controller"
-    do: Literal["hinf"]
-    of: ToModel
-    measurements: Annotated[int, Field(ge=1)]
-    controls: Annotated[int, Field(ge=1)]
-
-
 class CloseLoopStep(StepBase):
     """The tracking loop of a controller around a model: reference in, the controlled outputs out."""
 
@@ -450,6 +448,11 @@ Step = Annotated[
     | MixsynStep
     | HinfStep
     | CloseLoopStep
+    | TrackingProblemStep
+    | CascadeStep
+    | RobustPerformanceStep
+    | SimulateControlStep
+    | FollowTrajectoryStep
     | RecordStep
     | JoinStep
     | CompareStep

@@ -23,9 +23,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, did_you_mean
+from robustlab.frequency import frequency_response
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.uncertainty.lft import UncertainModel
@@ -45,6 +46,8 @@ class TrackingProblem:
     uncertain
         From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
         controller sees.
+    signals
+        The same without weights and without F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v].
     controlled, measured
         Outputs that are to follow the references, and those that the controller sees beside the references.
     weights
@@ -56,6 +59,7 @@ class TrackingProblem:
     """
 
     uncertain: UncertainModel
+    signals: UncertainModel
     controlled: tuple[Signal, ...]
     measured: tuple[Signal, ...]
     weights: Mapping[str, StateSpaceModel]
@@ -99,6 +103,30 @@ class TrackingProblem:
         NoTrustworthyNumber
             The loop is not well posed.
         """
+        return UncertainModel(lower_lft(self.uncertain.M, self._checked(K)), self.uncertain.blocks)
+
+    def gains(self, K: Any, omega: ArrayLike) -> dict[str, Array]:
+        r"""Largest singular values of S, K S and T of the nominal loop at ``omega`` in rad/s, each (n_omega,).
+
+        From references of full size at every frequency to the relative error, the control in its unit, and the relative
+        output.
+        """
+        closed = lower_lft(self.signals.nominal, self._checked(K))
+        n_r = len(self.controlled)
+        response = frequency_response(closed, omega)[:, :, :n_r]
+        rows = {"S": slice(0, n_r), "KS": slice(n_r, n_r + self.n_con), "T": slice(n_r + self.n_con, None)}
+        return {name: np.linalg.norm(response[:, part], 2, axis=(1, 2)) for name, part in rows.items()}
+
+    def bounds(self, omega: ArrayLike) -> dict[str, Array]:
+        """What the weights allow the functions of `gains` to be, for those that have a weight: ``1 / |W F|``."""
+        shape = np.abs(frequency_response(self.shape, omega)[:, 0, 0])
+        found: dict[str, Array] = {}
+        for name, weight in (("S", "W1"), ("KS", "W2"), ("T", "W3")):
+            if weight in self.weights:
+                found[name] = 1 / (shape * np.abs(frequency_response(self.weights[weight], omega)[:, 0, 0]))
+        return found
+
+    def _checked(self, K: Any) -> StateSpaceModel:
         model = as_model(K, "controller")
         if (model.n_inputs, model.n_outputs) != (self.n_meas, self.n_con):
             raise InputError(
@@ -106,7 +134,7 @@ class TrackingProblem:
                 f"{model.n_inputs} inputs and {model.n_outputs} outputs",
                 f"{self.n_meas} inputs ({', '.join(s.name for s in self.plant.measurements)}) and {self.n_con} outputs",
             )
-        return UncertainModel(lower_lft(self.uncertain.M, model), self.uncertain.blocks)
+        return model
 
 
 def tracking_problem(
@@ -140,7 +168,8 @@ def tracking_problem(
     disturbance
         Size of what is added to the controls, in their unit: a number, or one for some controls; none where left out.
     noise
-        Size of the noise on measurements: a number, or one for some of them; none where left out.
+        Size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is called
+        ``<name>_ref``); none where left out.
 
     Raises
     ------
@@ -167,14 +196,15 @@ def tracking_problem(
     sizes = (
         _sizes("reference", reference, follow, whole=True),
         _sizes("disturbance", disturbance, base.inputs),
-        _sizes("noise", noise, seen),
+        _sizes("noise", noise, [*(Signal(f"{s.name}_ref", s.unit) for s in follow), *seen]),
     )
     shape = _shape(reference_bandwidth, base.dt)
     signals = _signals(base, c, m, *sizes)
     d = [Signal(f"{name}_disturbance", "1") for name in sizes[1]]
     n = [Signal(f"{name}_noise", "1") for name in sizes[2]]
     model = _weighted(signals, base, follow, seen, weights, shape, [*d, *n])
-    return TrackingProblem(UncertainModel(model, base.blocks), follow, seen, weights, shape, *sizes)
+    bare = UncertainModel(signals.renamed(model.inputs, None), base.blocks)
+    return TrackingProblem(UncertainModel(model, base.blocks), bare, follow, seen, weights, shape, *sizes)
 
 
 def _signals(
@@ -189,13 +219,13 @@ def _signals(
     M, (q, p) = base.M, base.delta_shape
     n_u, names_u = M.n_inputs - q, [s.name for s in base.inputs]
     rows_c, rows_m = [p + i for i in c], [p + i for i in m]
-    names_m = [base.outputs[i].name for i in m]
+    names_v = [*(f"{base.outputs[i].name}_ref" for i in c), *(base.outputs[i].name for i in m)]
     size_r, size_d, size_n = (np.array(list(s.values())) for s in (reference, disturbance, noise))
     n_r, n_d, n_n = len(size_r), len(size_d), len(size_n)
     at_u = np.zeros((n_u, n_d))
     at_u[[names_u.index(name) for name in disturbance], range(n_d)] = size_d
-    at_m = np.zeros((len(m), n_n))
-    at_m[[names_m.index(name) for name in noise], range(n_n)] = size_n
+    at_v = np.zeros((n_r + len(m), n_n))
+    at_v[[names_v.index(name) for name in noise], range(n_n)] = size_n
     # what acts on M: its own w and u + d; columns [w, r, d, n, u]
     into = np.zeros((q + n_u, q + n_r + n_d + n_n + n_u))
     into[:q, :q] = np.eye(q)
@@ -211,7 +241,7 @@ def _signals(
     pick[out, rows_c] = relative
     direct[r, q : q + n_r] = np.diag(size_r)
     pick[y, rows_m] = np.eye(len(m))
-    direct[y, q + n_r + n_d : q + n_r + n_d + n_n] = at_m
+    direct[r.start :, q + n_r + n_d : q + n_r + n_d + n_n] = at_v
     return StateSpaceModel(M.A, M.B @ into, pick @ M.C, pick @ M.D @ into + direct, M.dt, states=M.states)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, campaign, design, discovery, measurement, models, published
+from robustlab.recipe.steps import analysis, campaign, control, design, discovery, measurement, models, published
 
 __all__ = ["EXECUTORS"]
 
@@ -32,6 +32,11 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "mixsyn": design.mixsyn,
     "hinf": design.hinf,
     "close-loop": design.close_loop,
+    "tracking-problem": control.tracking_problem,
+    "cascade": control.cascade,
+    "robust-performance": control.robust_performance,
+    "simulate-control": control.simulate_control,
+    "follow-trajectory": control.follow_trajectory,
     "record": measurement.record,
     "join": measurement.join,
     "compare": measurement.compare,

@@ -6,7 +6,8 @@ from typing import Any
 
 from robustlab.errors import InputError
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import CloseLoopStep, HinfStep, MixsynStep
+from robustlab.recipe.control_schema import DesignStep, HinfStep
+from robustlab.recipe.schema import CloseLoopStep, MixsynStep
 
 __all__ = ["close_loop", "hinf", "mixsyn", "tracking_loop"]
 
@@ -28,8 +29,26 @@ def hinf(step: HinfStep, work: Workspace) -> Outcome:
     """An H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
     import robustlab as rl
 
-    found = rl.hinf(work.values[step.of], step.measurements, step.controls)
+    P, *channels = generalised(step, work, nominal=step.nominal)
+    found = rl.hinf(P, *channels, gamma_rel=step.gamma_rel, time_limit=step.time_limit)
+    _draw_loop(found, work)
+    _draw_functions(found, step.of, work)
     return _designed(found, f"H-infinity controller for {step.of}.", work)
+
+
+def generalised(step: DesignStep, work: Workspace, nominal: bool = False) -> tuple[Any, int | None, int | None]:
+    """The generalised plant of a design step with its numbers of measurements and controls."""
+    from robustlab.synthesis.tracking_problem import TrackingProblem
+
+    given = work.values[step.of]
+    if isinstance(given, TrackingProblem):
+        if step.measurements is not None or step.controls is not None:
+            raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
+        return given.nominal if nominal else given.plant, None, None
+    if step.measurements is None or step.controls is None:
+        found = "measurements or controls is missing"
+        raise InputError(step.kind, found, "how many of the last outputs are measured, of the last inputs are controls")
+    return given, step.measurements, step.controls
 
 
 def close_loop(step: CloseLoopStep, work: Workspace) -> Outcome:
@@ -90,26 +109,38 @@ def tracking_loop(system: Any, controller: Any) -> Any:
 
 
 def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
+    """What a design leaves: every number of it that stands alone, and what a person wants to read."""
     work.keep(found)
-    numbers = {
-        "gamma": found.gamma,
-        "smallest_gamma": found.smallest_gamma,
-        "peak_frequency": found.peak_frequency,
-        "order": found.K.n_states,
-        "fastest_controller_pole": found.fastest_controller_pole,
-        "closed_loop_abscissa": found.closed_loop_abscissa,
-    }
-    facts = (
-        Fact("γ, norm of the loop rebuilt from the controller", f"at most {quantity(found.gamma, digits=6)}"),
-        Fact("reached at", quantity(found.peak_frequency, "rad/s")),
-        Fact("What limits it", found.limit or "nothing stands out"),
-        Fact(
-            "Controller", f"{found.K.n_states} states, fastest pole {quantity(found.fastest_controller_pole, 'rad/s')}"
-        ),
-    )
-    return Outcome(
-        found.controller, f"{summary} {found.reason[:1].upper()}{found.reason[1:]}.", numbers, facts, found.status
-    )
+    numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
+    numbers["stable"] = found.closed_loop_abscissa < 0
+    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.summary() if text)
+    reason = f"{found.reason[:1].upper()}{found.reason[1:]}"
+    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts, found.status)
+
+
+def _draw_loop(found: Any, work: Workspace) -> None:
+    """Singular values of the weighted loop with the peak, and the controller."""
+    from robustlab.report.design_figures import loop_figure
+    from robustlab.synthesis.loop_curves import loop_curves
+
+    curves = loop_curves(found)
+    figure = loop_figure(curves.omega, curves.closed_loop, curves.peak, (curves.controller, curves.measurements))
+    work.draw(figure, "loop", "The weighted closed loop with its peak, and the controller.")
+
+
+def _draw_functions(found: Any, of: str, work: Workspace) -> None:
+    """S, K S and T of a tracking problem against what the weights ask for and what gamma proves."""
+    from robustlab.report.design_figures import functions_figure
+    from robustlab.report.function_panels import tracking_panels
+    from robustlab.synthesis.loop_curves import frequencies
+    from robustlab.synthesis.tracking_problem import TrackingProblem
+
+    problem = work.values[of]
+    if not isinstance(problem, TrackingProblem):
+        return
+    omega = frequencies(found.closed_loop)
+    panels = tracking_panels(problem, {found.method: found.K}, omega, found.gamma)
+    work.draw(functions_figure(omega, panels, found.gamma), "functions", "The nominal loop against its weights.")
 
 
 def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:

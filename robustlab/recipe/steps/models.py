@@ -93,6 +93,8 @@ def save(step: SaveStep, work: Workspace) -> Outcome:
 
     path = work.folder / step.file
     given = work.values[step.of]
+    if hasattr(given, "to_uncertain"):  # a tracking problem is kept as its generalised plant
+        given = given.to_uncertain()
     if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedPlant)):
         given = given.to_model()  # a plant without effects is kept as its linear model
     rl.save(path, given, Provenance.now(f"recipe step {work.step}", work.inputs, work.seed))

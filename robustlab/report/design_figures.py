@@ -1,0 +1,233 @@
+"""Figures of designs: the weighted loop with its peak, S, T and K S against their bounds, controllers, mu, simulations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
+
+if TYPE_CHECKING:
+    from robustlab.mu_analysis import Margin
+
+__all__ = [
+    "FunctionPanel",
+    "TimePanel",
+    "functions_figure",
+    "history_figure",
+    "loop_figure",
+    "mu_comparison_figure",
+    "runs_figure",
+]
+
+Array = NDArray[np.float64]
+# Colour and dashes of the designs that a figure compares, in their order.
+DESIGNS = (
+    (COLOURS["reference"], (0, (4, 1.5))),
+    (COLOURS["nominal"], "-"),
+    (COLOURS["worst"], "-"),
+    (COLOURS["good"], (0, (6, 1.5, 1.5, 1.5))),
+    (COLOURS["limit"], (0, (1.5, 1))),
+    (COLOURS["sample"], "-"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionPanel:
+    """One closed-loop function of one or several designs over frequency.
+
+    Attributes
+    ----------
+    name
+        Heading, for example ``"S: control error"``.
+    gains
+        Design -> largest singular value, shape (n_omega,).
+    allowed
+        ``1 / |W|``, what the weight asks for, shape (n_omega,); None without a weight.
+    proved
+        ``gamma / |W|``, below which the verified gamma keeps the function; None without.
+    unit
+        Of the gain; empty for a ratio.
+    """
+
+    name: str
+    gains: Mapping[str, Array]
+    allowed: Array | None = None
+    proved: Array | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TimePanel:
+    """One signal of several runs over time: label with unit, run -> samples (n,), and a limit to draw (None: none)."""
+
+    label: str
+    curves: Mapping[str, Array]
+    limit: float | None = None
+
+
+def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float | None = None) -> Figure:
+    """Gains over frequency against the inverses of the weights, one panel per function."""
+    figure, axes_list = new_figure(1, len(panels), width=3.5 * max(2, len(panels)), height=3.5)
+    with house_style():
+        for axes, panel in zip(axes_list, panels, strict=True):
+            _designs(axes, omega, panel.gains)
+            if panel.allowed is not None:
+                axes.plot(omega, panel.allowed, color=COLOURS["sample"], lw=2.6, label="1 / |W|, what is asked for", zorder=1)
+            if panel.proved is not None:
+                text = "γ / |W|, proved" if gamma is None else f"γ / |W|, proved, γ = {gamma:.4g}"
+                axes.plot(omega, panel.proved, color=COLOURS["limit"], ls=(0, (5, 2)), label=text)
+            logarithmic(axes.xaxis)
+            logarithmic(axes.yaxis)
+            _span(axes, [*panel.gains.values(), *(c for c in (panel.allowed, panel.proved) if c is not None)])
+            axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
+            axes.set_title(axis_label(panel.name, panel.unit))
+        axes_list[0].set_ylabel("largest singular value")
+        _legend_below(figure, axes_list)
+    return figure
+
+
+def _span(axes: Axes, curves: Sequence[Array], decades: float = 6.0) -> None:
+    """Not more than so many decades below the highest point: what is far below says nothing."""
+    top = max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in curves), default=0.0)
+    low = min((float(np.min(c[np.isfinite(c) & (c > 0)], initial=np.inf)) for c in curves), default=0.0)
+    if top > 0:
+        axes.set_ylim(max(low / 2, top * 10.0**-decades), 2 * top)
+
+
+def loop_figure(
+    omega: Array,
+    closed_loop: Array,
+    peak: tuple[float, float],
+    controller: tuple[Array, Sequence[str]],
+    gamma_label: str = "γ, verified",
+) -> Figure:
+    """Singular values of the weighted closed loop with the peak marked, and the controller's gains.
+
+    Parameters
+    ----------
+    closed_loop
+        Singular values, shape (n_omega, k).
+    peak
+        Frequency in rad/s and gamma.
+    controller
+        Largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
+    """
+    figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
+    with house_style():
+        for k, curve in enumerate(closed_loop.T):
+            first = k == 0
+            loop.plot(
+                omega, curve, color=COLOURS["nominal" if first else "band"], lw=1.6 if first else 0.8,
+                label="largest" if first else "others" if k == 1 else None, zorder=3 if first else 2,
+            )  # fmt: skip
+        loop.axhline(peak[1], color=COLOURS["limit"], ls=(0, (5, 2)), label=f"{gamma_label}: {peak[1]:.4g}")
+        if omega[0] <= peak[0] <= omega[-1]:
+            loop.plot(peak[0], peak[1], "o", color=COLOURS["worst"], ms=6, label=f"peak, {peak[0]:.4g} rad/s", zorder=4)
+        loop.set_title("weighted closed loop")
+        loop.set_ylabel("singular values")
+        _span(loop, [closed_loop[:, 0], np.array([peak[1]])], 4.0)
+        values, names = controller
+        _designs(gains, omega, dict(zip(names, values.T, strict=True)))
+        gains.set_title("controller, gain from each measurement")
+        gains.set_ylabel("largest gain")
+        logarithmic(gains.yaxis)
+        logarithmic(loop.yaxis)
+        _span(gains, list(values.T), 8.0)
+        for axes in (loop, gains):
+            logarithmic(axes.xaxis)
+            axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
+    return figure
+
+
+def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of robust performance") -> Figure:
+    """Upper bound of mu over frequency for each design; the level proved for the whole axis as a thin line."""
+    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.8)
+    with house_style():
+        top = 1.0
+        for (name, margin), (colour, dashes) in zip(margins.items(), _cycle(len(margins)), strict=True):
+            proved = 1 / margin.lower if margin.lower > 0 else float("inf")
+            label = f"{plain_label(name)}: at most {proved:.4g} on the whole axis" if np.isfinite(proved) else (
+                f"{plain_label(name)}: nothing proved on the whole axis"
+            )  # fmt: skip
+            axes.plot(margin.omega, margin.mu_upper, color=colour, ls=dashes, label=label)
+            if np.isfinite(proved):
+                axes.axhline(proved, color=colour, lw=0.7, alpha=0.7)
+                top = max(top, proved)
+            if margin.frequency is not None and 0 < margin.upper < np.inf:
+                axes.plot(margin.frequency, 1 / margin.upper, "o", color=colour, ms=5)
+        axes.plot([], [], "o", color=COLOURS["sample"], ms=5, label="attained by an explicit Δ")
+        axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.2, label="1: requirement met by every member")
+        logarithmic(axes.xaxis)
+        omega = next(iter(margins.values())).omega
+        axes.set(xlim=(omega[0], omega[-1]), ylim=(0, 1.1 * top), xlabel="frequency [rad/s]", ylabel=quantity)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def history_figure(values: Sequence[float], proved: Sequence[float | None], orders: Sequence[int]) -> Figure:
+    """A search step by step: mu that it worked with, mu proved on the whole axis, order of the controller."""
+    steps = np.arange(1, len(values) + 1)
+    figure, (level, order) = new_figure(2, 1, width=7.6, height=2.2, sharex=True)
+    with house_style():
+        level.plot(steps, values, "o-", color=COLOURS["nominal"], ms=4, label="of the step")
+        known = [(k, p) for k, p in zip(steps, proved, strict=True) if p is not None]
+        if known:
+            level.plot(*zip(*known, strict=True), "s", color=COLOURS["good"], ms=5, label="proved on the whole axis")
+        best = int(np.argmin([v if p is None else p for v, p in zip(values, proved, strict=True)]))
+        level.plot(steps[best], values[best] if proved[best] is None else proved[best], "o", ms=10, mfc="none",
+                   color=COLOURS["worst"], label="returned")  # fmt: skip
+        level.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1)
+        level.set_ylabel("μ")
+        level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        order.step(steps, orders, where="mid", color=COLOURS["nominal"])
+        order.set(ylabel="order of K", xlabel="iteration", ylim=(0, 1.15 * max(orders, default=1)))
+        order.xaxis.get_major_locator().set_params(integer=True)
+    return figure
+
+
+def runs_figure(t: Array, panels: Sequence[TimePanel]) -> Figure:
+    """Several runs over time, one panel per signal; a limit that is far from all curves is named, not drawn."""
+    figure, axes_list = new_figure(len(panels), 1, width=8.6, height=2.2, sharex=True)
+    with house_style():
+        for axes, panel in zip(axes_list, panels, strict=True):
+            for (name, curve), (colour, dashes) in zip(panel.curves.items(), _cycle(len(panel.curves)), strict=True):
+                axes.plot(t, curve, color=colour, ls=dashes, lw=1.2, label=plain_label(name))
+            largest = max(float(np.abs(curve).max()) for curve in panel.curves.values())
+            axes.set_ylabel(plain_label(panel.label))
+            if panel.limit is not None and largest > 0.4 * panel.limit:
+                for i, edge in enumerate((-panel.limit, panel.limit)):
+                    label = None if i else f"limit: {panel.limit:g}"
+                    axes.axhline(edge, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.2, label=label)
+            elif panel.limit is not None:
+                axes.set_title(f"the limit of {panel.limit:g} is beyond this panel", fontsize=8.5, fontweight="normal")
+        axes_list[-1].set_xlabel("time [s]")
+        _legend_below(figure, axes_list)
+    return figure
+
+
+def _designs(axes: Axes, omega: Array, gains: Mapping[str, Array]) -> None:
+    for (name, gain), (colour, dashes) in zip(gains.items(), _cycle(len(gains), only=len(gains) == 1), strict=True):
+        axes.plot(omega, gain, color=colour, ls=dashes, label=plain_label(name), zorder=3)
+
+
+def _cycle(n: int, only: bool = False) -> list[tuple[str, Any]]:
+    """Colour and dashes of n designs; a single one is drawn as the nominal curve."""
+    if only:
+        return [(COLOURS["nominal"], "-")]
+    return [DESIGNS[k % len(DESIGNS)] for k in range(n)]
+
+
+def _legend_below(figure: Figure, axes_list: Sequence[Axes]) -> None:
+    entries: dict[str, Any] = {}
+    for axes in axes_list:
+        handles, labels = axes.get_legend_handles_labels()
+        entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=min(4, max(2, len(entries))))
