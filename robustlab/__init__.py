@@ -41,8 +41,12 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import complementary_weight as complementary_weight
     from robustlab.synthesis import control_weight as control_weight
     from robustlab.synthesis import generalized_plant as generalized_plant
+    from robustlab.synthesis import h2 as h2
     from robustlab.synthesis import hinf as hinf
+    from robustlab.synthesis import loop_functions as loop_functions
+    from robustlab.synthesis import loop_functions_of as loop_functions_of
     from robustlab.synthesis import mixsyn as mixsyn
+    from robustlab.synthesis import ncf as ncf
     from robustlab.synthesis import performance_weight as performance_weight
     from robustlab.uncertainty.algebra import beside as beside
     from robustlab.uncertainty.algebra import stacked as stacked
@@ -123,7 +127,11 @@ _PUBLIC = {
     "frequency_response": "frequency",
     # synthesis
     "hinf": "synthesis",
+    "h2": "synthesis",
+    "loop_functions": "synthesis",
+    "loop_functions_of": "synthesis",
     "mixsyn": "synthesis",
+    "ncf": "synthesis",
     "generalized_plant": "synthesis",
     "performance_weight": "synthesis",
     "control_weight": "synthesis",

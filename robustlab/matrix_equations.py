@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 
-__all__ = ["RiccatiSolution", "care", "lyapunov"]
+__all__ = ["RiccatiSolution", "care", "dare", "lyapunov"]
 
 Array = NDArray[Any]
 
@@ -202,3 +202,69 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
     if residual > tolerance:
         raise NoTrustworthyNumber("lyapunov", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return np.asarray(X)
+
+
+def dare(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
+) -> RiccatiSolution:
+    r"""Stabilising solution of the discrete-time algebraic Riccati equation.
+
+    .. math:: A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0
+
+    with ``A + B F`` stable for the gain ``F = -(R + B^T X B)^-1 (B^T X A + S^T)``. R is symmetric and may be singular.
+
+    Parameters
+    ----------
+    A, B, Q, R, S
+        Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
+    tolerance
+        Largest relative residual that is accepted.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, or NaN or Inf.
+    NoTrustworthyNumber
+        No stabilising solution was found (eigenvalues of the pencil on or too close to the unit circle), or its
+        residual is too large.
+
+    References
+    ----------
+    Van Dooren 1981: QZ algorithm on the balanced extended pencil (scipy).
+
+    Examples
+    --------
+    >>> float(round(dare([[1.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
+    1.61803398875
+    """
+    from scipy.linalg import LinAlgError, LinAlgWarning, solve_discrete_are
+
+    a, b, q, r = (real_array(k, v, 2, "dare") for k, v in (("A", A), ("B", B), ("Q", Q), ("R", R)))
+    n, m = a.shape[0], r.shape[0]
+    s = np.zeros((n, m)) if S is None else real_array("S", S, 2, "dare")
+    shapes = (("A", a, (n, n)), ("B", b, (n, m)), ("Q", q, (n, n)), ("R", r, (m, m)), ("S", s, (n, m)))
+    for name, matrix, shape in shapes:
+        if matrix.shape != shape:
+            raise InputError("dare", f"{name} is {matrix.shape}", f"{shape}")
+    if n == 0:
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((m, 0)), 0.0)
+    none = "no stabilising solution: the pencil has eigenvalues on the unit circle"
+    with warnings.catch_warnings():
+        # Judged by the residual below.
+        warnings.simplefilter("ignore", LinAlgWarning)
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            X = solve_discrete_are(a, b, q, r, s=s)
+            X = 0.5 * (X + X.T)
+            coupling = b.T @ X @ a + s.T
+            gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
+        except (LinAlgError, np.linalg.LinAlgError, ValueError):
+            raise NoTrustworthyNumber("dare", none) from None
+    if not np.isfinite(X).all() or not np.isfinite(gain).all() or np.abs(np.linalg.eigvals(a + b @ gain)).max() >= 1:
+        raise NoTrustworthyNumber("dare", none)
+    terms = (a.T @ X @ a, -X, q, coupling.T @ gain)
+    size = sum(np.linalg.norm(term) for term in terms)
+    residual = float(np.linalg.norm(sum(terms)) / size) if size else 0.0
+    if residual > tolerance:
+        raise NoTrustworthyNumber("dare", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+    return RiccatiSolution(X, gain, residual)

@@ -19,13 +19,23 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.matrix_equations import care
+from robustlab.matrix_equations import RiccatiSolution, care
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import controllability, observability
 
-__all__ = ["CoprimeFactors", "CoprimeMargin", "MappedModels", "continuous_models", "coprime_factors", "coprime_margin"]
+__all__ = [
+    "CoprimeFactors",
+    "CoprimeMargin",
+    "CoprimeRiccati",
+    "MappedModels",
+    "continuous_models",
+    "coprime_factors",
+    "coprime_margin",
+    "coprime_riccati",
+    "four_block",
+]
 
 Array = NDArray[np.float64]
 
@@ -69,16 +79,10 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
     NoTrustworthyNumber
         An unstable or marginal mode is hidden from the inputs or the outputs, or digits were lost.
     """
-    m, rate = _scaled(model)
+    equations = coprime_riccati(model)
+    m, rate, control, filtering = equations.model, equations.rate, equations.control, equations.filtering
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
-    try:
-        control = care(m.A, m.B, m.C.T @ m.C, r, m.C.T @ m.D)
-        filtering = care(m.A.T, m.C.T, m.B @ m.B.T, s, m.B @ m.D.T)
-    except NoTrustworthyNumber as error:
-        hidden = [mode.meaning for test in (controllability, observability) for mode in test(model).unstable_modes]
-        found = hidden[0] if hidden else error.found
-        raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
     f, h = control.gain, filtering.gain.T
     root_r, root_s = _inverse_root(r), _inverse_root(s)
     right = StateSpaceModel(
@@ -88,8 +92,51 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
         m.A + h @ m.C, np.hstack([m.B + h @ m.D, h]), root_s @ m.C, np.hstack([root_s @ m.D, root_s])
     )
     _check_inner(m, right, left)
-    product = np.linalg.eigvals(control.X @ filtering.X).real.max(initial=0.0)
-    return CoprimeFactors(_unscaled(right, rate), _unscaled(left, rate), float(1 / np.sqrt(1 + max(product, 0.0))))
+    return CoprimeFactors(_unscaled(right, rate), _unscaled(left, rate), equations.best_margin)
+
+
+@dataclass(frozen=True, eq=False)
+class CoprimeRiccati:
+    """The two Riccati equations of normalised coprime factors, in balanced states and the time unit ``1/rate``.
+
+    Attributes
+    ----------
+    model
+        The model's transfer function of ``s / rate``, in balanced states.
+    rate
+        In rad/s.
+    states
+        Factors of the balancing: state ``i`` of the model as given is ``states[i]`` times that of ``model``.
+    control, filtering
+        X with its gain ``F = -R^-1 (B^T X + D^T C)``, and Z with ``H^T``.
+    """
+
+    model: StateSpaceModel
+    rate: float
+    states: Array
+    control: RiccatiSolution
+    filtering: RiccatiSolution
+
+    @property
+    def best_margin(self) -> float:
+        """``(1 + rho(X Z))^(-1/2)``."""
+        product = np.linalg.eigvals(self.control.X @ self.filtering.X).real.max(initial=0.0)
+        return float(1 / np.sqrt(1 + max(product, 0.0)))
+
+
+def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
+    """Both Riccati equations of a continuous model; equations and exceptions as for `coprime_factors`."""
+    m, rate, states = _scaled(model)
+    p, q = m.D.shape
+    r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
+    try:
+        control = care(m.A, m.B, m.C.T @ m.C, r, m.C.T @ m.D)
+        filtering = care(m.A.T, m.C.T, m.B @ m.B.T, s, m.B @ m.D.T)
+    except NoTrustworthyNumber as error:
+        hidden = [mode.meaning for test in (controllability, observability) for mode in test(model).unstable_modes]
+        found = hidden[0] if hidden else error.found
+        raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
+    return CoprimeRiccati(m, rate, states, control, filtering)
 
 
 @dataclass(frozen=True)
@@ -164,7 +211,7 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargi
         )
     if sign not in (-1, 1):
         raise InputError("coprime_margin: sign", f"{sign!r}", "-1 (negative feedback) or 1 (positive feedback)")
-    loop = lower_lft(_four_block(plant), StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt))
+    loop = lower_lft(four_block(plant), StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt))
     norm = hinf_norm(loop, rtol=1e-9)
     best = coprime_factors(continuous_models(plant).models[0]).best_margin
     if not np.isfinite(norm.upper):
@@ -172,8 +219,10 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargi
     return CoprimeMargin(1 / norm.upper, 1 / norm.lower, norm.frequency, best, norm.status, norm.reason)
 
 
-def _four_block(plant: StateSpaceModel) -> StateSpaceModel:
-    """From (w1, w2, u) to (y, v, y + w1) with ``v = u + w2``, ``y = P v``: closed by u = C (y + w1)."""
+def four_block(plant: StateSpaceModel) -> StateSpaceModel:
+    """From (w1, w2, u) to (y, v, y + w1) with ``v = u + w2``, ``y = P v``: closed by ``u = C (y + w1)``, its H-infinity
+    norm is the inverse of the margin.
+    """
     p, m = plant.D.shape
     n = plant.n_states
     v = np.hstack([np.zeros((m, p)), np.eye(m), np.eye(m)])
@@ -226,12 +275,12 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
         return MappedModels(tuple(bilinear_to_continuous(m) for m in turned), dt, True)
 
 
-def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
-    """The same transfer function of ``s / rate`` with balanced states, and the rate in rad/s."""
+def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
+    """The same transfer function of ``s / rate`` with balanced states, the rate in rad/s, and the states' factors."""
     from scipy.linalg import matrix_balance
 
     if not model.n_states:
-        return model, 1.0
+        return model, 1.0, np.zeros(0)
     with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
         a, (scale, _) = matrix_balance(model.A, permute=False, separate=True)
     b, c = model.B / scale[:, None], model.C * scale
@@ -241,7 +290,7 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     in_size, out_size = float(np.linalg.norm(b)), float(np.linalg.norm(c))
     level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
     root = np.sqrt(rate)
-    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate
+    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate, scale * level / root
 
 
 def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:

@@ -1,0 +1,86 @@
+"""S, T, K S and S G against their definitions, in both signs, and the bounds of weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis import complementary_weight, control_weight, hinf, mixsyn, performance_weight
+from robustlab.synthesis.loop_functions import loop_functions, loop_functions_of
+
+OMEGA = np.geomspace(1e-3, 1e3, 60)
+
+
+def random_model(rng, n, p, m, dt=0.0, direct=1.0):
+    A = rng.standard_normal((n, n)) * 0.3
+    return StateSpaceModel(
+        A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), direct * rng.standard_normal((p, m)), dt
+    )
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("dt", [0.0, 0.01])
+def test_functions_equal_their_definitions(sign, dt):
+    rng = np.random.default_rng(3)
+    G, K = random_model(rng, 4, 2, 3, dt), random_model(rng, 2, 3, 2, dt, 0.2)
+    loop = loop_functions(G, K, sign=sign)
+    omega = OMEGA[OMEGA < 300]
+    g, k = frequency_response(G, omega), frequency_response(K, omega)
+    s = np.linalg.inv(np.eye(2) - sign * g @ k)
+    for name, wanted in (("S", s), ("T", -sign * g @ k @ s), ("KS", -sign * k @ s), ("SG", s @ g)):
+        np.testing.assert_allclose(frequency_response(loop.model(name), omega), wanted, atol=1e-9)
+    np.testing.assert_allclose(loop.singular_values("SG", omega), np.linalg.svd(s @ g, compute_uv=False), atol=1e-9)
+
+
+def test_a_mixed_sensitivity_design_keeps_below_its_bounds():
+    rng = np.random.default_rng(5)
+    G = random_model(rng, 4, 2, 3)
+    weights = performance_weight(1.0), control_weight(10.0, 50.0), complementary_weight(20.0)
+    design = mixsyn(G, *weights)
+    loop = loop_functions_of(design)
+    assert loop.is_stable()
+    assert loop.S.n_states == G.n_states + design.K.n_states  # no weight's states
+    g, k = frequency_response(G, OMEGA), frequency_response(design.K, OMEGA)
+    s = np.linalg.inv(np.eye(2) + g @ k)
+    np.testing.assert_allclose(frequency_response(loop.S, OMEGA), s, atol=1e-8)
+    np.testing.assert_allclose(frequency_response(loop.KS, OMEGA), k @ s, atol=1e-8)
+    for name in ("S", "KS", "T"):
+        assert (loop.gain(name, OMEGA) <= loop.bound(name, OMEGA) * (1 + 1e-9)).all()
+    assert loop.bound("SG", OMEGA) is None
+    bound = loop.bound("S", [2.0])
+    assert bound is not None
+    assert bound[0] == pytest.approx(design.gamma / abs(frequency_response(weights[0], [2.0])[0, 0, 0]), rel=1e-12)
+
+
+def test_a_weight_of_too_few_outputs_bounds_nothing():
+    rng = np.random.default_rng(5)
+    design = mixsyn(random_model(rng, 3, 2, 2), 1.0, [[1.0, 0.0]])
+    bound = loop_functions_of(design).bound("KS", OMEGA)
+    assert bound is not None
+    assert np.isinf(bound).all()
+
+
+def test_other_designs_measure_y_in_positive_feedback():
+    P = StateSpaceModel([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    design = hinf(P, n_meas=1, n_con=1)
+    loop = loop_functions_of(design)
+    g = 1 / (1j * OMEGA - 1)
+    k = frequency_response(design.K, OMEGA)[:, 0, 0]
+    np.testing.assert_allclose(frequency_response(loop.S, OMEGA)[:, 0, 0], 1 / (1 - g * k), rtol=1e-9)
+    assert loop.is_stable()
+    assert loop.bound("S", OMEGA) is None
+
+
+def test_refusals():
+    lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(InputError, match="K is 1 x 2"):
+        loop_functions(lag, StateSpaceModel([], [], [], [[1.0, 2.0]]))
+    with pytest.raises(InputError, match="sign"):
+        loop_functions(lag, lag, sign=0)
+    with pytest.raises(InputError, match="'L'"):
+        loop_functions(lag, lag).gain("L", [1.0])
+    with pytest.raises(InputError, match="not well posed"):
+        loop_functions(StateSpaceModel([], [], [], [[1.0]]), StateSpaceModel([], [], [], [[-1.0]]))

@@ -1,0 +1,175 @@
+"""Normalised-coprime-factor loop shaping: gamma_min, sign of K, discrete time, weights, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.norms import hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
+from robustlab.synthesis import hinf, ncf
+from robustlab.synthesis.loop_functions import loop_functions_of
+from robustlab.uncertainty.coprime import four_block
+from robustlab.uncertainty.gap_metric import nu_gap
+
+# 200 / ((10 s + 1) (0.05 s + 1)^2) as a chain, and (s + 2) / s.
+DISTURBED = StateSpaceModel(
+    [[-0.1, 0, 0], [20, -20, 0], [0, 20, -20]], [[20.0], [0], [0]], [[0, 0, 1]], [[0]], inputs=["u"], outputs=["y"]
+)
+PI = StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[1.0]])
+
+
+def random_plant(seed, n, p, m, dt=0.0, direct=0.0, unstable=True):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    if dt:
+        A *= (1.3 if unstable else 0.9) / np.abs(np.linalg.eigvals(A)).max()
+    else:
+        A += (0.5 if unstable else -0.5) * np.eye(n) - np.linalg.eigvals(A).real.max() * np.eye(n)
+    D = direct * rng.standard_normal((p, m))
+    return StateSpaceModel(A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), D, dt)
+
+
+def test_skogestad_9_3():
+    design = ncf(DISTURBED, PI)
+    assert design.gamma_min == pytest.approx(2.33877, abs=1e-4)
+    assert design.gamma <= 1.1 * design.gamma_min * 1.001
+    assert design.status is Status.CERTIFIED
+    assert design.margin.best == pytest.approx(0.42758, abs=1e-5)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("n", "p", "m", "direct", "unstable"),
+    [(1, 1, 1, 0.0, True), (4, 2, 2, 0.0, True), (5, 3, 2, 0.0, False), (5, 2, 3, 0.7, True), (8, 1, 2, 1.5, True)],
+)
+def test_random_plants_reach_what_was_asked_for(dt, n, p, m, direct, unstable):
+    for seed in range(2):
+        G = random_plant(seed, n, p, m, dt, direct, unstable)
+        for factor in (1.02, 1.5):
+            design = ncf(G, factor=factor)
+            assert design.status is Status.CERTIFIED
+            assert design.K.dt == dt
+            norm = hinf_norm(lower_lft(four_block(G), design.K))
+            assert norm.upper <= factor * design.gamma_min * 1.001
+            assert norm.lower >= design.gamma_min * (1 - 1e-6)
+            assert design.gamma == pytest.approx(norm.upper, rel=1e-5)
+
+
+def test_discrete_gamma_min_from_discrete_riccati_equations():
+    """Walker 1990: the same formula with the discrete equations, here solved by scipy."""
+    G = random_plant(4, 4, 2, 3, 0.1, 0.6)
+    A, B, C, D = G.A, G.B, G.C, G.D
+    X = solve_discrete_are(A, B, C.T @ C, np.eye(3) + D.T @ D, s=C.T @ D)
+    Z = solve_discrete_are(A.T, C.T, B @ B.T, np.eye(2) + D @ D.T, s=B @ D.T)
+    wanted = np.sqrt(1 + np.linalg.eigvals(X @ Z).real.max())
+    assert ncf(G).gamma_min == pytest.approx(wanted, rel=1e-9)
+
+
+def test_gamma_min_is_the_hinf_optimum_of_the_four_blocks():
+    G = random_plant(2, 3, 2, 1)
+    best = hinf(four_block(G), 2, 1, gamma_rel=1.0)
+    assert ncf(G).gamma_min == pytest.approx(best.gamma, rel=2e-3)
+
+
+def test_a_pole_at_minus_one_of_a_discrete_plant():
+    G = StateSpaceModel([[-1.0, 0.3], [0.0, 0.5]], [[1.0], [1.0]], [[1.0, 0.2]], [[0.0]], 0.1)
+    design = ncf(G)
+    assert design.status is Status.CERTIFIED
+    assert hinf_norm(lower_lft(four_block(G), design.K)).upper <= 1.1 * design.gamma_min * 1.001
+
+
+def test_sign_positive_feedback_of_k_and_negative_feedback_of_minus_k():
+    design = ncf(DISTURBED, PI)
+    open_loop = series(design.K, DISTURBED)
+    unit = StateSpaceModel([], [], [], [[1.0]])
+    assert feedback(open_loop, unit, 1).is_stable()
+    assert not feedback(open_loop, unit, -1).is_stable()
+    # K_n = -K in u = K_n (r - y) tracks: integral action of W1 makes T(0) = 1.
+    loop = loop_functions_of(design)
+    np.testing.assert_allclose(loop.T.dc_gain(), [[1.0]], atol=1e-9)
+
+
+def test_full_controller_is_w1_k_w2():
+    G = random_plant(6, 4, 2, 3)
+    W1, W2 = 2.0 * PI.D[0, 0] * np.eye(3), StateSpaceModel([[-5.0]], [[1.0]], [[5.0]], [[0.5]])
+    design = ncf(G, W1, W2)
+    omega = np.geomspace(0.01, 100, 30)
+    parts = [frequency_response(m, omega) for m in (design.K, design.K_shaped, W2)]
+    np.testing.assert_allclose(parts[0], 2 * parts[1] * parts[2], rtol=1e-9)
+    shaped = frequency_response(design.shaped_plant, omega)
+    np.testing.assert_allclose(shaped, 2 * parts[2] * frequency_response(G, omega), rtol=1e-9)
+    assert design.K.input_names == G.output_names
+    assert design.K.output_names == G.input_names
+    np.testing.assert_allclose(
+        design.closed_loop.poles().real.max(), design.plant.close(design.K).poles().real.max(), rtol=1e-9
+    )
+
+
+def test_non_square_weights():
+    G = random_plant(6, 4, 2, 3)
+    design = ncf(G, np.eye(3)[:, :2], [[1.0, 0.5]])
+    assert design.K_shaped.D.shape == (2, 1)
+    assert design.K.D.shape == (3, 2)
+    assert design.status is Status.CERTIFIED
+
+
+def test_observer_form_is_the_same_controller():
+    design = ncf(random_plant(9, 5, 2, 3), None, StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]]))
+    m, observer = design.shaped_plant, design.observer
+    assert observer is not None
+    K = StateSpaceModel(
+        m.A + m.B @ observer.F + observer.H @ m.C, -observer.H, observer.F, np.zeros((m.n_inputs, m.n_outputs))
+    )
+    omega = np.geomspace(0.01, 100, 40)
+    np.testing.assert_allclose(frequency_response(K, omega), frequency_response(design.K_shaped, omega), rtol=1e-6)
+    assert (np.linalg.eigvals(m.A + observer.H @ m.C).real < 0).all()
+    assert ncf(random_plant(9, 3, 1, 1, direct=1.0)).observer is None
+
+
+def test_plants_nearer_in_the_nu_gap_than_the_margin_are_stabilised():
+    G = random_plant(3, 3, 2, 2)
+    design = ncf(G)
+    rng = np.random.default_rng(0)
+    tried = 0
+    for scale in np.geomspace(0.005, 0.3, 12):
+        other = StateSpaceModel(
+            G.A + scale * rng.standard_normal(G.A.shape), G.B, G.C + scale * rng.standard_normal(G.C.shape), G.D
+        )
+        if nu_gap(G, other).upper < design.margin.lower:
+            tried += 1
+            assert lower_lft(four_block(other), design.K).is_stable()
+    assert tried >= 3
+
+
+def test_static_plant():
+    design = ncf(StateSpaceModel([], [], [], [[3.0]]))
+    assert design.gamma_min == pytest.approx(1.0)
+    assert design.gamma <= 1.1 * 1.001
+
+
+def test_json_and_summary():
+    design = ncf(DISTURBED, PI, factor=1.2)
+    assert dict(design.summary())["smallest gamma possible"].startswith("2.33877")
+    assert design.to_json()["factor"] == 1.2
+
+
+def test_refusals():
+    with pytest.raises(InputError, match="factor"):
+        ncf(DISTURBED, factor=1.0)
+    with pytest.raises(InputError, match="W1: 2 outputs"):
+        ncf(DISTURBED, np.eye(2))
+    with pytest.raises(InputError, match="W2: dt"):
+        ncf(DISTURBED, None, StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+    with pytest.raises(InputError, match="no matrix"):
+        ncf(DISTURBED, [PI])
+    with pytest.raises(InputError, match="synth ncf: G"):
+        ncf(StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0))))
+    # The plant differentiates what the weight integrates.
+    washed = StateSpaceModel([[-1.0]], [[1.0]], [[-1.0]], [[1.0]])
+    with pytest.raises(NoTrustworthyNumber, match="W2 G W1"):
+        ncf(washed, PI)

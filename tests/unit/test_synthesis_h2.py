@@ -1,0 +1,160 @@
+"""H2 synthesis: optimality by perturbing K, discrete time, direct terms, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import h2_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis import generalized_plant, h2
+
+
+def regular_plant(seed=0, n=4, m1=3, m2=2, p1=3, p2=2, dt=0.0, D11=False, D22=False, unstable=True):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    size = np.abs(np.linalg.eigvals(A)).max()
+    A = A / size * (1.2 if unstable else 0.8) if dt else A
+    D = rng.standard_normal((p1 + p2, m1 + m2))
+    D[:p1, :m1] *= bool(D11)
+    D[p1:, m1:] *= 0.3 * bool(D22)
+    return StateSpaceModel(A, rng.standard_normal((n, m1 + m2)), rng.standard_normal((p1 + p2, n)), D, dt)
+
+
+def change_of_norm(P, K, step, rng):
+    """H2 norm of the loop with every entry of K moved at random (in continuous time all but D_K)."""
+    moved = [m + step * rng.standard_normal(m.shape) for m in (K.A, K.B, K.C)]
+    D = K.D + step * rng.standard_normal(K.D.shape) * K.is_discrete
+    return h2_norm(lower_lft(P, StateSpaceModel(*moved, D, K.dt))).value
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("D22", [False, True])
+def test_no_small_change_of_k_is_better(dt, D22):
+    rng = np.random.default_rng(1)
+    P = regular_plant(dt=dt, D11=bool(dt), D22=D22)
+    design = h2(P, 2, 2)
+    assert design.status is Status.CONVERGED
+    assert design.regularisation == 0
+    assert design.gamma == pytest.approx(h2_norm(lower_lft(P, design.K)).value, rel=1e-9)
+    for _ in range(8):
+        state = rng.bit_generator.state
+        up = change_of_norm(P, design.K, 1e-4, rng)
+        rng.bit_generator.state = state
+        down = change_of_norm(P, design.K, -1e-4, rng)
+        assert up >= design.gamma * (1 - 1e-12)
+        assert down >= design.gamma * (1 - 1e-12)
+        slope = abs(up - down) / 2e-4
+        assert slope <= 1e-3 * (up + down - 2 * design.gamma) / 1e-8 * 1e-4 + 1e-5 * design.gamma
+
+
+def test_textbook_scalar_by_hand():
+    """x' = a x + w1 + u, z = (x, u), y = x + w2: X = Y = a + sqrt(1 + a^2), norm^2 = X + F^2 Y with F = -X."""
+    a = 0.5
+    P = StateSpaceModel([[a]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    x = a + np.sqrt(1 + a * a)
+    design = h2(P, 1, 1)
+    assert design.gamma == pytest.approx(np.sqrt(x + x**3), rel=1e-9)
+    np.testing.assert_allclose(design.K.A, [[a - 2 * x]], rtol=1e-9)
+    np.testing.assert_allclose(design.K.B @ design.K.C, [[-x * x]], rtol=1e-9)
+
+
+def test_discrete_optimum_beats_the_sampled_continuous_formulas():
+    """The direct term of K is what a controller that waits one sample gives away."""
+    P = regular_plant(seed=3, dt=0.1)
+    design = h2(P, 2, 2)
+    assert np.abs(design.K.D).max() > 1e-3
+    late = h2(_delayed_measurement(P, 2), 2, 2)
+    assert late.gamma > design.gamma * 1.001
+
+
+def _delayed_measurement(P, n_meas):
+    n, p = P.n_states, P.n_outputs - n_meas
+    A = np.block([[P.A, np.zeros((n, n_meas))], [P.C[p:], np.zeros((n_meas, n_meas))]])
+    B = np.vstack([P.B, P.D[p:]])
+    C = np.block([[P.C[:p], np.zeros((p, n_meas))], [np.zeros((n_meas, n)), np.eye(n_meas)]])
+    D = np.vstack([P.D[:p], np.zeros((n_meas, P.n_inputs))])
+    # A little noise on the late measurement keeps D21 of full rank.
+    noise = np.zeros((P.n_outputs, n_meas))
+    noise[p:] = 1e-6 * np.eye(n_meas)
+    columns = P.n_inputs - n_meas
+    B = np.hstack([B[:, :columns], np.zeros((n + n_meas, n_meas)), B[:, columns:]])
+    D = np.hstack([D[:, :columns], noise, D[:, columns:]])
+    return StateSpaceModel(A, B, C, D, P.dt)
+
+
+def test_a_direct_term_that_k_can_cancel_is_cancelled():
+    rng = np.random.default_rng(7)
+    P = regular_plant(seed=7, m1=2, p1=2)  # D12 and D21 square
+    D = np.array(P.D)
+    D[:2, :2] = rng.standard_normal((2, 2))
+    P = StateSpaceModel(P.A, P.B, P.C, D)
+    design = h2(P, 2, 2)
+    wanted = -np.linalg.solve(D[:2, 2:], D[:2, :2]) @ np.linalg.inv(D[2:, :2])
+    np.testing.assert_allclose(design.K.D, wanted, rtol=1e-9)
+    assert np.isfinite(design.gamma)
+    assert not design.closed_loop.D.any()
+
+
+def test_a_direct_term_that_nothing_cancels_is_named():
+    P = regular_plant(D11=True)  # D12 is 3 x 2
+    with pytest.raises(NoTrustworthyNumber, match="infinite for every controller"):
+        h2(P, 2, 2)
+
+
+def test_singular_plant_reports_what_was_added():
+    """Double integrator with neither control penalty nor measurement noise."""
+    P = generalized_plant(
+        StateSpaceModel([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0]], [[0, 0]], inputs=["w", "u"], outputs=["q"]),
+        ["q"],
+        ["u"],
+    )
+    lines: list[str] = []
+    design = h2(P, progress=lines.append)
+    assert design.status is Status.CONVERGED
+    assert design.regularisation > 0
+    assert design.regularised_norm >= design.gamma
+    assert design.smallest_norm <= design.gamma
+    assert design.regularised_channels == (
+        "control u has no penalty of its own",
+        "measurement q measured has no noise of its own",
+    )
+    assert "regularisation" in dict(design.summary())
+    assert lines[0].startswith("regularisation 1e-01: H2 norm")
+    assert design.to_json()["regularisation"] == design.regularisation
+
+
+def test_softer_controllers_within_the_allowed_ratio():
+    P = StateSpaceModel([[0, 1], [0, -1]], [[0, 0, 0], [1, 0, 1]], [[1, 0], [1, 0]], [[0, 0, 0], [0, 1, 0]])
+    hard, soft = h2(P, 1, 1, gamma_rel=1.0), h2(P, 1, 1, gamma_rel=1.1)
+    assert soft.gamma <= 1.1 * hard.gamma
+    assert soft.fastest_controller_pole < 0.5 * hard.fastest_controller_pole
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_smallest_sizes(n):
+    A = -np.eye(n)
+    P = StateSpaceModel(A, np.ones((n, 3)), np.ones((3, n)), [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    design = h2(P, 1, 1)
+    assert design.K.n_states == n
+    assert design.gamma == pytest.approx(h2_norm(lower_lft(P, design.K)).value, abs=1e-15)
+
+
+def test_refusals():
+    P = regular_plant()
+    with pytest.raises(InputError, match="n_meas"):
+        h2(P, 9, 1)
+    with pytest.raises(InputError, match="gamma_rel"):
+        h2(P, 2, 2, gamma_rel=0.9)
+    with pytest.raises(InputError, match="time_limit"):
+        h2(P, 2, 2, time_limit=0.0)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_a_mode_that_no_controller_moves_is_named(dt):
+    A = np.diag([1.2, 0.3])
+    P = StateSpaceModel(A, [[1.0, 0.0], [0.0, 1.0]], np.ones((2, 2)), [[0, 1], [1, 0]], dt)
+    with pytest.raises(NoTrustworthyNumber, match=r"x1.*cannot be moved by the controls"):
+        h2(P, 1, 1)
