@@ -36,6 +36,7 @@ DESIGNS = (
     (COLOURS["limit"], (0, (1.5, 1))),
     (COLOURS["sample"], "-"),
 )
+CYCLE = ("sample", "nominal", "good", "limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
                 axes.plot(omega, panel.proved, color=COLOURS["limit"], ls=(0, (5, 2)), label=text)
             logarithmic(axes.xaxis)
             logarithmic(axes.yaxis)
-            _span(axes, [*panel.gains.values(), *(c for c in (panel.allowed, panel.proved) if c is not None)])
+            _span(axes, list(panel.gains.values()), 4.0)
             axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
             axes.set_title(axis_label(panel.name, panel.unit))
         axes_list[0].set_ylabel("largest singular value")
@@ -98,7 +99,7 @@ def _span(axes: Axes, curves: Sequence[Array], decades: float = 6.0) -> None:
     top = max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in curves), default=0.0)
     low = min((float(np.min(c[np.isfinite(c) & (c > 0)], initial=np.inf)) for c in curves), default=0.0)
     if top > 0:
-        axes.set_ylim(max(low / 2, top * 10.0**-decades), 2 * top)
+        axes.set_ylim(max(low / 2, top * 10.0**-decades), 5 * top)
 
 
 def loop_figure(
@@ -106,7 +107,7 @@ def loop_figure(
     closed_loop: Array,
     peak: tuple[float, float],
     controller: tuple[Array, Sequence[str]],
-    gamma_label: str = "γ, verified",
+    level: str = "γ, verified",
 ) -> Figure:
     """Singular values of the weighted closed loop with the peak marked, and the controller's gains.
 
@@ -118,6 +119,8 @@ def loop_figure(
         Frequency in rad/s and gamma.
     controller
         Largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
+    level
+        What the marked level is.
     """
     figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
     with house_style():
@@ -127,7 +130,7 @@ def loop_figure(
                 omega, curve, color=COLOURS["nominal" if first else "band"], lw=1.6 if first else 0.8,
                 label="largest" if first else "others" if k == 1 else None, zorder=3 if first else 2,
             )  # fmt: skip
-        loop.axhline(peak[1], color=COLOURS["limit"], ls=(0, (5, 2)), label=f"{gamma_label}: {peak[1]:.4g}")
+        loop.axhline(peak[1], color=COLOURS["limit"], ls=(0, (5, 2)), label=f"{plain_label(level)}: {peak[1]:.4g}")
         if omega[0] <= peak[0] <= omega[-1]:
             loop.plot(peak[0], peak[1], "o", color=COLOURS["worst"], ms=6, label=f"peak, {peak[0]:.4g} rad/s", zorder=4)
         loop.set_title("weighted closed loop")
@@ -172,23 +175,23 @@ def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of r
     return figure
 
 
-def history_figure(values: Sequence[float], proved: Sequence[float | None], orders: Sequence[int]) -> Figure:
-    """A search step by step: mu that it worked with, mu proved on the whole axis, order of the controller."""
-    steps = np.arange(1, len(values) + 1)
-    figure, (level, order) = new_figure(2, 1, width=7.6, height=2.2, sharex=True)
+def history_figure(mu: Sequence[float], proved: Sequence[float], orders: Sequence[int], stages: Sequence[str]) -> Figure:
+    """A search iterate by iterate: mu at single frequencies (NaN: not computed), what was proved, the controller's order."""
+    steps = np.arange(1, len(proved) + 1)
+    figure, (level, order) = new_figure(2, 1, width=8.0, height=2.2, sharex=True)
     with house_style():
-        level.plot(steps, values, "o-", color=COLOURS["nominal"], ms=4, label="of the step")
-        known = [(k, p) for k, p in zip(steps, proved, strict=True) if p is not None]
-        if known:
-            level.plot(*zip(*known, strict=True), "s", color=COLOURS["good"], ms=5, label="proved on the whole axis")
-        best = int(np.argmin([v if p is None else p for v, p in zip(values, proved, strict=True)]))
-        level.plot(steps[best], values[best] if proved[best] is None else proved[best], "o", ms=10, mfc="none",
-                   color=COLOURS["worst"], label="returned")  # fmt: skip
-        level.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1)
-        level.set_ylabel("μ")
+        for stage, colour in zip(dict.fromkeys(stages), (COLOURS[c] for c in CYCLE), strict=False):
+            mine = np.array([s == stage for s in stages])
+            level.plot(steps[mine], np.asarray(proved)[mine], "o", color=colour, ms=5, label=f"{plain_label(stage)}: proved")
+        level.plot(steps, proved, color=COLOURS["sample"], lw=0.8, zorder=1)
+        level.plot(steps, mu, "x", color=COLOURS["reference"], ms=5, label="μ at single frequencies")
+        best = int(np.argmin(proved))
+        level.plot(steps[best], proved[best], "o", ms=11, mfc="none", color=COLOURS["worst"], label="smallest")
+        level.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="1: robust performance")
+        level.set_ylabel("bound of μ")
         level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         order.step(steps, orders, where="mid", color=COLOURS["nominal"])
-        order.set(ylabel="order of K", xlabel="iteration", ylim=(0, 1.15 * max(orders, default=1)))
+        order.set(ylabel="order of K", xlabel="iterate", ylim=(0, 1.15 * max(orders, default=1)))
         order.xaxis.get_major_locator().set_params(integer=True)
     return figure
 

@@ -29,7 +29,9 @@ class LoopCurves:
     closed_loop
         Singular values of the weighted loop, largest first, (n, k).
     peak
-        Frequency in rad/s of the highest point, and gamma.
+        Frequency in rad/s and height of the highest point: gamma, where that bounds the norm of the loop.
+    level
+        What that height is.
     controller
         Norm of the controller's column of each measurement, (n, n_y), in control units per unit of the measurement.
     measurements
@@ -41,6 +43,7 @@ class LoopCurves:
     peak: tuple[float, float]
     controller: Array
     measurements: tuple[str, ...]
+    level: str
 
 
 def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | None = None) -> Array:
@@ -78,10 +81,12 @@ def loop_curves(design: Synthesis) -> LoopCurves:
     """
     omega = frequencies(design.closed_loop, around=getattr(design, "peak_frequency", None))
     sigma = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False)
-    at = getattr(design, "peak_frequency", None)
-    if at is None or not np.isfinite(at):
-        at = omega[int(sigma[:, 0].argmax())] if sigma.size else omega[0]
+    at = float(getattr(design, "peak_frequency", np.nan))
+    peak, level = (at, float(design.gamma)), "γ, verified"
+    if not np.isfinite(at):  # gamma is another norm, or that of another loop
+        highest = int(sigma[:, 0].argmax())
+        peak, level = (float(omega[highest]), float(sigma[highest, 0])), "highest of the curve"
     gains = np.linalg.norm(frequency_response(design.K, omega), axis=1)
     names = tuple(s.name for s in design.plant.measurements)
-    return LoopCurves(omega, sigma, (float(at), float(design.gamma)), gains, names)
+    return LoopCurves(omega, sigma, peak, gains, names, level)
 

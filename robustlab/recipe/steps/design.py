@@ -120,12 +120,9 @@ def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
 
 def _draw_loop(found: Any, work: Workspace) -> None:
     """Singular values of the weighted loop with the peak, and the controller."""
-    from robustlab.report.design_figures import loop_figure
-    from robustlab.synthesis.loop_curves import loop_curves
+    from robustlab.report.design_pictures import loop_picture
 
-    curves = loop_curves(found)
-    figure = loop_figure(curves.omega, curves.closed_loop, curves.peak, (curves.controller, curves.measurements))
-    work.draw(figure, "loop", "The weighted closed loop with its peak, and the controller.")
+    work.draw(loop_picture(found), "loop", "The weighted closed loop with its peak, and the controller.")
 
 
 def _draw_functions(found: Any, of: str, work: Workspace) -> None:

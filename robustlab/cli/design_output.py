@@ -1,0 +1,151 @@
+"""What the ``synth`` commands share: which channels, where the search stands, the result, its file and its figures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import emit, note, table
+from robustlab.errors import InputError, RobustlabError, UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from robustlab.synthesis.design import Synthesis
+    from robustlab.synthesis.partition import GeneralizedPlant
+
+FileArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", show_default=False)]
+NMeasOption = Annotated[int | None, typer.Option("--n-meas", help="Number of measurements (the last outputs).")]
+NConOption = Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")]
+MeasurementsOption = Annotated[str | None, typer.Option("--measurements", help="Measured outputs by name: a,b.")]
+ControlsOption = Annotated[str | None, typer.Option("--controls", help="Control inputs by name: a,b.")]
+GammaRelOption = Annotated[
+    float,
+    typer.Option("--gamma-rel", help="Allowed ratio to the smallest gamma; within it the slowest controller wins."),
+]
+TimeLimitOption = Annotated[float, typer.Option("--time-limit", help="Time limit in s.")]
+FigureOption = Annotated[
+    str | None,
+    typer.Option("--figure", help="Figures to write: NAME and NAME-..., each as SVG and PNG.", show_default=False),
+]
+VerboseOption = Annotated[bool, typer.Option("--verbose", help="A line on stderr for each step of the search.")]
+
+
+def names(text: str) -> list[str]:
+    """``"a, b"`` as ``["a", "b"]``."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def require_channels(
+    command: str, n_meas: int | None, n_con: int | None, measurements: str | None, controls: str | None
+) -> None:
+    """Refuse a call that does not say which channels are measurements and controls, or says so twice."""
+    by_name, by_number = (measurements, controls), (n_meas, n_con)
+    if (None in by_name) == (None in by_number) or any(by_name) == any(n is not None for n in by_number):
+        expected = "either --n-meas and --n-con, or --measurements and --controls"
+        raise UsageError(command, "channels are not given", expected)
+
+
+def load_plant(
+    command: str, file: str, n_meas: int | None, n_con: int | None, measurements: str | None, controls: str | None
+) -> GeneralizedPlant:
+    """The generalised plant of a file, its channels by number or by name."""
+    from robustlab.storage import load
+    from robustlab.synthesis import generalized_plant
+    from robustlab.synthesis.partition import as_generalized_plant
+
+    found = load(file)
+    if measurements is not None and controls is not None:
+        return generalized_plant(found, names(measurements), names(controls))
+    return as_generalized_plant(found, n_meas, n_con, command)
+
+
+def rows_of_blocks(text: str) -> list[list[int]]:
+    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
+    rows: list[list[int]] = []
+    for part in text.split(";"):
+        try:
+            row = [int(number) for number in part.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != 2:
+            expected = 'rows "r,c" separated by ";": -r,0 real repeated r times, r,0 complex repeated, r,c a full block'
+            raise UsageError("--blocks", repr(part.strip()), expected)
+        rows.append(row)
+    return rows
+
+
+def finish(command: str, found: Synthesis, file: str, out: str | None, figure: str | None, as_json: bool) -> None:
+    """Print the design, store the controller, draw, and leave with the exit code of its status."""
+    rows = found.summary()
+    if out is not None:
+        from robustlab.provenance import Provenance, file_sha256
+        from robustlab.storage import save
+
+        save(out, found.controller, Provenance.now(command, {file: file_sha256(file)}))
+        rows.append(("written", out))
+    if figure is not None:
+        draw(found, figure)
+    emit(command, found.to_json(), table(rows), as_json)
+    if not found.status.trustworthy:
+        raise typer.Exit(4)
+
+
+def draw(found: Synthesis, figure: str) -> None:
+    """Write all figures that there are of a design."""
+    from robustlab.report.design_pictures import pictures
+
+    for suffix, make in pictures(found).items():
+        try:
+            drawing = make()
+        except RobustlabError as error:
+            note(f"no figure {suffix or 'of the loop'}: {error}")
+            continue
+        _save(drawing, figure, f"-{suffix}" if suffix else "")
+
+
+def _save(drawing: Figure, path: str, suffix: str) -> None:
+    from pathlib import Path
+
+    from robustlab.report.figures import save_figure
+
+    target = Path(path)
+    if not target.stem:
+        raise InputError("--figure", repr(path), "a name, for example design.svg")
+    for made in save_figure(drawing, target.parent, target.stem + suffix):
+        note(f"written: {made}")
+
+
+def number(where: str, text: str) -> float:
+    """A number, or a usage error."""
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(where, f"{text.strip()!r}", "a number") from None
+
+
+def weight(option: str, text: str | None, make: Any) -> Any:
+    """A number, or the weight that ``key=value,...`` specifies; None where left out."""
+    import inspect
+
+    from robustlab.errors import did_you_mean
+
+    if text is None:
+        return None
+    if "=" not in text:
+        return number(option, text)
+    known = list(inspect.signature(make).parameters)
+    specification: dict[str, float] = {}
+    for part in names(text):
+        key, _, value = part.partition("=")
+        key = key.strip().replace("-", "_")
+        if key not in known:
+            raise UsageError(option, f"unknown word {key!r}", f"one of {', '.join(known)}", did_you_mean(key, known))
+        specification[key] = number(f"{option}: {key}", value)
+    if "order" in specification and specification["order"].is_integer():
+        specification["order"] = int(specification["order"])
+    required = known[0]
+    if required not in specification:
+        raise UsageError(option, f"{required} is missing", f"at least {required}=NUMBER")
+    return make(**specification)
