@@ -3,6 +3,8 @@
 from robustlab.synthesis.controller import Controller as Controller
 from robustlab.synthesis.design import HinfSynthesis as HinfSynthesis
 from robustlab.synthesis.design import Synthesis as Synthesis
+from robustlab.synthesis.dk_design import DKSynthesis as DKSynthesis
+from robustlab.synthesis.dk_iteration import dk as dk
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
@@ -13,11 +15,13 @@ from robustlab.synthesis.weights import performance_weight as performance_weight
 
 __all__ = [
     "Controller",
+    "DKSynthesis",
     "GeneralizedPlant",
     "HinfSynthesis",
     "Synthesis",
     "complementary_weight",
     "control_weight",
+    "dk",
     "hinf",
     "generalized_plant",
     "mixsyn",
