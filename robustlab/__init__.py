@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import Controller as Controller
     from robustlab.synthesis import complementary_weight as complementary_weight
     from robustlab.synthesis import control_weight as control_weight
+    from robustlab.synthesis import dk as dk
     from robustlab.synthesis import generalized_plant as generalized_plant
     from robustlab.synthesis import h2 as h2
     from robustlab.synthesis import hinf as hinf
@@ -132,6 +133,7 @@ _PUBLIC = {
     "loop_functions_of": "synthesis",
     "mixsyn": "synthesis",
     "ncf": "synthesis",
+    "dk": "synthesis",
     "generalized_plant": "synthesis",
     "performance_weight": "synthesis",
     "control_weight": "synthesis",

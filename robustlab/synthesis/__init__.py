@@ -3,6 +3,8 @@
 from robustlab.synthesis.controller import Controller as Controller
 from robustlab.synthesis.design import HinfSynthesis as HinfSynthesis
 from robustlab.synthesis.design import Synthesis as Synthesis
+from robustlab.synthesis.dk_design import DKSynthesis as DKSynthesis
+from robustlab.synthesis.dk_iteration import dk as dk
 from robustlab.synthesis.h2_synthesis import H2Synthesis as H2Synthesis
 from robustlab.synthesis.h2_synthesis import h2 as h2
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
@@ -20,6 +22,7 @@ from robustlab.synthesis.weights import performance_weight as performance_weight
 
 __all__ = [
     "Controller",
+    "DKSynthesis",
     "GeneralizedPlant",
     "H2Synthesis",
     "HinfSynthesis",
@@ -29,6 +32,7 @@ __all__ = [
     "complementary_weight",
     "control_weight",
     "h2",
+    "dk",
     "hinf",
     "loop_functions",
     "loop_functions_of",
