@@ -20,6 +20,9 @@ NMeasOption = Annotated[int | None, typer.Option("--n-meas", help="Number of mea
 NConOption = Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")]
 MeasurementsOption = Annotated[str | None, typer.Option("--measurements", help="Measured outputs by name: a,b.")]
 ControlsOption = Annotated[str | None, typer.Option("--controls", help="Control inputs by name: a,b.")]
+NominalOption = Annotated[
+    bool, typer.Option("--nominal", help="Of an uncertain file: without its perturbation channels, at Delta = 0.")
+]
 GammaRelOption = Annotated[
     float,
     typer.Option("--gamma-rel", help="Allowed ratio to the smallest gamma; within it the slowest controller wins."),
@@ -48,7 +51,13 @@ def require_channels(
 
 
 def load_plant(
-    command: str, file: str, n_meas: int | None, n_con: int | None, measurements: str | None, controls: str | None
+    command: str,
+    file: str,
+    n_meas: int | None,
+    n_con: int | None,
+    measurements: str | None,
+    controls: str | None,
+    nominal: bool = False,
 ) -> GeneralizedPlant:
     """The generalised plant of a file, its channels by number or by name."""
     from robustlab.storage import load
@@ -56,6 +65,10 @@ def load_plant(
     from robustlab.synthesis.partition import as_generalized_plant
 
     found = load(file)
+    if nominal:
+        if not hasattr(found, "nominal"):
+            raise InputError(file, f"a {type(found).__name__}", "an uncertain model, because of --nominal")
+        found = found.nominal
     if measurements is not None and controls is not None:
         return generalized_plant(found, names(measurements), names(controls))
     return as_generalized_plant(found, n_meas, n_con, command)

@@ -15,6 +15,7 @@ from robustlab.cli.design_output import (
     MeasurementsOption,
     NConOption,
     NMeasOption,
+    NominalOption,
     TimeLimitOption,
     VerboseOption,
     finish,
@@ -39,6 +40,7 @@ def hinf(
     n_con: NConOption = None,
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
+    nominal: NominalOption = False,
     gamma_rel: GammaRelOption = 1.05,
     time_limit: TimeLimitOption = 60.0,
     out: OutOption = None,
@@ -55,7 +57,7 @@ def hinf(
     require_channels("synth hinf", n_meas, n_con, measurements, controls)
     from robustlab.synthesis import hinf as design
 
-    plant = load_plant("synth hinf", file, n_meas, n_con, measurements, controls)
+    plant = load_plant("synth hinf", file, n_meas, n_con, measurements, controls, nominal)
     found = design(plant, gamma_rel=gamma_rel, time_limit=time_limit)
     finish("synth hinf", found, file, out, figure, as_json)
 
@@ -67,6 +69,7 @@ def h2(
     n_con: NConOption = None,
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
+    nominal: NominalOption = False,
     time_limit: TimeLimitOption = 60.0,
     out: OutOption = None,
     figure: FigureOption = None,
@@ -82,7 +85,7 @@ def h2(
     require_channels("synth h2", n_meas, n_con, measurements, controls)
     from robustlab.synthesis import h2 as design
 
-    plant = load_plant("synth h2", file, n_meas, n_con, measurements, controls)
+    plant = load_plant("synth h2", file, n_meas, n_con, measurements, controls, nominal)
     with status_line("H2", verbose) as report:
         found = design(plant, time_limit=time_limit, progress=report)
     finish("synth h2", found, file, out, figure, as_json)

@@ -86,7 +86,7 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
                 axes.plot(omega, panel.proved, color=COLOURS["limit"], ls=(0, (5, 2)), label=text)
             logarithmic(axes.xaxis)
             logarithmic(axes.yaxis)
-            _span(axes, list(panel.gains.values()), 4.0)
+            _span(axes, list(panel.gains.values()), 4.0, [b for b in (panel.allowed, panel.proved) if b is not None])
             axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
             axes.set_title(axis_label(panel.name, panel.unit))
         axes_list[0].set_ylabel("largest singular value")
@@ -94,12 +94,20 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
     return figure
 
 
-def _span(axes: Axes, curves: Sequence[Array], decades: float = 6.0) -> None:
-    """Not more than so many decades below the highest point: what is far below says nothing."""
+def _span(axes: Axes, curves: Sequence[Array], decades: float = 6.0, bounds: Sequence[Array] = ()) -> float:
+    """Set the height: not more than so many decades below the highest point, not less than one and a half.
+
+    A bound within two decades above the curves is shown whole. Returns the lower end.
+    """
     top = max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in curves), default=0.0)
     low = min((float(np.min(c[np.isfinite(c) & (c > 0)], initial=np.inf)) for c in curves), default=0.0)
-    if top > 0:
-        axes.set_ylim(max(low / 2, top * 10.0**-decades), 5 * top)
+    if top <= 0:
+        return 0.0
+    low = min(max(low / 2, top * 10.0**-decades), top / 30)
+    nearest = max((float(np.min(b[np.isfinite(b)], initial=np.inf)) for b in bounds), default=0.0)
+    high = max(5 * top, 3 * nearest) if nearest <= 100 * top else 5 * top
+    axes.set_ylim(low, high)
+    return low
 
 
 def loop_figure(
@@ -124,7 +132,8 @@ def loop_figure(
     """
     figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
     with house_style():
-        for k, curve in enumerate(closed_loop.T):
+        low = _span(loop, [closed_loop[:, 0], np.array([peak[1]])], 4.0)
+        for k, curve in enumerate(c for c in closed_loop.T if c.max() > low):
             first = k == 0
             loop.plot(
                 omega, curve, color=COLOURS["nominal" if first else "band"], lw=1.6 if first else 0.8,
@@ -135,7 +144,6 @@ def loop_figure(
             loop.plot(peak[0], peak[1], "o", color=COLOURS["worst"], ms=6, label=f"peak, {peak[0]:.4g} rad/s", zorder=4)
         loop.set_title("weighted closed loop")
         loop.set_ylabel("singular values")
-        _span(loop, [closed_loop[:, 0], np.array([peak[1]])], 4.0)
         values, names = controller
         _designs(gains, omega, dict(zip(names, values.T, strict=True)))
         gains.set_title("controller, gain from each measurement")
