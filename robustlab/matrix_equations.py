@@ -14,6 +14,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 
 __all__ = ["RiccatiSolution", "care", "dare", "lyapunov"]
+__all__ = ["RiccatiSolution", "care", "lyapunov", "lyapunov_factor"]
 
 Array = NDArray[Any]
 
@@ -217,6 +218,17 @@ def dare(
     ----------
     A, B, Q, R, S
         Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
+def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> Array:
+    r"""Triangular factor L, shape (n, n), of a controllability Gramian: the Gramian itself is never formed.
+
+    .. math:: A X + X A^T + B B^T = 0, \qquad X = L L^T
+
+    Eigenvalues of X down to ``eps^2`` of the largest keep their sign, which an eigenvalue decomposition of X loses.
+
+    Parameters
+    ----------
+    A, B
+        Shapes (n, n), (n, m); A is stable (continuous time).
     tolerance
         Largest relative residual that is accepted.
 
@@ -268,3 +280,53 @@ def dare(
     if residual > tolerance:
         raise NoTrustworthyNumber("dare", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return RiccatiSolution(X, gain, residual)
+        Shapes that do not fit, NaN or Inf.
+    NoTrustworthyNumber
+        A is not stable, or the residual is too large.
+
+    References
+    ----------
+    Hammarling, "Numerical solution of the stable, non-negative definite Lyapunov equation", IMA J. Numer. Anal. 2
+    (1982), sections 3, 5.
+
+    Examples
+    --------
+    >>> float(lyapunov_factor([[-0.5]], [[2.0]])[0, 0])
+    2.0
+    """
+    from scipy.linalg import schur, solve_triangular
+
+    a, b = real_array("A", A, 2, "lyapunov_factor"), real_array("B", B, 2, "lyapunov_factor")
+    n = a.shape[0]
+    for name, matrix, shape in (("A", a, (n, n)), ("B", b, (n, b.shape[1]))):
+        if matrix.shape != shape:
+            raise InputError("lyapunov_factor", f"{name} is {matrix.shape}", f"{shape}")
+    if n == 0 or not b.any():
+        return np.zeros((n, n))
+    s, q = schur(a, output="complex")
+    poles = np.diag(s)
+    if poles.real.max() >= 0:
+        raise NoTrustworthyNumber("lyapunov_factor", f"A has the eigenvalue {poles[poles.real.argmax()]:.6g}", "a stable A")
+    rest, u = (q.conj().T @ b).astype(complex), np.zeros((n, n), complex)
+    # Last row of U first; what is left of the right-hand side is again of the form B B^H.
+    for k in range(n - 1, -1, -1):
+        size = np.linalg.norm(rest[k])
+        if size == 0:
+            continue
+        decay, direction = np.sqrt(-2 * poles[k].real), rest[k].conj() / size
+        u[k, k] = size / decay
+        if k:
+            shifted = s[:k, :k] + poles[k].conj() * np.eye(k)
+            u[:k, k] = solve_triangular(shifted, -(decay * (rest[:k] @ direction) + s[:k, k] * u[k, k]))
+            rest[:k] -= decay * np.outer(u[:k, k], direction.conj())
+    factor = q @ u
+    if not np.isfinite(factor).all():
+        raise NoTrustworthyNumber("lyapunov_factor", "the factor is not finite")
+    # X is real, so its real and imaginary factors side by side are a real factor of it.
+    L = np.linalg.qr(np.hstack([factor.real, factor.imag]).T, mode="r").T
+    X = L @ L.T
+    size = 2 * np.linalg.norm(a @ X) + np.linalg.norm(b @ b.T)
+    residual = float(np.linalg.norm(a @ X + X @ a.T + b @ b.T) / size)
+    if residual > tolerance:
+        raise NoTrustworthyNumber("lyapunov_factor", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+    return L

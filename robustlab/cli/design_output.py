@@ -63,10 +63,11 @@ def load_plant(
     from robustlab.storage import load
     from robustlab.synthesis import generalized_plant
     from robustlab.synthesis.partition import as_generalized_plant
+    from robustlab.uncertainty.lft import UncertainModel
 
-    found = load(file)
+    found: Any = load(file)
     if nominal:
-        if not hasattr(found, "nominal"):
+        if not isinstance(found, UncertainModel):
             raise InputError(file, f"a {type(found).__name__}", "an uncertain model, because of --nominal")
         found = found.nominal
     if measurements is not None and controls is not None:

@@ -4,8 +4,8 @@ r"""A linear plant under feedback, as a plant of its own: it takes effects, othe
     E(p) \dot x = F(p) x + G(p) u, \qquad \dot x_k = A_k x_k + B_k v, \qquad u = C_k x_k + D_k v, \qquad
     v = \begin{bmatrix} r \\ y_m \end{bmatrix}
 
-The physical parameters stay where they are in the equations, so that dry friction and the like are attached in their own
-units (`robustlab.with_effects`), and a member of the uncertain set is simulated with ``with_parameters``.
+The physical parameters stay where they are in the equations, so that dry friction and the like are attached in their
+own units (`robustlab.with_effects`), and a member of the uncertain set is simulated with ``with_parameters``.
 """
 
 from __future__ import annotations

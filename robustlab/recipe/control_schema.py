@@ -16,14 +16,19 @@ from robustlab.recipe.vocabulary import (
     RefersTo,
     StepBase,
     ToController,
+    ToModel,
     ToPlant,
 )
 
 __all__ = [
     "CascadeStep",
     "DesignStep",
+    "DkStep",
     "FollowTrajectoryStep",
+    "H2Step",
     "HinfStep",
+    "NcfStep",
+    "ReduceControllerStep",
     "RobustPerformanceStep",
     "SimulateControlStep",
     "ToDesignable",
@@ -52,7 +57,9 @@ class TrackingProblemStep(StepBase):
     of: Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
     controlled: Names
     measured: Names
-    W1: Positive | ErrorWeight | PerformanceWeight | None = Field(None, description="On the error, as a share of the reference.")
+    W1: Positive | ErrorWeight | PerformanceWeight | None = Field(
+        None, description="On the error, as a share of the reference."
+    )
     W2: Positive | ControlWeight | None = Field(None, description="On the control, in its own unit.")
     W3: Positive | ComplementaryWeight | None = Field(None, description="On the output, as a share of the reference.")
     reference: Sizes = Field(1.0, description="Size of the references in the outputs' units.")
@@ -104,6 +111,44 @@ class HinfStep(DesignStep):
     )
 
 
+class H2Step(DesignStep):
+    """H2 (LQG) controller of a generalised plant; of a tracking problem, of the nominal one."""
+
+    do: Literal["h2"]
+
+
+class DkStep(DesignStep):
+    """Robust controller by D-K iteration and direct minimisation; gamma bounds mu at all frequencies."""
+
+    do: Literal["dk"]
+    start: ToController | None = Field(None, description="Stabilising controller to start from.")
+    direct: bool = Field(True, description="Go on with direct minimisation.")
+    mixed: bool = Field(True, description="Use that real blocks are real.")
+    max_order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="Largest order of the controller.")
+    time_limit: TimeLimit = Field(120.0, description="s")
+
+
+class NcfStep(StepBase):
+    """Loop shaping with normalised coprime factors (u = K y, positive feedback); gamma_min is exact."""
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["ncf"]
+    of: ToModel
+    W1: Positive | None = Field(None, description="Gain before the plant.")
+    W2: Positive | None = Field(None, description="Gain behind the plant.")
+    factor: Annotated[float, Field(gt=1, le=100)] = 1.1
+
+
+class ReduceControllerStep(DesignStep):
+    """The controller of lowest order whose verified loop is at most a stated share worse than the full one's."""
+
+    do: Literal["reduce-controller"]
+    controller: ToController
+    loss: Annotated[float, Field(ge=0, le=10)] = 0.01
+    order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="The order wanted, whatever the loss.")
+    measure: Literal["hinf", "h2", "mu"] = Field("hinf", description="mu: robust performance, with the plant's Delta.")
+
+
 class RobustPerformanceStep(StepBase):
     """Robust performance of one problem under several controllers: certified mu, worst-case gain, order."""
 
@@ -131,11 +176,11 @@ class SimulateControlStep(StepBase):
     after: Annotated[float, Field(ge=0)] = Field(0.0, description="s from which on the error counts.")
     points: Annotated[int, Field(ge=2, le=100_000)] = 2001
     step: Positive = Field(1e-4, description="s between samples of the reference; it is held between them.")
-    effects: dict[str, dict[str, float]] = Field({}, description='For example "coulomb-friction@omega" = { Fc = 3e-3 }.')
+    effects: dict[str, dict[str, float]] = Field({}, description='As "coulomb-friction@omega" = { Fc = 3e-3 }.')
     members: list[dict[str, float]] = Field([], description="Parameters of further members of the set to simulate.")
     scale: Positive = Field(1.0, description="Factor from the controlled output to `unit`.")
     unit: str = ""
-    limits: dict[str, Positive] = Field({}, description="Largest magnitude of outputs or inputs; compared, not clipped.")
+    limits: dict[str, Positive] = Field({}, description="Largest magnitude of a signal; compared, not clipped.")
 
 
 class FollowTrajectoryStep(StepBase):

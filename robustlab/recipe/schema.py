@@ -13,8 +13,12 @@ from pydantic_core import PydanticCustomError
 
 from robustlab.recipe.control_schema import (
     CascadeStep,
+    DkStep,
     FollowTrajectoryStep,
+    H2Step,
     HinfStep,
+    NcfStep,
+    ReduceControllerStep,
     RobustPerformanceStep,
     SimulateControlStep,
     TrackingProblemStep,
@@ -448,6 +452,10 @@ Step = Annotated[
     | MixsynStep
     | HinfStep
     | CloseLoopStep
+    | H2Step
+    | NcfStep
+    | DkStep
+    | ReduceControllerStep
     | TrackingProblemStep
     | CascadeStep
     | RobustPerformanceStep

@@ -1,4 +1,4 @@
-"""Figures of designs: the weighted loop with its peak, S, T and K S against their bounds, controllers, mu, simulations."""
+"""Figures of designs: the weighted loop with its peak, S, T and K S with their bounds, controllers, mu, simulations."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
@@ -80,7 +81,8 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
         for axes, panel in zip(axes_list, panels, strict=True):
             _designs(axes, omega, panel.gains)
             if panel.allowed is not None:
-                axes.plot(omega, panel.allowed, color=COLOURS["sample"], lw=2.6, label="1 / |W|, what is asked for", zorder=1)
+                text = "1 / |W|, what is asked for"
+                axes.plot(omega, panel.allowed, color=COLOURS["sample"], lw=2.6, label=text, zorder=1)
             if panel.proved is not None:
                 text = "γ / |W|, proved" if gamma is None else f"γ / |W|, proved, γ = {gamma:.4g}"
                 axes.plot(omega, panel.proved, color=COLOURS["limit"], ls=(0, (5, 2)), label=text)
@@ -183,14 +185,17 @@ def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of r
     return figure
 
 
-def history_figure(mu: Sequence[float], proved: Sequence[float], orders: Sequence[int], stages: Sequence[str]) -> Figure:
-    """A search iterate by iterate: mu at single frequencies (NaN: not computed), what was proved, the controller's order."""
+def history_figure(
+    mu: Sequence[float], proved: Sequence[float], orders: Sequence[int], stages: Sequence[str]
+) -> Figure:
+    """A search iterate by iterate: mu at single frequencies (NaN: not computed), what was proved, order of K."""
     steps = np.arange(1, len(proved) + 1)
     figure, (level, order) = new_figure(2, 1, width=8.0, height=2.2, sharex=True)
     with house_style():
         for stage, colour in zip(dict.fromkeys(stages), (COLOURS[c] for c in CYCLE), strict=False):
             mine = np.array([s == stage for s in stages])
-            level.plot(steps[mine], np.asarray(proved)[mine], "o", color=colour, ms=5, label=f"{plain_label(stage)}: proved")
+            text = f"{plain_label(stage)}: proved"
+            level.plot(steps[mine], np.asarray(proved)[mine], "o", color=colour, ms=5, label=text)
         level.plot(steps, proved, color=COLOURS["sample"], lw=0.8, zorder=1)
         level.plot(steps, mu, "x", color=COLOURS["reference"], ms=5, label="μ at single frequencies")
         best = int(np.argmin(proved))
@@ -200,7 +205,7 @@ def history_figure(mu: Sequence[float], proved: Sequence[float], orders: Sequenc
         level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         order.step(steps, orders, where="mid", color=COLOURS["nominal"])
         order.set(ylabel="order of K", xlabel="iterate", ylim=(0, 1.15 * max(orders, default=1)))
-        order.xaxis.get_major_locator().set_params(integer=True)
+        order.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
 

@@ -62,7 +62,7 @@ def functions_picture(design: Synthesis) -> Figure:
 
 
 def mu_picture(design: Any) -> Figure:
-    """mu of a D-K design over frequency, proved on the whole axis once more from its closed loop alone."""
+    """Bounds of mu of a D-K design over frequency, proved on the whole axis once more from its closed loop alone."""
     from robustlab.mu_analysis import robust_performance
     from robustlab.report.mu_figures import mu_figure
     from robustlab.synthesis.loop_curves import frequencies
@@ -76,4 +76,5 @@ def mu_picture(design: Any) -> Figure:
 def history_picture(design: Any) -> Figure:
     """The search of a D-K design: levels and orders of all iterates."""
     steps = design.history
-    return history_figure([s.mu for s in steps], [s.gamma for s in steps], [s.order for s in steps], [s.stage for s in steps])
+    mu, proved = [s.mu for s in steps], [s.gamma for s in steps]
+    return history_figure(mu, proved, [s.order for s in steps], [s.stage for s in steps])

@@ -80,7 +80,7 @@ def loop_curves(design: Synthesis) -> LoopCurves:
     True
     """
     omega = frequencies(design.closed_loop, around=getattr(design, "peak_frequency", None))
-    sigma = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False)
+    sigma = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False).astype(np.float64)
     at = float(getattr(design, "peak_frequency", np.nan))
     peak, level = (at, float(design.gamma)), "γ, verified"
     if not np.isfinite(at):  # gamma is another norm, or that of another loop
@@ -89,4 +89,3 @@ def loop_curves(design: Synthesis) -> LoopCurves:
     gains = np.linalg.norm(frequency_response(design.K, omega), axis=1)
     names = tuple(s.name for s in design.plant.measurements)
     return LoopCurves(omega, sigma, peak, gains, names, level)
-

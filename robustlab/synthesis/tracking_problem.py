@@ -18,6 +18,7 @@ Skogestad, Postlethwaite 2005, section 9.3 (signal-based H-infinity control); BÅ
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -184,7 +185,7 @@ def tracking_problem(
     ('u', ['q_ref', 'q'])
     """
     base = G if isinstance(G, UncertainModel) else UncertainModel(as_model(G, "tracking problem: G"), [])
-    c, m = (_positions(names, base.outputs, what) for names, what in ((controlled, "controlled"), (measured, "measured")))
+    c, m = _positions(controlled, base.outputs, "controlled"), _positions(measured, base.outputs, "measured")
     follow, seen = tuple(base.outputs[i] for i in c), tuple(base.outputs[i] for i in m)
     weights = {
         name: _weight(w, f"tracking problem: {name}", base.dt)
@@ -234,7 +235,7 @@ def _signals(
     pick = np.zeros((p + n_r + n_u + n_r + n_r + len(m), M.n_outputs))
     direct = np.zeros((len(pick), into.shape[1]))
     edges = np.cumsum([0, p, n_r, n_u, n_r, n_r, len(m)])
-    z, e, u, out, r, y = (slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+    z, e, u, out, r, y = (slice(a, b) for a, b in itertools.pairwise(edges))
     pick[z, :p] = np.eye(p)
     pick[e, rows_c], direct[e, q : q + n_r] = -relative, np.eye(n_r)
     direct[u, -n_u:] = np.eye(n_u)

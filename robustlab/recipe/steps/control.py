@@ -23,8 +23,8 @@ __all__ = ["cascade", "follow_trajectory", "robust_performance", "simulate_contr
 
 def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
     """A weighted tracking problem, and what its weights allow."""
-    from robustlab.synthesis.weights import complementary_weight, control_weight, error_weight, performance_weight
     from robustlab.synthesis.tracking_problem import tracking_problem as pose
+    from robustlab.synthesis.weights import complementary_weight, control_weight, error_weight, performance_weight
 
     given = work.values[step.of]
     G = given.uncertain() if hasattr(given, "uncertain") and hasattr(given, "with_parameters") else given
@@ -68,9 +68,11 @@ def cascade(step: CascadeStep, work: Workspace) -> Outcome:
         K = two_layer(plant, step.p_up, step.p_low).upper_layer()
         what = "upper layer of the thesis, angles and rates to torques"
     else:
-        K, what = actuator_cascade(plant, step.p_up, step.p_low), "two layers of the thesis, angle, speed and current to volts"
+        K = actuator_cascade(plant, step.p_up, step.p_low)
+        what = "two layers of the thesis, angle, speed and current to volts"
     numbers = {"order": K.n_states, "p_up": step.p_up, "p_low": step.p_low}
-    facts = (Fact("Order", str(K.n_states)), Fact("Poles of the layers", f"{step.p_up:g} and {step.p_low:g} 1/s, triple"))
+    poles = f"{step.p_up:g} and {step.p_low:g} 1/s, triple"
+    facts = (Fact("Order", str(K.n_states)), Fact("Poles of the layers", poles))
     return Outcome(Controller(K, method="cascade"), f"{what[:1].upper()}{what[1:]}.", numbers, facts)
 
 
@@ -100,12 +102,10 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
             statuses.append(worst.status)
         rows[name] = row
         work.keep(margin, name)
-    work.draw(
-        mu_comparison_figure(margins),
-        "mu",
-        "μ of robust performance over frequency; thin lines: proved for every frequency. Below 1 every member keeps the "
-        "requirement.",
+    caption = (
+        "μ of robust performance; thin lines: proved at all frequencies. Below 1 every member meets the requirement."
     )
+    work.draw(mu_comparison_figure(margins), "mu", caption)
     header = ["controller", "order", "nominal gain", "μ, attained .. proved"] + ["worst-case gain"] * step.gain
     table = [
         [name, str(row["order"]), f"{row['nominal_gain']:.4g}", f"{row['mu_lower']:.4g} .. {row['mu_upper']:.4g}"]
@@ -233,14 +233,17 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
     ]
     caption = "The nonlinear machine on the path of section 9.1.3: a lift of 5 mm, then sines of 5 mm and 20 mrad."
     work.draw(runs_figure(t, panels), "runs", caption)
-    header = ["upper layer", "order", "position [mm]", "orientation [mrad]", "torque [mN m]", "voltage [V]", "in limits"]
+    header = ["upper layer", "order", "position [mm]", "angle [mrad]", "torque [mN m]", "voltage [V]", "in limits"]
+    columns = (("position_error", 1e3), ("orientation_error", 1e3), ("largest_torque", 1e3), ("largest_voltage", 1.0))
     table = [
         [
-            name, str(row["order"]), f"{1e3 * row['position_error']:.4g}", f"{1e3 * row['orientation_error']:.4g}",
-            f"{1e3 * row['largest_torque']:.4g}", f"{row['largest_voltage']:.4g}", "yes" if row["within_limits"] else "no",
+            name,
+            str(row["order"]),
+            *(f"{factor * row[key]:.4g}" for key, factor in columns),
+            "yes" if row["within_limits"] else "no",
         ]
         for name, row in rows.items()
-    ]  # fmt: skip
+    ]
     pose = "home" if step.at is None else ", ".join(f"{v:g}" for v in step.at)
     facts = (
         Fact("Path begins at", pose),
@@ -252,7 +255,7 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
     return Outcome(None, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
 
 
-# --- what the steps share ----------------------------------------------------------------------------------------------
+# --- what the steps share ---------------------------------------------------------------------------------------------
 
 
 def text_table(header: list[str], rows: list[list[str]]) -> str:

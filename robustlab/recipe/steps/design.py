@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from robustlab.errors import InputError
+from robustlab.recipe.control_schema import DesignStep, DkStep, H2Step, HinfStep, NcfStep, ReduceControllerStep
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.control_schema import DesignStep, HinfStep
 from robustlab.recipe.schema import CloseLoopStep, MixsynStep
 
-__all__ = ["close_loop", "hinf", "mixsyn", "tracking_loop"]
+__all__ = ["close_loop", "dk", "h2", "hinf", "mixsyn", "ncf", "reduce_controller", "tracking_loop"]
 
 
 def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
@@ -34,6 +34,55 @@ def hinf(step: HinfStep, work: Workspace) -> Outcome:
     _draw_loop(found, work)
     _draw_functions(found, step.of, work)
     return _designed(found, f"H-infinity controller for {step.of}.", work)
+
+
+def h2(step: H2Step, work: Workspace) -> Outcome:
+    """An H2 controller of the nominal plant, verified in the loop rebuilt from it."""
+    import robustlab as rl
+
+    P, *channels = generalised(step, work, nominal=True)
+    found = rl.h2(P, *channels, time_limit=step.time_limit)
+    _draw_loop(found, work)
+    _draw_functions(found, step.of, work)
+    return _designed(found, f"H2 controller for {step.of}.", work)
+
+
+def ncf(step: NcfStep, work: Workspace) -> Outcome:
+    """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
+    import robustlab as rl
+    from robustlab.report.design_pictures import functions_picture
+
+    found = rl.ncf(work.values[step.of], step.W1, step.W2, factor=step.factor)
+    _draw_loop(found, work)
+    work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
+    return _designed(found, f"Loop-shaping controller for {step.of}.", work)
+
+
+def dk(step: DkStep, work: Workspace) -> Outcome:
+    """A robust controller; mu proved at all frequencies."""
+    import robustlab as rl
+    from robustlab.report.design_pictures import history_picture
+
+    P, *channels = generalised(step, work)
+    start = None if step.start is None else work.values[step.start]
+    options = {"direct": step.direct, "mixed": step.mixed, "max_order": step.max_order, "time_limit": step.time_limit}
+    found = rl.dk(P, None, *channels, K0=start, **options)
+    _draw_loop(found, work)
+    work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
+    _draw_functions(found, step.of, work, proved=False)
+    return _designed(found, f"Robust controller for {step.of}.", work)
+
+
+def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
+    """A controller of lower order whose loop was verified anew."""
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.controller_reduction import reduce_controller as reduce
+
+    P, n_meas, n_con = generalised(step, work, nominal=step.measure != "mu")
+    K = as_model(work.values[step.controller], step.controller)
+    options = {"loss": step.loss, "order": step.order, "measure": step.measure, "time_limit": step.time_limit}
+    found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
+    return _designed(found, f"{step.controller} with fewer states.", work)
 
 
 def generalised(step: DesignStep, work: Workspace, nominal: bool = False) -> tuple[Any, int | None, int | None]:
@@ -125,8 +174,8 @@ def _draw_loop(found: Any, work: Workspace) -> None:
     work.draw(loop_picture(found), "loop", "The weighted closed loop with its peak, and the controller.")
 
 
-def _draw_functions(found: Any, of: str, work: Workspace) -> None:
-    """S, K S and T of a tracking problem against what the weights ask for and what gamma proves."""
+def _draw_functions(found: Any, of: str, work: Workspace, proved: bool = True) -> None:
+    """S, K S and T of a tracking problem against what the weights ask for and, if wanted, what gamma proves."""
     from robustlab.report.design_figures import functions_figure
     from robustlab.report.function_panels import tracking_panels
     from robustlab.synthesis.loop_curves import frequencies
@@ -136,8 +185,9 @@ def _draw_functions(found: Any, of: str, work: Workspace) -> None:
     if not isinstance(problem, TrackingProblem):
         return
     omega = frequencies(found.closed_loop)
-    panels = tracking_panels(problem, {found.method: found.K}, omega, found.gamma)
-    work.draw(functions_figure(omega, panels, found.gamma), "functions", "The nominal loop against its weights.")
+    gamma = found.gamma if proved else None
+    panels = tracking_panels(problem, {found.method: found.K}, omega, gamma)
+    work.draw(functions_figure(omega, panels, gamma), "functions", "The nominal loop against its weights.")
 
 
 def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:

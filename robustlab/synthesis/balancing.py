@@ -1,0 +1,171 @@
+r"""Square-root balancing: Hankel values, truncation and residualisation of a model from factors of two Gramians.
+
+.. math:: P = L_c L_c^T, \quad Q = L_o L_o^T, \quad L_o^T L_c = U \Sigma V^T, \quad
+   T = L_c V \Sigma^{-1/2}, \quad T^{-1} = \Sigma^{-1/2} U^T L_o^T
+
+Any two positive semidefinite matrices may stand in for the Gramians: those of a weighted model, or of a closed loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.matrix_equations import lyapunov_factor
+from robustlab.norms import bilinear_to_continuous
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["Balancing", "Projection", "SplitModel", "gramian_factors", "split_stable"]
+
+Array = NDArray[Any]
+Projection = Literal["truncation", "residualisation"]
+
+# Hankel values below this share of the largest are rounding: their states cannot be balanced, and are truncated.
+NEGLIGIBLE = 1e-14
+# A pole counts as stable from this share of its modulus on (of 1 for a discrete one); others are kept apart.
+STABLE_MARGIN = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class SplitModel:
+    """A model as the sum of a stable part, which can be balanced, and the rest, which is kept; D is in the former."""
+
+    stable: StateSpaceModel
+    apart: StateSpaceModel
+
+    def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
+        """The sum, with a reduced stable part; states of that first."""
+        n, k = reduced.n_states, self.apart.n_states
+        a = np.block([[reduced.A, np.zeros((n, k))], [np.zeros((k, n)), self.apart.A]])
+        return StateSpaceModel(
+            a, np.vstack([reduced.B, self.apart.B]), np.hstack([reduced.C, self.apart.C]), reduced.D + self.apart.D,
+            self.stable.dt, self.stable.inputs, self.stable.outputs,
+        )  # fmt: skip
+
+
+def split_stable(model: StateSpaceModel) -> SplitModel:
+    r"""Stable and other modes as a parallel connection: ordered real Schur form, then a Sylvester equation.
+
+    .. math:: A = Q \begin{bmatrix} A_{11} & A_{12} \\ 0 & A_{22} \end{bmatrix} Q^T, \qquad
+       A_{11} X - X A_{22} + A_{12} = 0
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The two parts cannot be told apart: poles on either side of the boundary are too close.
+
+    References
+    ----------
+    Safonov, Jonckheere, Verma, Limebeer, "Synthesis of positive real multivariable feedback systems" (1987).
+    """
+    from scipy.linalg import LinAlgError, schur, solve_sylvester
+
+    n, dt = model.n_states, model.dt
+    if n == 0 or _is_stable(model.poles(), dt).all():
+        nothing = StateSpaceModel(
+            np.zeros((0, 0)), np.zeros((0, model.n_inputs)), np.zeros((model.n_outputs, 0)), 0 * model.D, dt
+        )
+        return SplitModel(model, nothing)
+    scale = _balancing(model.A)
+    a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
+    try:
+        t, q, k = schur(a, output="real", sort=lambda x, y: bool(_is_stable(np.array([complex(x, y)]), dt)[0]))
+        x = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
+    except LinAlgError:
+        raise NoTrustworthyNumber("stable part", "its poles cannot be told from the others") from None
+    residual = np.linalg.norm(t[:k, :k] @ x - x @ t[k:, k:] + t[:k, k:])
+    if not np.isfinite(x).all() or residual > 1e-8 * (1 + np.linalg.norm(x)) * np.linalg.norm(t):
+        raise NoTrustworthyNumber("stable part", f"its poles cannot be told from the others (residual {residual:.1e})")
+    b, c = q.T @ b, c @ q
+    top, right = b[:k] - x @ b[k:], c[:, :k] @ x + c[:, k:]
+    stable = StateSpaceModel(t[:k, :k], top, c[:, :k], model.D, dt, model.inputs, model.outputs)
+    return SplitModel(stable, StateSpaceModel(t[k:, k:], b[k:], right, 0 * model.D, dt, model.inputs, model.outputs))
+
+
+def gramian_factors(model: StateSpaceModel) -> tuple[Array, Array]:
+    """Factors ``(L_c, L_o)`` of the Gramians of a stable model, each (n, n); a discrete one through the bilinear map.
+
+    The map with the scaling of `robustlab.norms.bilinear_to_continuous` leaves both Gramians as they are.
+    """
+    m = bilinear_to_continuous(model) if model.is_discrete else model
+    scale = _balancing(m.A)
+    a = m.A / scale[:, None] * scale
+    reach = lyapunov_factor(a, m.B / scale[:, None])
+    see = lyapunov_factor(a.T, (m.C * scale).T)
+    return scale[:, None] * reach, see / scale[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Balancing:
+    """Balancing transformation of a pair of Gramian factors.
+
+    Attributes
+    ----------
+    values
+        Hankel values (singular values of ``L_o^T L_c``), shape (n,), in decreasing order.
+    right, left
+        T and its left inverse for the states that are not negligible, shapes (n, m) and (m, n).
+    """
+
+    values: Array
+    right: Array
+    left: Array
+
+    @classmethod
+    def of(cls, reach: Array, see: Array) -> Balancing:
+        """From ``L_c`` and ``L_o``, each with n rows."""
+        u, values, vt = np.linalg.svd(see.T @ reach)
+        values = values[: len(reach)]
+        m = int((values > NEGLIGIBLE * values.max(initial=0.0)).sum())
+        root = np.sqrt(values[:m])
+        return cls(values, reach @ vt[:m].T / root, (see @ u[:, :m] / root).T)
+
+    def reduced(self, model: StateSpaceModel, order: int, projection: Projection) -> StateSpaceModel:
+        """The model of this order, at most as many states as are not negligible.
+
+        Residualisation sets the derivatives of the other states to zero (discrete: their change), and so keeps the
+        gain at zero frequency exactly.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            The states to be residualised have no equilibrium of their own.
+        """
+        if projection == "truncation" or not len(self.left):
+            t, l = self.right[:, :order], self.left[:order]
+            return _model(model, l @ model.A @ t, l @ model.B, model.C @ t, model.D)
+        a, b, c = self.left @ model.A @ self.right, self.left @ model.B, model.C @ self.right
+        r = min(order, len(a))
+        rest = (np.eye(len(a) - r) if model.is_discrete else 0.0) - a[r:, r:]
+        try:
+            solved = np.linalg.solve(rest, np.hstack([a[r:, :r], b[r:]]))
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber("residualisation", "the states left out have no equilibrium") from None
+        state, gain = solved[:, :r], solved[:, r:]
+        return _model(
+            model, a[:r, :r] + a[:r, r:] @ state, b[:r] + a[:r, r:] @ gain, c[:, :r] + c[:, r:] @ state,
+            model.D + c[:, r:] @ gain,
+        )  # fmt: skip
+
+
+def _model(like: StateSpaceModel, a: Array, b: Array, c: Array, d: Array) -> StateSpaceModel:
+    return StateSpaceModel(a, b, c, d, like.dt, like.inputs, like.outputs, where="reduced model")
+
+
+def _is_stable(poles: Array, dt: float) -> Array:
+    if dt:
+        return np.abs(poles) < 1 - STABLE_MARGIN
+    return poles.real < -STABLE_MARGIN * np.abs(poles)
+
+
+def _balancing(a: Array) -> Array:
+    from scipy.linalg import matrix_balance
+
+    if not a.size:
+        return np.ones(len(a))
+    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
+        return np.asarray(matrix_balance(a, permute=False, separate=True)[1][0])

@@ -1,0 +1,352 @@
+"""Reduction of controllers to the lowest order whose closed loop, rebuilt and verified again, loses no more than said."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.synthesis.controller_candidates import CandidateFamily, candidate_families
+from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.performance_measure import (
+    Evidence,
+    MeasureName,
+    Performance,
+    PerformanceMeasure,
+    make_measure,
+)
+from robustlab.uncertainty.blocks import Block
+
+__all__ = ["OrderTried", "ReducedController", "reduce_controller"]
+
+WHERE = "reduce_controller"
+# The loss is not monotone in the order: the search goes on for so many orders after the first that loses too much.
+PATIENCE = 3
+
+
+@dataclass(frozen=True)
+class OrderTried:
+    """The best controller that was found of one order.
+
+    Attributes
+    ----------
+    order
+        Its number of states.
+    method
+        What made it; empty where none of this order left the loop stable.
+    value
+        Verified upper bound of the measure; inf where the loop is not stable.
+    loss
+        ``value / value of the full controller - 1``.
+    status
+        How much ``value`` can be trusted.
+    """
+
+    order: int
+    method: str
+    value: float
+    loss: float
+    status: Status
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return vars(self).copy()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReducedController(Synthesis):
+    """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified.
+
+    Attributes
+    ----------
+    original
+        The controller that was reduced.
+    original_gamma
+        The measure of its loop, verified in the same way.
+    measure
+        What was measured, in words.
+    allowed_loss
+        The loss that was allowed.
+    orders
+        What each order costs, the highest first: the evidence for the order chosen.
+    evidence
+        What proves ``gamma``: a norm's bracket, or the margin with its scalings.
+    """
+
+    original: StateSpaceModel
+    original_gamma: float
+    measure: str
+    allowed_loss: float
+    orders: tuple[OrderTried, ...]
+    evidence: Evidence
+
+    @property
+    def loss(self) -> float:
+        """``gamma / original_gamma - 1``."""
+        return _loss(self.gamma, self.original_gamma)
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        tried = [(o.order, "not stable" if np.isinf(o.value) else f"{100 * o.loss:+.2g} %") for o in self.orders]
+        return [
+            ("measure", self.measure),
+            ("order", f"{self.original.n_states} -> {self.K.n_states} states"),
+            ("loss", f"{100 * self.loss:.3g} % of {self.original_gamma:.6g} (allowed: {100 * self.allowed_loss:g} %)"),
+            *rows,
+            ("loss by order", ", ".join(f"{order}: {text}" for order, text in tried)),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant, with arrays."""
+        return super().to_json() | {
+            "measure": self.measure,
+            "original_order": self.original.n_states,
+            "original_gamma": self.original_gamma,
+            "loss": self.loss,
+            "allowed_loss": self.allowed_loss,
+            "orders": [tried.to_json() for tried in self.orders],
+            "evidence": self.evidence.to_json(),
+            "original": self.original.to_json(),
+        }
+
+
+def reduce_controller(
+    design_or_plant: Any,
+    K: Any = None,
+    *,
+    loss: float = 0.01,
+    order: int | None = None,
+    measure: MeasureName | None = None,
+    blocks: Sequence[Block] | None = None,
+    scalings: Any = None,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    time_limit: float = 60.0,
+    progress: Callable[[str], None] | None = None,
+) -> ReducedController:
+    r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one's.
+
+    .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
+
+    Candidates of every order come from the controller's blocks of the closed loop's Gramians, from balanced coprime
+    factors of K, and from balanced truncation of K with the loop as weights on both sides; each truncated and
+    residualised. The loop of every candidate is rebuilt, and J of the best one is proved anew.
+
+    Parameters
+    ----------
+    design_or_plant
+        A `Synthesis`, whose plant and controller are taken; or a generalised plant (see `hinf`), with K.
+    K
+        The controller to reduce, ``u = K y``, where it is not that of the design.
+    loss
+        Largest loss allowed, as a share.
+    order
+        The order wanted, in place of the lowest one; the loss is then reported, whatever it is.
+    measure
+        J: ``"hinf"`` or ``"h2"`` norm of the closed loop, or ``"mu"``: robust performance at all frequencies. Where
+        left out: ``"mu"`` where scalings are given or the design brings them, ``"h2"`` for an H2 design, else
+        ``"hinf"``.
+    blocks
+        Perturbation blocks of the plant's first channels, for ``"mu"``; those of the plant where left out.
+    scalings
+        For ``"mu"``: the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm
+        then is J (quick); where left out the mu analysis finds its own scalings for every candidate (slow).
+    n_meas, n_con
+        Numbers of measurements and controls, where a plain plant is given.
+    time_limit
+        Time in s, asked between candidates; the lowest order verified by then is returned.
+    progress
+        Called with one line for each order.
+
+    Returns
+    -------
+    ReducedController
+        Where no lower order is good enough, K itself with a loss of zero, and ``reason`` says so.
+
+    Raises
+    ------
+    InputError
+        A K that does not fit, a negative loss, blocks that do not fit.
+    NoTrustworthyNumber
+        The loop with the full K is not stable, or its measure cannot be vouched for; or no controller of the ``order``
+        wanted left the loop stable.
+
+    References
+    ----------
+    Anderson, Liu 1989; Goddard, Glover 1998 (performance preserving reduction); Enns 1984.
+
+    Examples
+    --------
+    >>> from robustlab.synthesis import hinf
+    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> small = reduce_controller(hinf(P, 1, 1), loss=0.1)
+    >>> small.K.n_states, small.loss <= 0.1, small.status.value
+    (0, True, 'certified')
+    """
+    plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
+    if not 0 <= loss < np.inf:
+        raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
+    if not time_limit > 0:
+        raise InputError(WHERE, f"time_limit is {time_limit}", "a positive time in s")
+    if order is not None and (
+        isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
+    ):
+        raise InputError(WHERE, f"order is {order!r}", f"a whole number from 0 to {full.n_states}")
+    scalings = getattr(design_or_plant, "scalings", None) if scalings is None and measure in (None, "mu") else scalings
+    name = measure or _default_measure(design_or_plant, scalings, blocks)
+    judge = make_measure(plant, name, blocks, scalings, WHERE)
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
+        return _reduced(judge, full, loss, order, time.monotonic() + time_limit, progress or (lambda _: None))
+
+
+def _plant_and_controller(
+    given: Any, K: Any, n_meas: int | None, n_con: int | None
+) -> tuple[GeneralizedPlant, StateSpaceModel]:
+    if isinstance(given, Synthesis):
+        plant = as_generalized_plant(given.plant, n_meas, n_con, WHERE)
+        full = given.K if K is None else as_model(getattr(K, "K", K), f"{WHERE}: K")
+    elif K is None:
+        raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
+    else:
+        full = as_model(getattr(K, "K", K), f"{WHERE}: K")
+        plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
+    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
+        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    return plant, full
+
+
+def _default_measure(given: Any, scalings: Any, blocks: Sequence[Block] | None) -> MeasureName:
+    if scalings is not None or blocks is not None:
+        return "mu"
+    return "h2" if getattr(given, "method", "") in ("h2", "lqg") else "hinf"
+
+
+def _loss(value: float, reference: float) -> float:
+    return 0.0 if value == reference else value / reference - 1 if reference > 0 else np.inf
+
+
+def _reduced(
+    judge: PerformanceMeasure,
+    full: StateSpaceModel,
+    allowed: float,
+    order: int | None,
+    until: float,
+    progress: Callable[[str], None],
+) -> ReducedController:
+    reference = judge.certified(full)
+    if not np.isfinite(reference.value) or not reference.status.trustworthy:
+        reason = getattr(reference.evidence, "reason", "")
+        raise NoTrustworthyNumber(
+            WHERE, f"the loop with the full controller has no trustworthy {judge.text} ({reason or reference.status})"
+        )
+    families = candidate_families(judge.gramian_plant, full)
+    limit = np.inf if order is not None else (1 + allowed) * reference.value
+    tried: list[OrderTried] = []
+    chosen, performance, failed, late = full, reference, 0, False
+    for n in range(full.n_states - 1, -1, -1) if order is None else (order,):
+        late = time.monotonic() > until
+        if late or failed == PATIENCE:
+            break
+        found = _best_of_order(judge, families, full, n, limit, until)
+        if found is None:
+            tried.append(OrderTried(n, "", np.inf, np.inf, Status.CONVERGED))
+        else:
+            method, K, value = found
+            tried.append(OrderTried(K.n_states, method, value.value, _loss(value.value, reference.value), value.status))
+        progress(_line(tried[-1], judge.name))
+        if found is not None and found[2].value <= limit and found[2].status.trustworthy:
+            chosen, performance, failed = found[1], found[2], 0
+        else:
+            failed += 1
+    if order is not None and chosen is full and order < full.n_states:
+        late_text = ", in the time limit" if late else ""
+        raise NoTrustworthyNumber(WHERE, f"no controller of order {order} could be verified{late_text}", hint="a higher order")
+    return _finished(judge, full, reference, chosen, performance, allowed, tried, late)
+
+
+def _line(tried: OrderTried, name: str) -> str:
+    if not np.isfinite(tried.value):
+        return f"order {tried.order}: none stabilises the loop"
+    return f"order {tried.order}: {name} {tried.value:.6g}, loss {100 * tried.loss:.3g} % ({tried.method})"
+
+
+def _best_of_order(
+    judge: PerformanceMeasure,
+    families: list[CandidateFamily],
+    full: StateSpaceModel,
+    order: int,
+    limit: float,
+    until: float,
+) -> tuple[str, StateSpaceModel, Performance] | None:
+    """The candidate of best verified measure; None where none of this order leaves the loop stable."""
+    estimated: list[tuple[float, str, StateSpaceModel]] = []
+    for family in families:
+        if not family.least <= order <= family.most or time.monotonic() > until:
+            continue
+        try:
+            made = family.make(order)
+        except (NoTrustworthyNumber, InputError):
+            continue
+        named = StateSpaceModel(
+            made.A, made.B, made.C, made.D, full.dt, full.inputs, full.outputs,
+            [f"k{i + 1}" for i in range(made.n_states)],
+        )  # fmt: skip
+        estimated.append((judge.estimate(named), family.name, named))
+    best: tuple[str, StateSpaceModel, Performance] | None = None
+    for estimate, name, K in sorted(estimated, key=lambda entry: entry[0]):
+        if not np.isfinite(estimate) or (best is not None and estimate >= min(best[2].value, limit)):
+            break
+        try:
+            value = judge.certified(K)
+        except (InputError, NoTrustworthyNumber):
+            continue
+        if not np.isfinite(value.value):
+            continue
+        if best is None or (not value.status.trustworthy, value.value) < (not best[2].status.trustworthy, best[2].value):
+            best = (name, K, value)
+        if best[2].value <= limit and best[2].value <= estimate * (1 + 1e-3):
+            break  # what the others can gain is not worth a proof
+    return best
+
+
+def _finished(
+    judge: PerformanceMeasure,
+    full: StateSpaceModel,
+    reference: Performance,
+    chosen: StateSpaceModel,
+    performance: Performance,
+    allowed: float,
+    tried: list[OrderTried],
+    late: bool,
+) -> ReducedController:
+    loop = judge.plant.close(chosen)
+    how = next((o.method for o in reversed(tried) if o.value == performance.value and chosen is not full), "")
+    reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
+    shown = loop if judge.scaled is None else judge.scaled.close(chosen)
+    limit = limiting_channels(shown, performance.frequency) if judge.name != "h2" and performance.frequency >= 0 else ""
+    return ReducedController(
+        K=chosen,
+        gamma=performance.value,
+        closed_loop=loop,
+        status=performance.status,
+        reason=reason + ("; time was up" if late else ""),
+        limit=limit,
+        plant=judge.plant,
+        method=f"reduced {judge.name}",
+        original=full,
+        original_gamma=reference.value,
+        measure=judge.text,
+        allowed_loss=allowed,
+        orders=tuple(tried),
+        evidence=performance.evidence,
+    )

@@ -1,0 +1,285 @@
+r"""From continuous to discrete time by formula; what the loop loses by it is `discretise_controller`'s to say.
+
+====================  ==================================================================================================
+``tustin``            :math:`s = (2/T) (z - 1)/(z + 1)`: keeps stability and the H-infinity norm, bends frequencies
+``tustin-prewarp``    :math:`s = (\omega_0 / \tan(\omega_0 T / 2)) (z - 1)/(z + 1)`: exact at :math:`\omega_0`
+``zoh``               exact at the samples for an input held over the sample time (a D/A converter)
+``foh``               exact at the samples for an input that goes straight from sample to sample
+``impulse``           T times the samples of the impulse response (no direct term)
+``matched``           poles and zeros by :math:`z = e^{s T}`, zeros at infinity to z = -1, equal gain at zero frequency
+====================  ==================================================================================================
+
+References
+----------
+Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.frequency import frequency_response
+from robustlab.norms import bilinear_to_discrete
+from robustlab.statespace import StateSpaceModel, as_model, series
+
+__all__ = ["METHODS", "MergedModes", "Method", "discretise", "held_input", "merged_modes"]
+
+Array = NDArray[Any]
+Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
+METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
+
+# Two sampled modes closer than this, relative to their modulus, are one mode to a controller in floating point.
+MERGED = 1e-6
+# A zero of the pencil beyond this multiple of the largest pole or other zero's scale is one at infinity.
+INFINITE_ZERO = 1e7
+# The poles and zeros of a matched model must give back its response to this accuracy.
+MATCHED = 1e-6
+
+
+def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: float | None = None) -> StateSpaceModel:
+    r"""Discrete model with sample time ``dt`` of a continuous one, with the same signals.
+
+    .. math:: \dot x = A x + B u \quad\to\quad x_{k+1} = A_d x_k + B_d u_k
+
+    Parameters
+    ----------
+    model
+        Continuous StateSpaceModel with n states, controller, design (its controller is taken) or python-control object.
+    dt
+        Sample time in s.
+    method
+        See the table of this module. ``"matched"`` is for one input and one output.
+    prewarp
+        Frequency in rad/s at which ``"tustin-prewarp"`` is exact, below pi / dt.
+
+    Raises
+    ------
+    InputError
+        A discrete model (its dt is named), a sample time that is not positive, an unknown method, a prewarp frequency
+        beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``.
+    NoTrustworthyNumber
+        A pole that the bilinear map sends to infinity; poles and zeros that do not give the response back.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> discretise(lag, 0.1, "zoh").A.round(6)
+    array([[0.904837]])
+    """
+    m = as_model(getattr(model, "K", model), "discretise")
+    if m.is_discrete:
+        raise InputError("discretise", f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
+    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
+        raise InputError("discretise", f"dt is {dt!r}", "a positive sample time in s")
+    if method not in METHODS:
+        hint = did_you_mean(str(method), METHODS)
+        raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
+    if (prewarp is None) == (method == "tustin-prewarp"):
+        raise InputError("discretise", f"method {method!r} with prewarp={prewarp}", "prewarp with 'tustin-prewarp' alone")
+    if method == "matched":
+        found = _matched(m, dt)
+    elif method in ("tustin", "tustin-prewarp"):
+        found = _tustin(m, dt, prewarp)
+    else:
+        found = StateSpaceModel(*{"zoh": held_input, "foh": _first_order_hold, "impulse": _impulse}[method](m, dt))
+    return StateSpaceModel(
+        found.A, found.B, found.C, found.D, dt, m.inputs, m.outputs,
+        m.states if found.n_states == m.n_states else None, where=f"discretise ({method})",
+    )  # fmt: skip
+
+
+def held_input(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+    """``A_d, B_d, C, D`` for an input that is constant over dt: one matrix exponential."""
+    from scipy.linalg import expm
+
+    n, n_u = m.B.shape
+    block = np.zeros((n + n_u, n + n_u))
+    block[:n] = np.hstack([m.A, m.B]) * dt
+    moved = _finite(expm(block), "zoh", m, dt)
+    return moved[:n, :n], moved[:n, n:], m.C, m.D
+
+
+def _first_order_hold(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+    from scipy.linalg import expm
+
+    n, n_u = m.B.shape
+    block = np.zeros((n + 2 * n_u, n + 2 * n_u))
+    block[:n, : n + n_u] = np.hstack([m.A, m.B]) * dt
+    block[n : n + n_u, n + n_u :] = np.eye(n_u)
+    moved = _finite(expm(block), "foh", m, dt)
+    a, held, slope = moved[:n, :n], moved[:n, n : n + n_u], moved[:n, n + n_u :]
+    # x_{k+1} = a x_k + held u_k + slope (u_{k+1} - u_k); the state here is x_k - slope u_k.
+    return a, held + a @ slope - slope, m.C, m.D + m.C @ slope
+
+
+def _impulse(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+    from scipy.linalg import expm
+
+    if m.D.any():
+        raise InputError("discretise", "a direct term with method 'impulse'", "a model without one, or another method")
+    a = _finite(expm(m.A * dt), "impulse", m, dt)
+    return a, a @ m.B * dt, m.C, m.C @ m.B * dt
+
+
+def _finite(moved: Array, method: str, m: StateSpaceModel, dt: float) -> Array:
+    if not np.isfinite(moved).all():
+        fastest = m.spectral_abscissa()
+        raise NoTrustworthyNumber(
+            f"discretise ({method})", f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
+        )
+    return moved
+
+
+def _tustin(m: StateSpaceModel, dt: float, prewarp: float | None) -> StateSpaceModel:
+    if prewarp is None:
+        return bilinear_to_discrete(m, dt)
+    if not 0 < prewarp < np.pi / dt:
+        raise InputError("discretise", f"prewarp is {prewarp:g} rad/s", f"between 0 and the Nyquist frequency {np.pi / dt:g}")
+    return bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp)
+
+
+# --- matched poles and zeros ------------------------------------------------------------------------------------------
+
+
+def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
+    if (m.n_inputs, m.n_outputs) != (1, 1):
+        found = f"method 'matched' with {m.n_inputs} inputs and {m.n_outputs} outputs"
+        raise InputError("discretise", found, "one of each", "take 'tustin' for several channels")
+    if not m.n_states or not (m.B.any() and m.C.any()):
+        return StateSpaceModel([], [], [], m.D)
+    poles, zeros = m.poles(), _finite_zeros(m)
+    s = float(np.abs(poles).max()) * 1.7  # on the positive real axis, right of all poles: finite and real
+    gain = _value(m, s) * np.prod(s - poles) / np.prod(s - zeros)
+    omega = np.abs(np.concatenate([poles, zeros])) * 1.3 + 1e-3 * s
+    product = gain * np.prod(1j * omega[:, None] - zeros, axis=1) / np.prod(1j * omega[:, None] - poles, axis=1)
+    truth = frequency_response(m, omega)[:, 0, 0]
+    off = float(np.abs(product / truth - 1).max()) if truth.all() else np.inf
+    if not off <= MATCHED:
+        raise NoTrustworthyNumber("discretise (matched)", f"poles and zeros give the response back to {off:.1e} only")
+    z_poles, z_zeros = np.exp(poles * dt), np.append(np.exp(zeros * dt), -np.ones(len(poles) - len(zeros)))
+    # Equal gain at s = 0, z = 1; next to it on the real axis where there is a pole or a zero.
+    lowest = np.abs(np.concatenate([poles, zeros])).min()
+    at = 0.0 if lowest > 1e-9 * s else 1e-3 / dt
+    wanted = gain * np.prod(at - zeros) / np.prod(at - poles)
+    z = np.exp(at * dt)
+    k = float((wanted * np.prod(z - z_poles) / np.prod(z - z_zeros)).real)
+    return _from_roots(z_zeros, z_poles, k)
+
+
+def _value(m: StateSpaceModel, s: float) -> float:
+    return float((m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0])
+
+
+def _finite_zeros(m: StateSpaceModel) -> Array:
+    """Invariant zeros of a model with one input and one output."""
+    from scipy.linalg import eigvals, matrix_balance
+
+    n = m.n_states
+    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
+        _, (scale, _) = matrix_balance(m.A, permute=False, separate=True)
+    a, b, c = m.A / scale[:, None] * scale, m.B / scale[:, None], m.C * scale
+    rate, into, out = max(float(np.linalg.norm(a, 2)), 1e-300), np.linalg.norm(b), np.linalg.norm(c)
+    pencil = np.block([[a / rate, b / into], [c / out, m.D * rate / into / out]])
+    found = eigvals(pencil, np.diag(np.append(np.ones(n), 0.0)), homogeneous_eigvals=True)
+    alpha, beta = found
+    finite = np.abs(beta) * INFINITE_ZERO > np.abs(alpha)
+    return alpha[finite] / beta[finite] * rate
+
+
+def _from_roots(zeros: Array, poles: Array, gain: float) -> StateSpaceModel:
+    """Real sections of first and second order in series; the gain is shared among them."""
+    model = StateSpaceModel([], [], [], [[gain]])
+    zero_sections, pole_sections = _sections(zeros), _sections(poles)
+    # Equal numbers of poles and zeros; a pair of either may meet two single ones of the other.
+    numerator, denominator = _paired(zero_sections, pole_sections)
+    for num, den in zip(numerator, denominator, strict=True):
+        model = series(model, _section(num, den))
+    return StateSpaceModel(model.A, model.B, model.C, model.D)
+
+
+def _sections(roots: Array) -> list[Array]:
+    """Monic real polynomials: of second order for complex pairs, of first for real roots (largest first)."""
+    real = np.sort(roots.real[np.abs(roots.imag) <= 1e-12 * np.abs(roots)])[::-1]
+    upper = roots[roots.imag > 1e-12 * np.abs(roots)]
+    pairs = [np.array([1.0, -2 * r.real, abs(r) ** 2]) for r in upper[np.argsort(-np.abs(upper))]]
+    return [*pairs, *[np.array([1.0, -r]) for r in real]]
+
+
+def _paired(first: list[Array], second: list[Array]) -> tuple[list[Array], list[Array]]:
+    """Both lists with sections of equal orders, by multiplying single ones together where needed."""
+
+    def split(sections: list[Array], pairs: int) -> list[Array]:
+        twos = [s for s in sections if len(s) == 3]
+        ones = [s for s in sections if len(s) == 2]
+        while len(twos) < pairs:
+            twos.append(np.convolve(ones.pop(0), ones.pop(0)))
+        return [*twos, *ones]
+
+    pairs = max(sum(len(s) == 3 for s in sections) for sections in (first, second))
+    return split(first, pairs), split(second, pairs)
+
+
+def _section(num: Array, den: Array) -> StateSpaceModel:
+    """``num / den`` of equal degree 1 or 2, both monic, in observer form."""
+    n = len(den) - 1
+    a = np.zeros((n, n))
+    a[:, 0] = -den[1:]
+    a[: n - 1, 1:] = np.eye(n - 1)
+    c = np.zeros((1, n))
+    c[0, 0] = 1.0
+    return StateSpaceModel(a, (num[1:] - den[1:])[:, None], c, [[1.0]])
+
+
+# --- pathological sampling --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MergedModes:
+    """Two modes of a plant that sampling makes one: pathological sampling.
+
+    Attributes
+    ----------
+    modes
+        The two eigenvalues in rad/s.
+    multiple
+        By how many sampling frequencies they differ.
+    stable
+        True where the modes decay: then they are only out of reach, else no digital controller stabilises the plant.
+    """
+
+    modes: tuple[complex, complex]
+    multiple: int
+    stable: bool
+
+    def __str__(self) -> str:
+        one, two = (f"{pole.real:.6g}{pole.imag:+.6g}j" for pole in self.modes)
+        what = "they cannot be controlled one by one" if self.stable else "no digital controller moves both"
+        return f"pathological sampling: modes {one} and {two} rad/s differ by {self.multiple} sampling frequencies; {what}"
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields, and the text."""
+        return {**vars(self), "text": str(self)}
+
+
+def merged_modes(model: StateSpaceModel, dt: float) -> tuple[MergedModes, ...]:
+    r"""Pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6.
+
+    Such a pair costs a single input (output) the controllability (observability) that the continuous model has.
+
+    References
+    ----------
+    Kalman, Ho, Narendra (1963); Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), theorem 3.2.1.
+    """
+    poles, found = model.poles(), list[MergedModes]()
+    sampling = 2 * np.pi / dt
+    for i, one in enumerate(poles):
+        for two in poles[i + 1 :]:
+            multiple = round(float((one - two).imag / sampling))
+            if multiple and abs(one - two - 1j * multiple * sampling) * dt <= MERGED:
+                found.append(MergedModes((complex(one), complex(two)), abs(multiple), bool(one.real < 0)))
+    return tuple(found)

@@ -1,0 +1,204 @@
+r"""What a closed loop is worth: its H-infinity norm, its H2 norm, or its robust performance, each with its proof.
+
+For robust performance with scalings D of the perturbation,
+
+.. math:: \sup_\omega \mu(F_l(P, K)) \le \| D_z F_l(P, K) D_w^{-1} \|_\infty
+
+holds at every frequency; without scalings the mu analysis finds its own on intervals that cover the axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.bounds import mu
+from robustlab.mu_analysis.margin import Margin
+from robustlab.mu_analysis.worst_gain import PERFORMANCE, robust_performance
+from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, append, as_model, series
+from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["MeasureName", "Performance", "PerformanceMeasure", "Scalings", "given_scalings", "make_measure", "scaled_plant"]
+
+MeasureName = Literal["hinf", "h2", "mu"]
+Evidence = HinfNorm | H2Norm | Margin
+Scalings = tuple[StateSpaceModel, StateSpaceModel]
+
+# Points of the grid on which candidates are compared before one of them is proved.
+GRID = 60
+
+
+@dataclass(frozen=True)
+class Performance:
+    """A verified upper bound of the measure, its evidence, and the frequency of the peak (NaN where there is none)."""
+
+    value: float
+    evidence: Evidence
+    frequency: float
+
+    @property
+    def status(self) -> Status:
+        """How much the value can be trusted."""
+        return self.evidence.status
+
+
+@dataclass(frozen=True, eq=False)
+class PerformanceMeasure:
+    """A measure of closed loops of one generalised plant; small is good.
+
+    Attributes
+    ----------
+    plant
+        The plant as given.
+    name
+        ``"hinf"``, ``"h2"`` or ``"mu"``.
+    blocks
+        Perturbation blocks of the plant's first inputs and outputs, without the performance block; for ``"mu"``.
+    scaled
+        The plant with scalings, whose closed-loop norm bounds mu; None without scalings.
+    """
+
+    plant: GeneralizedPlant
+    name: MeasureName
+    blocks: tuple[Block, ...] = ()
+    scaled: GeneralizedPlant | None = None
+
+    @property
+    def text(self) -> str:
+        """The measure in words."""
+        if self.name == "mu":
+            return "mu of robust performance, at all frequencies" + (" (by the scalings given)" if self.scaled else "")
+        return {"hinf": "H-infinity norm", "h2": "H2 norm"}[self.name]
+
+    @property
+    def gramian_plant(self) -> GeneralizedPlant:
+        """The plant whose closed-loop Gramians tell what matters: the scaled one where there is one."""
+        return self.scaled or self.plant
+
+    def certified(self, K: StateSpaceModel) -> Performance:
+        """The measure of the loop with K, proved; infinite where the loop is not stable.
+
+        Raises
+        ------
+        InputError
+            The loop is not well posed.
+        """
+        if self.name == "mu" and self.scaled is None:
+            return self._margin(self.plant.close(K))
+        loop = (self.scaled or self.plant).close(K)
+        if self.name == "h2":
+            norm = h2_norm(loop)
+            return Performance(norm.value, norm, np.nan)
+        norm = hinf_norm(loop)
+        return Performance(norm.upper, norm, norm.frequency)
+
+    def _margin(self, loop: StateSpaceModel) -> Performance:
+        try:
+            margin = robust_performance(_uncertain(loop, self.blocks), tolerance=1e-3)
+        except NoTrustworthyNumber:  # the nominal loop is not stable
+            norm = hinf_norm(loop)
+            return Performance(np.inf, norm, np.nan)
+        value = 1 / margin.lower if margin.lower > 0 else np.inf
+        return Performance(value, margin, float("nan") if margin.frequency is None else margin.frequency)
+
+    def estimate(self, K: StateSpaceModel) -> float:
+        """A quick estimate from below, on a grid; inf where the loop is not stable or not well posed."""
+        try:
+            loop = (self.scaled or self.plant).close(K)
+            if not loop.is_stable():
+                return np.inf
+            if self.name == "h2":
+                return h2_norm(loop).value
+            omega = default_grid(loop, GRID)
+            response = frequency_response(loop, omega)
+        except (InputError, NoTrustworthyNumber):
+            return np.inf
+        if not np.isfinite(response).all():
+            return np.inf
+        gain = np.linalg.norm(response, 2, axis=(1, 2)) if response.size else np.zeros(1)
+        if self.name == "hinf" or self.scaled is not None:
+            return float(gain.max())
+        bounds = mu(response, (*self.blocks, _performance_block(loop, self.blocks)))
+        return float(np.max(bounds.upper))
+
+
+def make_measure(
+    plant: GeneralizedPlant, name: str, blocks: Sequence[Block] | None, scalings: Any, where: str
+) -> PerformanceMeasure:
+    """The measure that the arguments of a public function ask for, checked."""
+    if name not in ("hinf", "h2", "mu"):
+        raise InputError(where, f"measure {name!r}", "'hinf', 'h2' or 'mu'")
+    if name != "mu" and (blocks is not None or scalings is not None):
+        raise InputError(where, f"blocks or scalings with measure {name!r}", "measure='mu'")
+    if name != "mu":
+        return PerformanceMeasure(plant, name)  # pyright: ignore[reportArgumentType]
+    known = tuple(plant.blocks if blocks is None else blocks)
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    if known and structure_size(known) == (n_w, n_z) and isinstance(known[-1], FullBlock):
+        known = known[:-1]  # the last block is the performance block
+    if scalings is not None:
+        return PerformanceMeasure(plant, "mu", known, scaled_plant(plant, given_scalings(scalings, where), where))
+    q, p = structure_size(known) if known else (0, 0)
+    if not known or q >= n_w or p >= n_z:
+        raise InputError(
+            where, f"blocks of {q} inputs and {p} outputs in a plant with {n_w} and {n_z}",
+            "blocks of the plant's first channels, and channels of performance behind them", "blocks=",
+        )  # fmt: skip
+    return PerformanceMeasure(plant, "mu", known)
+
+
+def scaled_plant(plant: GeneralizedPlant, scalings: Scalings, where: str = "scaled plant") -> GeneralizedPlant:
+    r"""The plant with ``z -> D_z z`` and ``w -> D_w^{-1} w``; ``scalings`` is ``(D_z, D_w^{-1})``, both stable."""
+    on_z, on_w = scalings
+    m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
+    n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
+    for name, d, size in (("D_z", on_z, n_z), ("D_w^-1", on_w, n_w)):
+        if (d.n_outputs, d.n_inputs) != (size, size):
+            raise InputError(where, f"{name} is {d.n_outputs} x {d.n_inputs}", f"{size} x {size}")
+        if d.n_states and not d.is_stable():
+            raise InputError(where, f"{name} is not stable", "a stable scaling with a stable inverse")
+    wide = series(append(_plain(on_w, m.dt), _straight(n_u, m.dt)), _plain(m, m.dt))
+    wide = series(wide, append(_plain(on_z, m.dt), _straight(n_y, m.dt)))
+    return GeneralizedPlant(wide.renamed(m.inputs, m.outputs), n_y, n_u, plant.blocks)
+
+
+def given_scalings(scalings: Any, where: str) -> Scalings:
+    """A pair of models, or anything with ``on_outputs()`` and ``on_inputs()`` that give ``A, B, C, D`` of the two."""
+    if hasattr(scalings, "on_outputs") and hasattr(scalings, "on_inputs"):
+        if getattr(scalings, "mixed", False):
+            raise InputError(where, "scalings with G for real blocks", "D scalings alone, or none", "leave them out")
+        return StateSpaceModel(*scalings.on_outputs()), StateSpaceModel(*scalings.on_inputs())
+    try:
+        on_z, on_w = scalings
+    except (TypeError, ValueError):
+        raise InputError(where, f"scalings of type {type(scalings).__name__}", "the pair (D_z, D_w^-1)") from None
+    return as_model(on_z, f"{where}: D_z"), as_model(on_w, f"{where}: D_w^-1")
+
+
+def _plain(m: StateSpaceModel, dt: float) -> StateSpaceModel:
+    """With names and units left out, which the scalings' channels do not share."""
+    return StateSpaceModel(m.A, m.B, m.C, m.D, m.dt or dt)
+
+
+def _straight(n: int, dt: float) -> StateSpaceModel:
+    names = [f"straight{i}" for i in range(n)]
+    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n), dt, names, names)
+
+
+def _performance_block(loop: StateSpaceModel, blocks: tuple[Block, ...]) -> FullBlock:
+    q, p = structure_size(blocks)
+    return FullBlock(PERFORMANCE, loop.n_inputs - q, loop.n_outputs - p)
+
+
+def _uncertain(loop: StateSpaceModel, blocks: tuple[Block, ...]) -> UncertainModel:
+    return UncertainModel(loop, blocks)
