@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 
-__all__ = ["RiccatiSolution", "care", "dare", "lyapunov"]
-__all__ = ["RiccatiSolution", "care", "lyapunov", "lyapunov_factor"]
+__all__ = ["RiccatiSolution", "care", "dare", "lyapunov", "lyapunov_factor"]
 
 Array = NDArray[Any]
 
@@ -218,17 +217,6 @@ def dare(
     ----------
     A, B, Q, R, S
         Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
-def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> Array:
-    r"""Triangular factor L, shape (n, n), of a controllability Gramian: the Gramian itself is never formed.
-
-    .. math:: A X + X A^T + B B^T = 0, \qquad X = L L^T
-
-    Eigenvalues of X down to ``eps^2`` of the largest keep their sign, which an eigenvalue decomposition of X loses.
-
-    Parameters
-    ----------
-    A, B
-        Shapes (n, n), (n, m); A is stable (continuous time).
     tolerance
         Largest relative residual that is accepted.
 
@@ -280,6 +268,25 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
     if residual > tolerance:
         raise NoTrustworthyNumber("dare", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return RiccatiSolution(X, gain, residual)
+
+
+def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> Array:
+    r"""Triangular factor L, shape (n, n), of a controllability Gramian: the Gramian itself is never formed.
+
+    .. math:: A X + X A^T + B B^T = 0, \qquad X = L L^T
+
+    Eigenvalues of X down to ``eps^2`` of the largest keep their sign, which an eigenvalue decomposition of X loses.
+
+    Parameters
+    ----------
+    A, B
+        Shapes (n, n), (n, m); A is stable (continuous time).
+    tolerance
+        Largest relative residual that is accepted.
+
+    Raises
+    ------
+    InputError
         Shapes that do not fit, NaN or Inf.
     NoTrustworthyNumber
         A is not stable, or the residual is too large.
