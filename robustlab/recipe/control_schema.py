@@ -55,8 +55,8 @@ class TrackingProblemStep(StepBase):
     gives: ClassVar[str] = "problem"
     do: Literal["tracking-problem"]
     of: Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
-    controlled: Names
-    measured: Names
+    controlled: Names = Field(description='Names of outputs; "phi_*" stands for all that begin so.')
+    measured: Names = Field(description="The same.")
     W1: Positive | ErrorWeight | PerformanceWeight | None = Field(
         None, description="On the error, as a share of the reference."
     )
@@ -65,7 +65,9 @@ class TrackingProblemStep(StepBase):
     reference: Sizes = Field(1.0, description="Size of the references in the outputs' units.")
     reference_bandwidth: Positive | None = Field(None, description="rad/s, above which references get smaller.")
     disturbance: Sizes | None = Field(None, description="Size of what is added to the controls, in their units.")
-    noise: Sizes | None = Field(None, description="Size of the noise on what is seen, in its units.")
+    noise: Sizes | None = Field(
+        None, description='Size of the noise on what is seen, in its units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
+    )
 
     @model_validator(mode="after")
     def _some_weight(self) -> Self:
@@ -157,6 +159,9 @@ class RobustPerformanceStep(StepBase):
     controllers: Controllers
     accuracy: Annotated[float, Field(gt=0, lt=1)] = Field(1e-3, description="Relative distance to the best proof.")
     time_limit: TimeLimit = Field(60.0, description="s for each controller, of mu and of the gain.")
+    set: Annotated[str, RefersTo(("uncertain", "any"))] | None = Field(
+        None, description="Of a tracking problem: another set of models to judge it on."
+    )
     gain: bool = Field(True, description="The worst-case gain, too.")
     points: Annotated[int, Field(ge=2, le=10_000)] = Field(120, description="Frequencies of the curves in the figure.")
 

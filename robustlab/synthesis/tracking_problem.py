@@ -94,6 +94,14 @@ class TrackingProblem:
         """`uncertain`."""
         return self.uncertain
 
+    def on(self, G: Any) -> TrackingProblem:
+        """The same requirement for another plant, or another set of models, with the same signals."""
+        bandwidth = -float(self.shape.A[0, 0]) if self.shape.n_states else None
+        return tracking_problem(
+            G, [s.name for s in self.controlled], [s.name for s in self.measured], **self.weights,
+            reference=self.reference, reference_bandwidth=bandwidth, disturbance=self.disturbance, noise=self.noise,
+        )  # fmt: skip
+
     def close(self, K: Any) -> UncertainModel:
         """The weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z.
 

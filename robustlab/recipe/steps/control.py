@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import Any
 
 from robustlab.errors import InputError
@@ -31,10 +32,18 @@ def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
     first = error_weight if isinstance(step.W1, ErrorWeight) else performance_weight
     makers = {"W1": first, "W2": control_weight, "W3": complementary_weight}
     weights = {name: _weight(getattr(step, name), make) for name, make in makers.items()}
+    inputs, outputs = _signals(G)
+    controlled, measured = _matching(step.controlled, outputs), _matching(step.measured, outputs)
     problem = pose(
-        G, step.controlled, step.measured, **weights, reference=step.reference,
-        reference_bandwidth=step.reference_bandwidth, disturbance=step.disturbance, noise=step.noise,
-    )  # fmt: skip
+        G,
+        controlled,
+        measured,
+        **weights,
+        reference=_sizes_of(step.reference, controlled),
+        reference_bandwidth=step.reference_bandwidth,
+        disturbance=_sizes_of(step.disturbance, inputs),
+        noise=_sizes_of(step.noise, [*(f"{name}_ref" for name in controlled), *measured]),
+    )
     blocks = problem.uncertain.blocks
     numbers = {
         "states": problem.uncertain.M.n_states,
@@ -86,7 +95,7 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
     rows: dict[str, dict[str, Any]] = {}
     statuses: list[Status] = []
     for name in step.controllers:
-        loop, K = _closed(step.of, work, name)
+        loop, K = _closed(step, work, name)
         row: dict[str, Any] = {"order": K.n_states, "nominal_gain": rl.hinf_norm(loop.nominal).upper}
         if not loop.nominal.is_stable():
             raise InputError(f"controller {name!r}", f"does not stabilise {step.of}", "a stable nominal loop")
@@ -115,7 +124,8 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
     met = [name for name, row in rows.items() if row["mu_upper"] <= 1]
     facts = (Fact("Requirement met by every member, proved", ", ".join(met) or "by none of them"),)
     status = max(statuses, key=list(Status).index)
-    summary = f"Robust performance of {step.of} under {len(rows)} controllers, the same requirement for all."
+    where = step.of if step.set is None else f"{step.of} on {step.set}"
+    summary = f"Robust performance of {where} under {len(rows)} controllers, the same requirement for all."
     note = "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
     return Outcome(None, summary, {"controllers": rows}, facts, status, (note,), text_table(header, table))
 
@@ -265,15 +275,45 @@ def text_table(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join([lines[0], "  ".join("-" * w for w in widths), *lines[1:]])
 
 
-def _closed(of: str, work: Workspace, name: str) -> tuple[Any, Any]:
+def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[Any, Any]:
     """The loop of a problem (or of a generalised plant) under a controller, and that controller's model."""
     from robustlab.statespace import as_model
     from robustlab.synthesis.tracking_problem import TrackingProblem
 
-    given, K = work.values[of], as_model(work.values[name], name)
+    given, K = work.values[step.of], as_model(work.values[name], name)
     if isinstance(given, TrackingProblem):
-        return given.close(K), K
-    return work.uncertain(of).close(K), K
+        problem = given if step.set is None else given.on(work.uncertain(step.set))
+        return problem.close(K), K
+    if step.set is not None:
+        raise InputError("set", f"given, but {step.of} is no tracking problem", "no set")
+    return work.uncertain(step.of).close(K), K
+
+
+def _signals(G: Any) -> tuple[list[str], list[str]]:
+    """Names of the inputs and outputs of a model or an uncertain model."""
+    from robustlab.statespace import as_model
+
+    base = G if hasattr(G, "blocks") else as_model(G, "tracking problem")
+    return [s.name for s in base.inputs], [s.name for s in base.outputs]
+
+
+def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:
+    """The names with each pattern replaced by what it matches; a pattern without a match stays, to be refused."""
+    found: list[str] = []
+    for name in names:
+        found += [k for k in known if fnmatchcase(k, name)] or [name] if "*" in name else [name]
+    return found
+
+
+def _sizes_of(given: Any, known: Sequence[str]) -> Any:
+    """Sizes with each pattern replaced by what it matches; the first pattern that matches a signal counts."""
+    if not isinstance(given, dict):
+        return given
+    sizes: dict[str, float] = {}
+    for pattern, size in given.items():
+        for name in _matching([pattern], known):
+            sizes.setdefault(name, size)
+    return sizes
 
 
 def _inverse(value: float) -> float:

@@ -80,7 +80,12 @@ def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
 
     P, n_meas, n_con = generalised(step, work, nominal=step.measure != "mu")
     K = as_model(work.values[step.controller], step.controller)
-    options: dict[str, Any] = {"loss": step.loss, "order": step.order, "measure": step.measure, "time_limit": step.time_limit}
+    options: dict[str, Any] = {
+        "loss": step.loss,
+        "order": step.order,
+        "measure": step.measure,
+        "time_limit": step.time_limit,
+    }
     found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
     return _designed(found, f"{step.controller} with fewer states.", work)
 
