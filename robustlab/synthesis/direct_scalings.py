@@ -5,7 +5,7 @@ r"""Direct minimisation of the smallest level over the scalings themselves.
 
 K is eliminated: the two Riccati equations give the level of scalings and its derivative by their logarithmic
 parameters (see `robustlab.synthesis.riccati_level`). D-K iteration minimises over D and K in turn and stops where
-neither alone brings progress; this goes on from there. Orders grow one section or one term of G at a time, each placed
+neither alone brings progress; this goes on from there. Orders grow one section of D or G at a time, each placed
 where the level falls most steeply.
 
 References
@@ -172,13 +172,13 @@ def _updated(H: Array, s: Array, y: Array, first: bool) -> Array:
 def grown(
     problem: RobustProblem, scalings: DynamicScalings, level: float, omega: tuple[float, float], max_states: int
 ) -> tuple[DynamicScalings, float] | None:
-    """Scalings one section, or one term of G, larger; None where no place for it lowers the level.
+    """Scalings one section of D or G larger; None where no place for it lowers the level.
 
-    Candidates are sections with zero = pole, and terms of G with c = 0, at places over the frequencies ``omega`` (low,
-    high); they leave the level as it is. The steepest ones are followed for a few steps, and the best is kept.
+    Candidates are sections with zero = pole, and sections of G with p = q, at places over the frequencies ``omega``
+    (low, high); they leave the level as it is. The steepest ones are followed for a few steps, and the best is kept.
     """
     candidates: list[tuple[float, DynamicScalings]] = []
-    for trial in _candidates(scalings, np.linspace(*np.log(omega), PLACES)):
+    for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES)):
         if problem.stop():
             return None
         if trial.n_states > max_states:
@@ -199,15 +199,15 @@ def grown(
 
 
 def _candidates(scalings: DynamicScalings, places: Array) -> list[DynamicScalings]:
-    """All enlargements by one section of a factor or one term of a G."""
+    """All enlargements by one section of a factor or of a G."""
     found: list[DynamicScalings] = []
     for i, part in enumerate(scalings.parts):
         for k, factor in enumerate(part.factors):
-            for at in np.asarray(places):
+            for at in places:
                 factors = (*part.factors[:k], factor.with_section(float(at), float(at)), *part.factors[k + 1 :])
                 found.append(scalings.with_part(i, BlockScaling(factors, part.mixing, part.g)))
-        for k, terms in enumerate(part.g):
-            for at in np.asarray(places):
-                g = (*part.g[:k], (*terms, (0.0, float(at))), *part.g[k + 1 :])
+        for k, pair in enumerate(part.g):
+            for at in places:
+                g = (*part.g[:k], pair.with_section(float(at), float(at)), *part.g[k + 1 :])
                 found.append(scalings.with_part(i, BlockScaling(part.factors, part.mixing, g)))
     return found

@@ -19,7 +19,7 @@ from robustlab.synthesis.controller import Controller
 from robustlab.synthesis.design import Synthesis, limiting_channels
 from robustlab.synthesis.direct_scalings import grown, minimised
 from robustlab.synthesis.dk_design import DKStep, DKSynthesis
-from robustlab.synthesis.dynamic_scalings import BlockScaling, DynamicScalings, unit_scalings
+from robustlab.synthesis.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, unit_scalings
 from robustlab.synthesis.hinf_synthesis import hinf
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.pointwise_scalings import MuCurve, as_complex, mu_curve
@@ -33,14 +33,15 @@ PERFORMANCE = "performance"
 # Shares of the time limit after which the H-infinity start, D-K iteration and the whole search have to end; the rest is
 # for the proof.
 START, CLASSICAL, SEARCH = 0.25, 0.5, 0.85
-ITERATIONS = 12
-FIT_LOSS = 0.005
-PROGRESS = 1e-3
+ITERATIONS = 60
+# Loss at single frequencies that a fit of D may have: in D-K iteration, and where direct minimisation starts.
+FIT_LOSS, FIRST_LOSS = 0.002, 0.2
+# Relative progress below which a stage ends; D-K iteration ends earlier where direct minimisation follows.
+PROGRESS, ROUGH_PROGRESS = 5e-4, 2e-2
 # Shares of the loop's gain that regularisation of a singular plant may cost: while iterating, and at the end.
 ROUGH, FINE = 0.1, 0.03
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
 PROOF_ACCURACY = 1e-3
-MIXED_BAND = 2.0  # decades beyond the curve's frequencies at which sections may be placed
 
 
 def dk(
@@ -138,7 +139,7 @@ def dk(
     with threadpool_limits(limits=1):
         search = _Search(plant, structure, time_limit, int(max_order), mixed, progress)
         search.start(K0)
-        search.alternate()
+        search.alternate(ROUGH_PROGRESS if direct else PROGRESS)
         if direct:
             search.descend()
         return search.finished(order_rel)
@@ -230,11 +231,13 @@ class _Search:
             raise InputError("synth dk: K0", "a loop that is not stable", "a controller that stabilises P")
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
-        self._keep(found, "start", float("nan"))
+        self._keep(found, "start")
 
-    def alternate(self) -> None:
-        """D-K iteration until it gains less than PROGRESS in two iterations."""
-        until, self.until = self.until, min(self.until, self.begin + CLASSICAL * self.time_limit)
+    def alternate(self, progress: float) -> None:
+        """D-K iteration until two iterations in a row gain less than ``progress``."""
+        until = self.until
+        if progress > PROGRESS:
+            self.until = min(until, self.begin + CLASSICAL * self.time_limit)
         now, stuck = self.iterates[-1], 0
         for _ in range(ITERATIONS):
             if self._late() or stuck == 2:
@@ -242,47 +245,62 @@ class _Search:
             self.curve = mu_curve(now.loop, self.blocks, self._late)
             before = self.best.level
             scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self._late)
-            same_loop = self.problem.proved(now.K, scalings, now.level)
-            if same_loop is not None and same_loop.level < self.best.level:
-                self._keep(same_loop, "D-K", self.curve.peak)
-            self.problem.regularise(same_loop or now, ROUGH)
+            refitted = self.problem.proved(now.K, scalings, now.level)
+            if refitted is not None and refitted.level < before:
+                self._keep(refitted, "D-K", self.curve.peak)
+            self.problem.regularise(refitted or now, ROUGH)
             found = self.problem.solve(scalings, min(now.level, 1.1 * self.curve.peak))
             if found is None:
                 break
-            self._keep(found, "D-K", float("nan"))
-            stuck = stuck + 1 if found.level > before * (1 - PROGRESS) else 0
+            self._keep(found, "D-K")
+            stuck = stuck + 1 if found.level > before * (1 - progress) else 0
             now = found
         self.until = until
 
     def descend(self) -> None:
-        """Direct minimisation over D in growing order, then over D and G where blocks are real."""
-        start = self.best
-        self.problem.regularise(start, FINE)
-        self._grow(self.warm if self.warm is not None else unit_scalings(self.blocks), "direct")
+        """Direct minimisation over D in growing order, then over D and G where blocks are real.
+
+        From a constant D, and from a fit of low order; the first run ends where half of the time is left.
+        """
+        until = self.until
+        self.problem.regularise(self.best, FINE)
+        starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
+        if self.curve is not None:
+            starts.append(fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self._late))
+        phases = 2 if self.mixed else 1
+        for k, scalings in enumerate(starts):
+            if k == 0 or scalings.n_states:
+                share = (k + 1) / (len(starts) * phases)
+                self.until = min(until, time.monotonic() + share * max(until - time.monotonic(), 0.0))
+                self._grow(scalings, "direct")
+        self.until = until
         if self.mixed:
             self._grow(_with_g(self.best.scalings, self.real), "D-G-K")
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
         """Minimise, enlarge the scalings, and so on, until that brings nothing."""
         found = minimised(self.problem, scalings, self.best.level)
-        low, high = self._band()
-        falls = 0
-        while found is not None and falls < FALLS and not self._late():
+        band = self._band()
+        falls, before = 0, np.inf
+        while found is not None and not self._late():
             scalings, level = found
-            before = self.best.level
             iterate = self.problem.solve(scalings, level)
             if iterate is not None:
-                self._keep(iterate, stage, float("nan"))
-            falls = falls + 1 if level > before * (1 - PROGRESS) and len(self.history) > 2 else 0
-            larger = grown(self.problem, scalings, level, (low, high), self.max_states)
+                self._keep(iterate, stage)
+            falls = falls + 1 if level > before * (1 - PROGRESS) else 0
+            if falls == FALLS:
+                break
+            before = level
+            larger = grown(self.problem, scalings, level, band, self.max_states)
             found = None if larger is None else minimised(self.problem, *larger)
 
     def _band(self) -> tuple[float, float]:
         """Frequencies in rad/s over which sections are placed."""
-        omega = self.curve.omega if self.curve is not None else np.array([1e-2, 1e2])
-        return float(omega[0]), float(omega[-1])
+        if self.curve is None:
+            self.curve = mu_curve(self.best.loop, self.blocks, self._late)
+        return float(self.curve.omega[0]), float(self.curve.omega[-1])
 
-    def _keep(self, iterate: Iterate, stage: str, mu: float) -> None:
+    def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
         seconds = time.monotonic() - self.begin
         orders = iterate.scalings.orders
@@ -351,10 +369,16 @@ class _Search:
 def _with_g(scalings: DynamicScalings, real: tuple[Block, ...]) -> DynamicScalings:
     """The same D, with room for G at the real blocks."""
     parts = tuple(
-        BlockScaling(part.factors, part.mixing, part.g or ((),) * block.rows) if isinstance(block, RealScalar) else part
+        BlockScaling(part.factors, part.mixing, part.g or (CoprimePair(),) * block.rows) if isinstance(block, RealScalar) else part
         for block, part in zip(real, scalings.parts, strict=True)
     )
     return DynamicScalings(real, parts)
+
+
+def _without_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScalings:
+    """The same D for complex blocks."""
+    parts = tuple(BlockScaling(part.factors, part.mixing) for part in scalings.parts)
+    return DynamicScalings(blocks, parts)
 
 
 def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:

@@ -8,11 +8,14 @@ A full block of r x c has one scalar factor d(s), on c outputs and r inputs. A s
                  {s^2 / \omega_{pj}^2 + 2 \zeta_{pj} s / \omega_{pj} + 1}
 
 with at most one first-order section; all its numbers are positive, so that d and 1/d are stable by construction, and
-their logarithms are free parameters. Real scalars also carry an odd function
+their logarithms are free parameters. Real scalars also carry normalised coprime factors of an odd function
+:math:`\hat g = G_N / G_M`, imaginary on the axis, made of two all-pass functions U, V of the same order:
 
-.. math:: \hat g(s) = \sum_i \frac{c_i a_i s}{s^2 - a_i^2}, \qquad \hat g(j \omega) = -j g(\omega)
+.. math:: G_M = \tfrac12 (U + V), \quad G_N = \tfrac12 (U - V), \qquad
+    U = \prod_i \frac{s - q_i}{s + q_i}, \quad V = \prod_i \frac{s - p_i}{s + p_i}, \qquad |G_M|^2 + |G_N|^2 = 1
 
-as normalised coprime factors ``g = G_N / G_M``, ``|G_M|^2 + |G_N|^2 = 1``. With them
+(pairs of factors may be complex conjugate). They are stable for all positive numbers, and G vanishes where U = V. With
+them
 
 .. math:: \| D_z M D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \quad \Rightarrow \quad \sup_\omega \mu(M) \le \beta .
 
@@ -33,7 +36,7 @@ from numpy.typing import NDArray
 
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
-__all__ = ["BlockScaling", "DynamicScalings", "Factor", "Realisation", "reference_block", "unit_scalings"]
+__all__ = ["BlockScaling", "CoprimePair", "DynamicScalings", "Factor", "Realisation", "reference_block", "unit_scalings"]
 
 Array = NDArray[Any]
 Realisation = tuple[Array, Array, Array, Array]
@@ -71,24 +74,11 @@ class Factor:
 
     def with_section(self, log_zero: float, log_pole: float) -> Factor:
         """One order higher: times ``(s/z + 1) / (s/p + 1)``; two sections of first order become one of second."""
-        last = self.sections[-1] if self.sections else ()
-        if len(last) != 2:
-            return Factor(self.log_gain, (*self.sections, (log_zero, log_pole)))
-        merged: list[float] = []
-        for one, two in ((last[0], log_zero), (last[1], log_pole)):
-            middle = 0.5 * (one + two)  # (s/z1 + 1)(s/z2 + 1): w = sqrt(z1 z2), 2 zeta = (z1 + z2) / w
-            merged += [middle, float(np.logaddexp(one, two) - middle)]
-        return Factor(self.log_gain, (*self.sections[:-1], tuple(merged)))
+        return replace(self, sections=_extended(self.sections, log_zero, log_pole))
 
     def realisation(self) -> Realisation:
         """States, input, output and direct term of d(s), sections in series."""
-        A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[np.exp(self.log_gain)]])
-        for section in self.sections:
-            a, b, c, d = _section(section)
-            n, m = len(A), len(a)
-            A = np.block([[A, np.zeros((n, m))], [b @ C, a]])
-            B, C, D = np.vstack([B, b @ D]), np.hstack([d * C, c]), d * D
-        return A, B, C, D
+        return _realised(self)
 
     def log_modulus(self, omega: Array) -> Array:
         """``log |d(j omega)|``, shape (n_omega,)."""
@@ -97,6 +87,28 @@ class Factor:
             half = len(section) // 2
             result += _log_modulus(section[:half], omega) - _log_modulus(section[half:], omega)
         return result
+
+
+@lru_cache(maxsize=4096)
+def _realised(factor: Factor) -> Realisation:
+    n = factor.order
+    A, B, C, D = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), np.array([[np.exp(factor.log_gain)]])
+    at = 0
+    for section in factor.sections:
+        a, b, c, d = _section(section)
+        here, before = slice(at, at + len(a)), slice(0, at)
+        A[here, here], A[here, before] = a, b @ C[:, before]
+        B[here] = b @ D
+        C[:, before] *= d
+        C[:, here] = c
+        D, at = d * D, at + len(a)
+    return A, B, C, D
+
+
+@lru_cache(maxsize=4096)
+def _inverse(factor: Factor) -> Realisation:
+    A, B, C, D = _realised(factor)
+    return A - B @ C / D, B / D, -C / D, 1 / D
 
 
 def _section(values: tuple[float, ...]) -> Realisation:
@@ -118,6 +130,48 @@ def _log_modulus(values: tuple[float, ...], omega: Array) -> Array:
         return 0.5 * np.log((1 - ratio**2) ** 2 + (np.exp(values[1]) * ratio) ** 2)
 
 
+@dataclass(frozen=True)
+class CoprimePair:
+    """G_M and G_N of one real channel.
+
+    Attributes
+    ----------
+    sections
+        ``(log p, log q)`` or ``(log w_p, log 2 zeta_p, log w_q, log 2 zeta_q)`` of V and U; none: G = 0.
+    """
+
+    sections: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def n_states(self) -> int:
+        """States of U and V together."""
+        return sum(map(len, self.sections))
+
+    def with_parameters(self, values: Iterator[float]) -> CoprimePair:
+        """The same form with the next numbers of ``values``."""
+        return CoprimePair(tuple(tuple(float(next(values)) for _ in section) for section in self.sections))
+
+    def with_section(self, log_p: float, log_q: float) -> CoprimePair:
+        """One order higher; where p = q it leaves G as it is."""
+        return CoprimePair(_extended(self.sections, log_p, log_q))
+
+    def realisation(self) -> tuple[Array, Array, Array, Array]:
+        """``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
+        return _coprime(self)
+
+
+def _extended(sections: tuple[tuple[float, ...], ...], one: float, two: float) -> tuple[tuple[float, ...], ...]:
+    """Sections with a pair of first-order numbers more; a pair that is there already is merged with it."""
+    last = sections[-1] if sections else ()
+    if len(last) != 2:
+        return (*sections, (one, two))
+    merged: list[float] = []
+    for old, new in zip(last, (one, two), strict=True):
+        middle = 0.5 * (old + new)  # (s + a)(s + b): w = sqrt(a b), 2 zeta = (a + b) / w
+        merged += [middle, float(np.logaddexp(old, new) - middle)]
+    return (*sections[:-1], tuple(merged))
+
+
 @dataclass(frozen=True, eq=False)
 class BlockScaling:
     """Scalings of one block.
@@ -129,17 +183,22 @@ class BlockScaling:
     mixing
         Entries of T above the diagonal, row by row.
     g
-        For each channel of a real scalar its terms ``(c, log a)``.
+        For each channel of a real scalar its G.
     """
 
     factors: tuple[Factor, ...]
     mixing: tuple[float, ...] = ()
-    g: tuple[tuple[tuple[float, float], ...], ...] = ()
+    g: tuple[CoprimePair, ...] = ()
 
     @property
     def order(self) -> int:
         """Orders of all factors."""
         return sum(factor.order for factor in self.factors)
+
+    @property
+    def g_states(self) -> int:
+        """States of all G."""
+        return sum(pair.n_states for pair in self.g)
 
     def triangular(self) -> Array:
         """T, shape (r, r)."""
@@ -160,7 +219,7 @@ class DynamicScalings:
     @property
     def orders(self) -> tuple[int, ...]:
         """Order of D, and of G, that each block brings."""
-        return tuple(part.order + 2 * sum(map(len, part.g)) for part in self.parts)
+        return tuple(part.order + part.g_states for part in self.parts)
 
     @property
     def n_states(self) -> int:
@@ -168,13 +227,13 @@ class DynamicScalings:
         total = 0
         for block, part in zip(self.blocks, self.parts, strict=True):
             sides = block.rows + block.cols if isinstance(block, FullBlock) else 2
-            total += part.order * sides + 2 * sum(map(len, part.g))
+            total += part.order * sides + part.g_states
         return total
 
     @property
     def mixed(self) -> bool:
         """Whether there is a G."""
-        return any(terms for part in self.parts for terms in part.g)
+        return any(part.g_states for part in self.parts)
 
     def parameters(self) -> Array:
         """All free parameters, shape (n_theta,)."""
@@ -183,7 +242,7 @@ class DynamicScalings:
             for factor in part.factors:
                 values += factor.parameters()
             values += part.mixing
-            values += [value for terms in part.g for term in terms for value in term]
+            values += [value for pair in part.g for section in pair.sections for value in section]
         return np.array(values)
 
     def with_parameters(self, theta: Array) -> DynamicScalings:
@@ -193,7 +252,7 @@ class DynamicScalings:
         for part in self.parts:
             factors = tuple(factor.with_parameters(values) for factor in part.factors)
             mixing = tuple(float(next(values)) for _ in part.mixing)
-            g = tuple(tuple((float(next(values)), float(next(values))) for _ in terms) for terms in part.g)
+            g = tuple(pair.with_parameters(values) for pair in part.g)
             parts.append(BlockScaling(factors, mixing, g))
         return replace(self, parts=tuple(parts))
 
@@ -202,13 +261,13 @@ class DynamicScalings:
         return replace(self, parts=(*self.parts[:index], part, *self.parts[index + 1 :]))
 
     def to_json(self) -> list[dict[str, object]]:
-        """For each block its factors (log gain, sections), mixing and terms of G."""
+        """For each block its factors (log gain, sections), mixing and G."""
         return [
             {
                 "block": block.name,
                 "factors": [{"log_gain": f.log_gain, "sections": f.sections} for f in part.factors],
                 "mixing": part.mixing,
-                "g": part.g,
+                "g": [pair.sections for pair in part.g],
             }
             for block, part in zip(self.blocks, self.parts, strict=True)
         ]
@@ -223,6 +282,8 @@ class DynamicScalings:
                 for factor, i in _channels(block, part, z.start, block.cols)
             ]
         A, B, C, D = _placed(pieces, p, p, _ones(self, 1))
+        if not self._mixes:
+            return A, B, C, D
         T = self._mixing(1)
         return A, B @ T, C, D @ T
 
@@ -232,10 +293,10 @@ class DynamicScalings:
         pieces: list[tuple[Realisation, slice, slice]] = []
         for block, part, (w, _) in self._with_slices():
             for factor, i in _channels(block, part, w.start, block.rows):
-                a, b, c, d = factor.realisation()
-                inverse = (a - b @ c / d, b / d, -c / d, 1 / d)
-                pieces.append((inverse, slice(i, i + 1), slice(i, i + 1)))
+                pieces.append((_inverse(factor), slice(i, i + 1), slice(i, i + 1)))
         A, B, C, D = _placed(pieces, q, q, _ones(self, 0))
+        if not self._mixes:
+            return A, B, C, D
         back = np.linalg.inv(self._mixing(0))
         return A, B, back @ C, back @ D
 
@@ -244,7 +305,7 @@ class DynamicScalings:
         q, p = structure_size(self.blocks)
         pieces = []
         for _, part, (w, z) in self._with_slices():
-            pieces += [(_coprime(terms), w.start + i, z.start + i) for i, terms in enumerate(part.g) if terms]
+            pieces += [(g.realisation(), w.start + i, z.start + i) for i, g in enumerate(part.g) if g.sections]
         n = sum(len(piece[0][0]) for piece in pieces)
         A, B, F, C = np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, n)), np.zeros((p, n))
         at = 0
@@ -257,6 +318,10 @@ class DynamicScalings:
 
     def _with_slices(self) -> list[tuple[Block, BlockScaling, tuple[slice, slice]]]:
         return list(zip(self.blocks, self.parts, block_slices(self.blocks), strict=True))
+
+    @property
+    def _mixes(self) -> bool:
+        return any(part.mixing for part in self.parts)
 
     def _mixing(self, side: int) -> Array:
         T = np.eye(structure_size(self.blocks)[side])
@@ -299,19 +364,37 @@ def _placed(pieces: list[tuple[Realisation, slice, slice]], rows: int, cols: int
 
 
 @lru_cache(maxsize=4096)
-def _coprime(terms: tuple[tuple[float, float], ...]) -> tuple[Array, Array, Array, Array]:
-    r"""Normalised right coprime factors of ghat, from the stabilising solution of its control Riccati equation."""
-    from robustlab.matrix_equations import care
+def _coprime(pair: CoprimePair) -> tuple[Array, Array, Array, Array]:
+    halves = [[section[: len(section) // 2] for section in pair.sections]]
+    halves.append([section[len(section) // 2 :] for section in pair.sections])
+    (A_v, B_v, C_v), (A_u, B_u, C_u) = (_all_pass(half) for half in halves)
+    n = len(A_u)
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, :n], A[n:, n:] = A_u, A_v
+    return A, np.vstack([B_u, B_v]), np.hstack([C_u, C_v]) / 2, np.hstack([C_u, -C_v]) / 2
 
-    n = 2 * len(terms)
+
+def _all_pass(sections: list[tuple[float, ...]]) -> tuple[Array, Array, Array]:
+    """States, input and output of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
+    n = sum(map(len, sections))
     A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
-    for i, (c, log_a) in enumerate(terms):
-        a = np.exp(log_a)
-        # x2 = a s / (s^2 - a^2) u
-        A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[0.0, a], [a, 0.0]]
-        B[2 * i + 1, 0], C[0, 2 * i + 1] = a, c
-    F = care(A, B, C.T @ C, np.eye(1)).gain
-    return A + B @ F, B, F, C
+    at = 0
+    for section in sections:
+        m = len(section)
+        if m == 1:
+            w = e = float(np.exp(section[0]))
+            a = np.array([[-w]])
+        else:
+            w = float(np.exp(section[0]))
+            e = w * float(np.exp(section[1]))
+            a = np.array([[0.0, w], [-w, -e]])
+        root = np.sqrt(2 * e)
+        here = slice(at, at + m)
+        A[here, here] = a
+        A[at + m - 1, :at] = root * C[0, :at]
+        B[at + m - 1], C[0, at + m - 1] = root, -root
+        at += m
+    return A, B, C
 
 
 def reference_block(blocks: Sequence[Block]) -> int | None:
@@ -331,6 +414,6 @@ def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
     for i, block in enumerate(blocks):
         r = 1 if isinstance(block, FullBlock) else block.rows
         factors = () if i == one else (Factor(),) * r
-        g = ((),) * r if isinstance(block, RealScalar) else ()
+        g = (CoprimePair(),) * r if isinstance(block, RealScalar) else ()
         parts.append(BlockScaling(factors, (0.0,) * (r * (r - 1) // 2), g))
     return DynamicScalings(tuple(blocks), tuple(parts))

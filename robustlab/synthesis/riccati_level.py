@@ -161,7 +161,7 @@ class LevelSearch:
             e = np.zeros(len(theta))
             e[i] = STEP
             slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * STEP)
-        found = Branches(log_beta + below[kept] - below[0], (slopes / -slope[:, None])[kept])
+        found = Branches(log_beta + below[kept] - below[0], slopes[kept] / -slope[kept, None])
         return found if np.isfinite(found.slopes).all() else None
 
     def controller(self, theta: Array, beta: float) -> StateSpaceModel | None:

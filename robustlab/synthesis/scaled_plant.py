@@ -41,16 +41,14 @@ def scaled_plant(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> Pl
     A[z, x], A[z, z], A[z, w], A[z, c] = Bz @ p.C1, Az, Bz @ (p.D11 @ Cw), Bz @ (p.D11 @ (Dw @ F))
     A[w, w], A[w, c], A[c, c] = Aw, Bw @ F, Ag
     Dw = Dw / beta
-    return PlantMatrices(
-        A,
-        np.vstack([p.B1 @ Dw, Bz @ (p.D11 @ Dw), Bw / beta, Bg]),
-        np.vstack([p.B2, Bz @ p.D12, np.zeros((b + g, n_u))]),
-        np.hstack([Dz @ p.C1, Cz, Dz @ (p.D11 @ Cw), Dz @ p.D11 @ (beta * Dw @ F) - Cg]),
-        np.hstack([p.C2, np.zeros((n_y, a)), p.D21 @ Cw, p.D21 @ (beta * Dw @ F)]),
-        Dz @ p.D11 @ Dw,
-        Dz @ p.D12,
-        p.D21 @ Dw,
-    )
+    B1, B2 = np.zeros((len(A), n_w)), np.zeros((len(A), n_u))
+    B1[x], B1[z], B1[w], B1[c] = p.B1 @ Dw, Bz @ (p.D11 @ Dw), Bw / beta, Bg
+    B2[x], B2[z] = p.B2, Bz @ p.D12
+    C1, C2 = np.zeros((n_z, len(A))), np.zeros((n_y, len(A)))
+    C1[:, x], C1[:, z], C1[:, w] = Dz @ p.C1, Cz, Dz @ (p.D11 @ Cw)
+    C1[:, c] = Dz @ (p.D11 @ (beta * Dw @ F)) - Cg
+    C2[:, x], C2[:, w], C2[:, c] = p.C2, p.D21 @ Cw, p.D21 @ (beta * Dw @ F)
+    return PlantMatrices(A, B1, B2, C1, C2, Dz @ p.D11 @ Dw, Dz @ p.D12, p.D21 @ Dw)
 
 
 def _padded(system: Realisation, extra: int) -> Realisation:
@@ -82,8 +80,8 @@ def proved_level(
     Without G it is the norm of the scaled loop; with G the level at which that norm is one, sought from ``guess`` on
     (every larger level is proved as well). The norm that comes with it is that of the scaled loop at one and at beta.
     """
+    norm = hinf_norm(scaled_loop(loop, scalings), rtol)
     if not scalings.mixed:
-        norm = hinf_norm(scaled_loop(loop, scalings), rtol)
         return norm.upper, norm
     low, high, step, proof = 0.0, np.inf, 1e-4, None
     trial = guess
