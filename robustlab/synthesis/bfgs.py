@@ -16,7 +16,7 @@ Array = NDArray[Any]
 Function = Callable[[Array, float], tuple[float, Array | None]]
 
 DECREASE, CURVATURE = 1e-4, 0.5
-LINE_STEPS = 50
+LINE_STEPS = 25
 # Steps with a smaller relative decrease than this count as standing still.
 STALL_STEPS = 8
 
