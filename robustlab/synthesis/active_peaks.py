@@ -28,10 +28,14 @@ WORTHWHILE = 1e-8
 
 @dataclass(frozen=True)
 class Piece:
-    """A function that is active: its value and its gradient with respect to the parameters."""
+    """A function that is active: its value and its gradient with respect to the parameters.
+
+    A ``limit`` must stay below zero instead of being made small.
+    """
 
     value: float
     gradient: Array
+    limit: bool = False
 
 
 def sequential_linear(
@@ -87,13 +91,14 @@ def _step(
 ) -> tuple[Array, float] | None:
     from scipy.optimize import linprog
 
-    if not pieces:
+    top = max((p.value for p in pieces if not p.limit), default=0.0)
+    if not top > 0:
         return None
-    top = max(p.value for p in pieces)
-    scale = top if top > 0 else 1.0
     n = len(x)
-    rows = np.array([np.append(p.gradient * size / scale, -1.0) for p in pieces])
-    heights = np.array([p.value / scale for p in pieces])
+    scales = np.array([1.0 if p.limit else top for p in pieces])
+    slopes = np.array([p.gradient * size for p in pieces]) / scales[:, None]
+    rows = np.hstack([slopes, np.array([[0.0 if p.limit else -1.0] for p in pieces])])
+    heights = np.array([p.value for p in pieces]) / scales
     if not np.isfinite(rows).all():
         return None
     lower, upper = np.maximum(-radius, (low - x) / size), np.minimum(radius, (high - x) / size)
@@ -101,4 +106,4 @@ def _step(
     found = linprog(np.append(np.zeros(n), 1.0), A_ub=rows, b_ub=-heights, bounds=bounds, method="highs")
     if found.status != 0:
         return None
-    return found.x[:n] * size, float(found.x[n] * scale)
+    return found.x[:n] * size, float(found.x[n] * top)

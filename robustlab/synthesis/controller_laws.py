@@ -41,7 +41,11 @@ class Parameter:
     low, high
         Bounds.
     start
-        Where a search starts; ``size`` is how much it may sensibly change (0: found from the plant's scaling).
+        Where a search starts.
+    size
+        How much it may sensibly change; 0: found from the plant's scaling.
+    centre
+        Where random starts are centred, in units of its size and relative to ``start``.
     """
 
     name: str
@@ -50,6 +54,7 @@ class Parameter:
     high: float = np.inf
     start: float = 0.0
     size: float = 0.0
+    centre: float = 0.0
 
 
 class Law(Protocol):

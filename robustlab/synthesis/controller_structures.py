@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -125,7 +125,8 @@ class FixedOrder(Structure):
         for i in range(k):
             near = range(k) if self.form == "full" else range(max(i - 1, 0), min(i + 2, k))
             for j in near:
-                builder.parameter(Parameter(f"A[{i + 1},{j + 1}]", rate), (i, j, 1.0))
+                centre = -1.0 if i == j and not dt else 0.0
+                builder.parameter(Parameter(f"A[{i + 1},{j + 1}]", rate, centre=centre), (i, j, 1.0))
         for i in range(k):
             for j, y in enumerate(measurements):
                 builder.parameter(Parameter(f"B[{i + 1},{y.name}]"), (i, k + j, 1.0))
@@ -214,8 +215,9 @@ class MultichannelPID(Structure):
                     entries = [(k + i, j, 1.0) for i, j in places]
                 else:
                     entries = [e for i, j in places for e in ((k + i, k + j, 1.0), (k + i, n_i + j, -1.0))]
-                unit = {"P": _unit(u, y), "I": _unit(u, y, "/s"), "D": _unit(u, y)}[term]
-                unit = f"{unit} s".strip() if term == "D" else unit
+                unit = _unit(u, y, "/s") if term == "I" else _unit(u, y)
+                if term == "D":
+                    unit = unit.replace("/", " s/", 1) or "s"
                 builder.parameter(self._gain(f"K{term.lower()}", name, unit, *places[0]), *entries)
                 derivative.append(term == "D")
         return self._filtered(builder, n_i, np.array(derivative), dt) if n_d else builder.law()
@@ -441,7 +443,7 @@ class _Prefixed:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(self.prefix + p.name, p.unit, p.low, p.high, p.start, p.size) for p in self.inner.parameters
+            replace(p, name=self.prefix + p.name) for p in self.inner.parameters
         )
 
     @property
@@ -470,19 +472,20 @@ def _named(names: Sequence[str], known: Signals, kind: str) -> tuple[int, ...]:
     return tuple(places.index(name) for name in names)
 
 
-def as_structure(structure: Any) -> Structure:
-    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised)."""
+def as_structure(structure: Any, rate: float) -> Structure:
+    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised).
+
+    The derivative filters of ``"pid"`` and ``"pd"`` get a time constant between 0.01 and 10 times ``1 / rate``, the
+    plant's own time.
+    """
     if isinstance(structure, Structure):
         return structure
     if isinstance(structure, str):
-        known = {"static": StaticGain(), "pi": PID("PI"), "p": PID("P"), "i": PID("I")}
-        if structure.lower() in known:
-            return known[structure.lower()]
-        if structure.lower() in ("pid", "pd"):
-            raise InputError(
-                f"{WHERE}: {structure!r}", "a derivative without a filter", "PID(tau=...) with its time constant in s"
-            )
-        raise InputError(f"{WHERE}: structure", f"{structure!r}", '"static", "p", "pi", PID(tau=...), an order, a mask')
+        if structure.lower() == "static":
+            return StaticGain()
+        if structure.lower() in ("p", "i", "pi", "pd", "pid"):
+            return PID(structure.upper(), (0.01 / rate, 10 / rate))
+        raise InputError(f"{WHERE}: structure", f"{structure!r}", '"static", "p", "i", "pi", "pd", "pid", an order, a mask')
     if isinstance(structure, (int, np.integer)) and not isinstance(structure, bool):
         return StaticGain() if structure == 0 else FixedOrder(int(structure))
     if isinstance(structure, (list, tuple)) and structure and all(isinstance(s, (Structure, Part)) for s in structure):

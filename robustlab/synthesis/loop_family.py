@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from robustlab.synthesis.entropy import entropy
 from robustlab.synthesis.partition import PlantMatrices
-from robustlab.synthesis.peak_gain import LoopMatrices, PeakFinder, bilinear, resolvent_point
+from robustlab.synthesis.peak_gain import LoopMatrices, PeakFinder, bilinear, bilinear_pullback, resolvent_point
 
 __all__ = ["LoopFamily", "Pole", "packed"]
 
@@ -30,6 +30,8 @@ Array = NDArray[Any]
 ILL_POSED = 1e10
 # Poles whose distance is below this share of the largest one get their derivatives from a perturbed A.
 DEFECTIVE = 1e-14
+# Poles closer to the boundary than this share of the norm of A cannot be told from it.
+BLUR = 1e-13
 
 
 def packed(A: Array, B: Array, C: Array, D: Array) -> Array:
@@ -212,10 +214,11 @@ class LoopFamily:
         return found
 
     def h2_norm(self, theta: Array) -> tuple[float, Array | None]:
-        r"""H2 norm and its gradient ``(D12^T C + B^T Q A..)``; ``(inf, None)`` for a loop that is not stable.
+        r"""H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable.
 
-        With the Gramians P and Q, :math:`d\,\|T\|_2^2 = 2\,\mathrm{tr}[Q (dA P + dB B^T) + dC P C^T]`, and, discrete,
-        :math:`2\,\mathrm{tr}[Q (dA P A^T + dB B^T) + dC (P C^T ..) ]`.
+        With the Gramians P and Q, :math:`d\,\|T\|_2^2 = 2\,\mathrm{tr}[Q (dA\,P + dB\,B^T) + dC\,P C^T]`; discrete,
+        :math:`2\,\mathrm{tr}[Q (dA\,P A^T + dB\,B^T) + dC\,P C^T + dD\,D^T]`. The direct term of a continuous loop is left
+        out: it must be zero.
         """
         from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
@@ -227,7 +230,7 @@ class LoopFamily:
             return np.inf, None
         values = np.linalg.eigvals(a) if len(a) else np.zeros(0)
         edge = np.abs(values).max(initial=0.0) - 1 if self.discrete else values.real.max(initial=-np.inf)
-        if edge >= -BLUR_H2 * (1.0 if self.discrete else np.abs(a).max(initial=0.0)):
+        if edge >= -BLUR * (1.0 if self.discrete else np.abs(a).max(initial=0.0)):
             return np.inf, None
         if not self.discrete:
             P, Q = solve_continuous_lyapunov(a, -b @ b.T), solve_continuous_lyapunov(a.T, -c.T @ c)
@@ -249,15 +252,18 @@ class LoopFamily:
         loop = None if effective is None else self._loop(effective[0])
         if effective is None or loop is None or not all(np.isfinite(part).all() for part in loop):
             return None
-        found = entropy(loop, gamma)
+        continuous = bilinear(loop) if self.discrete else loop
+        found = None if continuous is None else entropy(continuous, gamma)
         if found is None:
             return None
-        G = self.B.T @ (found.A @ self.C.T + found.B @ self.D21.T) + self.D12.T @ (found.C @ self.C.T + found.D @ self.D21.T)
+        by_loop = LoopMatrices(found.A, found.B, found.C, found.D)
+        if self.discrete:
+            by_loop = bilinear_pullback(loop, by_loop)
+        a, b, c, d = by_loop
+        G = self.B.T @ (a @ self.C.T + b @ self.D21.T) + self.D12.T @ (c @ self.C.T + d @ self.D21.T)
         return found.value, self._chained(G, effective[1], effective[2]), found.by_gamma
 
     @staticmethod
     def _chained(G: Array, left: Array | None, right: Array | None) -> Array:
         return G if left is None or right is None else left.T @ G @ right.T
 
-
-BLUR_H2 = 1e-13

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LoopMatrices", "PeakFinder", "bilinear", "resolvent_point"]
+__all__ = ["LoopMatrices", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "resolvent_point"]
 
 Array = NDArray[Any]
 
@@ -47,6 +47,15 @@ def bilinear(loop: LoopMatrices) -> LoopMatrices | None:
         return None
     root = np.sqrt(2.0)
     return LoopMatrices(e @ (a - np.eye(n)), root * e @ b, root * c @ e, d - c @ e @ b)
+
+
+def bilinear_pullback(loop: LoopMatrices, by: LoopMatrices) -> LoopMatrices:
+    """Gradients with respect to a discrete loop from those with respect to its `bilinear` image."""
+    a, b, c, _ = loop
+    e = np.linalg.inv(np.eye(len(a)) + a)
+    eb, ce, root = e @ b, c @ e, np.sqrt(2.0)
+    by_a = 2 * e.T @ by.A @ e.T - root * (e.T @ by.B @ eb.T + ce.T @ by.C @ e.T) + ce.T @ by.D @ eb.T
+    return LoopMatrices(by_a, root * e.T @ by.B - ce.T @ by.D, root * by.C @ e.T - by.D @ eb.T, by.D)
 
 
 def resolvent_point(omega: float, discrete: bool) -> complex:
