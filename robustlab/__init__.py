@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import Controller as Controller
     from robustlab.synthesis import complementary_weight as complementary_weight
     from robustlab.synthesis import control_weight as control_weight
+    from robustlab.synthesis import fixed_structure as fixed_structure
     from robustlab.synthesis import generalized_plant as generalized_plant
     from robustlab.synthesis import hinf as hinf
     from robustlab.synthesis import mixsyn as mixsyn
@@ -124,6 +125,7 @@ _PUBLIC = {
     # synthesis
     "hinf": "synthesis",
     "mixsyn": "synthesis",
+    "fixed_structure": "synthesis",
     "generalized_plant": "synthesis",
     "performance_weight": "synthesis",
     "control_weight": "synthesis",

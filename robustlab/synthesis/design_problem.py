@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from robustlab.synthesis.active_peaks import Piece
 from robustlab.synthesis.controller_laws import Law, Parameter
-from robustlab.synthesis.design_limits import Limit, RollOff
+from robustlab.synthesis.design_limits import Limit, RollOff, StableController
 from robustlab.synthesis.loop_family import LoopFamily
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.scaling import Scaling, equilibrated
@@ -178,18 +178,26 @@ class DesignProblem:
     def limit_values(self, theta: Array) -> list[tuple[float, Array]]:
         """c and gradient of every limit and plant; an infinite c where there is no value."""
         found: list[tuple[float, Array]] = []
+        nothing = np.inf, np.zeros_like(theta)
         for limit in self.limits:
+            if isinstance(limit, StableController):
+                found.append(limit.evaluate(self.families[0], theta, self.scaling.rate, self.dt) or nothing)
+                continue
             if isinstance(limit, RollOff):  # in the plant's own signals: undo the scaling of u and y
                 u, y = self.scaling.u, self.scaling.y
                 k = self.law.sizes[0]
                 back = np.concatenate([np.ones(k), u])[:, None] * np.concatenate([np.ones(k), y])[None, :]
                 value = limit.evaluate(self.families[0], theta * back, self.scaling.rate, self.dt)
-                found.append((np.inf, np.zeros_like(theta)) if value is None else (value[0], value[1] * back))
+                found.append(nothing if value is None else (value[0], value[1] * back))
                 continue
             for family in self.families:
                 value = limit.evaluate(family, theta, self.scaling.rate, self.dt)
-                found.append((np.inf, np.zeros_like(theta)) if value is None else value)
+                found.append(nothing if value is None else value)
         return found
+
+    def values_of(self, limit: Limit) -> int:
+        """How many values a limit has in `limit_values`."""
+        return 1 if isinstance(limit, (RollOff, StableController)) else len(self.families)
 
     def norm(self, v: Array, give_up_above: float = np.inf) -> tuple[float, Array | None]:
         """Largest norm of the scaled loops with its gradient; infinite where a limit is not kept."""
