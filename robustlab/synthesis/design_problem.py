@@ -157,23 +157,25 @@ class DesignProblem:
     # --- what is made small ------------------------------------------------------------------------------------------
 
     def instability(self, v: Array) -> tuple[float, Array | None]:
-        """Largest spectral abscissa of all loops, or violation of a limit, with its gradient; negative: feasible."""
+        """Largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
         p, slopes = self.parameters(v)
         theta = self.theta(p)
-        worst, at = -np.inf, None
+        worst: tuple[float, Array | None] = -np.inf, np.zeros_like(theta)
         for family in self.families:
-            value, G = family.abscissa(theta)
-            if G is None:
+            found = family.abscissa(theta)
+            if found[1] is None:
                 return np.inf, None
-            if value > worst or at is None:
-                worst, at = value, G
-        if worst < 0:  # limits count once the loops are stable
-            for value, G in self.limit_values(theta):
-                if value > worst:
-                    worst, at = value, G
-        if at is None:
-            return worst, np.zeros(len(v))
-        return worst, self.by_parameters(p, at) * slopes
+            worst = found if found[0] > worst[0] else worst
+        return worst[0], self.by_parameters(p, worst[1]) * slopes
+
+    def violation(self, v: Array) -> tuple[float, Array | None]:
+        """Largest of the limits' values with its gradient; infinite where a loop is not stable, -1 without limits."""
+        p, slopes = self.parameters(v)
+        theta = self.theta(p)
+        if not all(family.abscissa(theta)[0] < 0 for family in self.families):
+            return np.inf, None
+        worst, G = max(self.limit_values(theta), key=lambda pair: pair[0], default=(-1.0, np.zeros_like(theta)))
+        return worst, self.by_parameters(p, G) * slopes if np.isfinite(worst) else None
 
     def limit_values(self, theta: Array) -> list[tuple[float, Array]]:
         """c and gradient of every limit and plant; an infinite c where there is no value."""

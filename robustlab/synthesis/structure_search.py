@@ -31,6 +31,8 @@ BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
 DESCENT_STEPS, DESCENT_RTOL = 40, 1e-6
 POLISHED, POLISH_ROUNDS, POLISH_STEPS = 2, 3, 40
 HEADROOM = 1.5
+# Ends whose norms differ by less than this share count as the same optimum.
+SAME = 1e-4
 SPREAD = 1.0
 
 
@@ -67,12 +69,26 @@ class Start:
 
 
 def stabilised(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float]:
-    """Variables from v on that stabilise all loops within the limits, or the best found, and how unstable they are."""
+    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
 
-    def function(x: Array, _: float) -> tuple[float, Array | None]:
+    The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
+    """
+
+    def loops(x: Array, _: float) -> tuple[float, Array | None]:
         return problem.instability(x)
 
-    value = problem.instability(v)[0]
+    def limits(x: Array, _: float) -> tuple[float, Array | None]:
+        return problem.violation(x)
+
+    v, value = _below_zero(loops, v, late)
+    if value >= STABLE or not problem.limits:
+        return v, value
+    return _below_zero(limits, v, late)
+
+
+def _below_zero(function: Callable[[Array, float], tuple[float, Array | None]], v: Array, late: Late) -> tuple[Array, float]:
+    """Descent until the function is negative, and a few steps further."""
+    value = function(v, np.inf)[0]
     if value < STABLE:
         return v, value
     found = bfgs(function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE, late=late)
@@ -184,14 +200,16 @@ def _best_polished(
     problem: DesignProblem, found: list[Start], late: Late, progress: Callable[[str], None]
 ) -> list[Start]:
     done: list[Start] = []
+    ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
     for start in found:
-        known = [s for s in done if abs(s.values[-2] - start.gamma) < 1e-3 * start.gamma]
-        if len(done) < POLISHED and np.isfinite(start.gamma) and start.gamma > 0 and not known and not late():
-            p, value = polished(problem, start.p, late)
-            gamma = value / problem.gain
-            if gamma < start.gamma:
-                progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")
-            done.append(Start(start.kind, start.instability, gamma, start.steps, p, (*start.values, gamma)))
-        else:
+        new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > SAME * start.gamma for end in ends)
+        if len(ends) == POLISHED or not new or start.gamma == 0 or late():
             done.append(start)
+            continue
+        ends.append(start.gamma)
+        p, value = polished(problem, start.p, late)
+        gamma = value / problem.gain
+        if gamma < start.gamma:
+            progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")
+        done.append(Start(start.kind, start.instability, gamma, start.steps, p, (*start.values, gamma)))
     return sorted(done, key=lambda s: s.gamma)
