@@ -1,10 +1,26 @@
 """Controllers: H-infinity and mixed-sensitivity synthesis, every one verified in the loop rebuilt from it."""
 
 from robustlab.synthesis.controller import Controller as Controller
+from robustlab.synthesis.controller_structures import PID as PID
+from robustlab.synthesis.controller_structures import Decentralised as Decentralised
+from robustlab.synthesis.controller_structures import FixedOrder as FixedOrder
+from robustlab.synthesis.controller_structures import FixedPoles as FixedPoles
+from robustlab.synthesis.controller_structures import MultichannelPID as MultichannelPID
+from robustlab.synthesis.controller_structures import Part as Part
+from robustlab.synthesis.controller_structures import Series as Series
+from robustlab.synthesis.controller_structures import StaticGain as StaticGain
+from robustlab.synthesis.controller_structures import Sum as Sum
 from robustlab.synthesis.design import HinfSynthesis as HinfSynthesis
 from robustlab.synthesis.design import Synthesis as Synthesis
+from robustlab.synthesis.design_limits import Bandwidth as Bandwidth
+from robustlab.synthesis.design_limits import Damping as Damping
+from robustlab.synthesis.design_limits import Decay as Decay
+from robustlab.synthesis.design_limits import RollOff as RollOff
+from robustlab.synthesis.design_limits import StableController as StableController
 from robustlab.synthesis.dk_design import DKSynthesis as DKSynthesis
 from robustlab.synthesis.dk_iteration import dk as dk
+from robustlab.synthesis.fixed_result import FixedSynthesis as FixedSynthesis
+from robustlab.synthesis.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.h2_synthesis import H2Synthesis as H2Synthesis
 from robustlab.synthesis.h2_synthesis import h2 as h2
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
@@ -21,8 +37,16 @@ from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight
 
 __all__ = [
+    "PID",
+    "Bandwidth",
     "Controller",
     "DKSynthesis",
+    "Damping",
+    "Decay",
+    "Decentralised",
+    "FixedOrder",
+    "FixedPoles",
+    "FixedSynthesis",
     "GeneralizedPlant",
     "H2Synthesis",
     "HinfSynthesis",
@@ -33,6 +57,17 @@ __all__ = [
     "control_weight",
     "h2",
     "dk",
+    "MultichannelPID",
+    "Part",
+    "RollOff",
+    "Series",
+    "StableController",
+    "StaticGain",
+    "Sum",
+    "Synthesis",
+    "complementary_weight",
+    "control_weight",
+    "fixed_structure",
     "hinf",
     "loop_functions",
     "loop_functions_of",
