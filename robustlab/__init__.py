@@ -44,12 +44,16 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import fixed_structure as fixed_structure
     from robustlab.synthesis import generalized_plant as generalized_plant
     from robustlab.synthesis import h2 as h2
+    from robustlab.synthesis import h2_hinf as h2_hinf
     from robustlab.synthesis import hinf as hinf
     from robustlab.synthesis import loop_functions as loop_functions
     from robustlab.synthesis import loop_functions_of as loop_functions_of
+    from robustlab.synthesis import lqg as lqg
+    from robustlab.synthesis import lqr as lqr
     from robustlab.synthesis import mixsyn as mixsyn
     from robustlab.synthesis import ncf as ncf
     from robustlab.synthesis import performance_weight as performance_weight
+    from robustlab.synthesis import place as place
     from robustlab.uncertainty.algebra import beside as beside
     from robustlab.uncertainty.algebra import stacked as stacked
     from robustlab.uncertainty.algebra import star as star
@@ -130,8 +134,12 @@ _PUBLIC = {
     # synthesis
     "hinf": "synthesis",
     "h2": "synthesis",
+    "h2_hinf": "synthesis",
     "loop_functions": "synthesis",
     "loop_functions_of": "synthesis",
+    "lqr": "synthesis",
+    "lqg": "synthesis",
+    "place": "synthesis",
     "mixsyn": "synthesis",
     "ncf": "synthesis",
     "dk": "synthesis",

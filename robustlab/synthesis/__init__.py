@@ -29,9 +29,15 @@ from robustlab.synthesis.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.loop_functions import loop_functions_of as loop_functions_of
 from robustlab.synthesis.loop_shaping import NcfSynthesis as NcfSynthesis
 from robustlab.synthesis.loop_shaping import ncf as ncf
+from robustlab.synthesis.mixed_h2_hinf import MixedSynthesis as MixedSynthesis
+from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
+from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
+from robustlab.synthesis.state_feedback import lqg as lqg
+from robustlab.synthesis.state_feedback import lqr as lqr
+from robustlab.synthesis.state_feedback import place as place
 from robustlab.synthesis.weights import complementary_weight as complementary_weight
 from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight
@@ -51,7 +57,9 @@ __all__ = [
     "H2Synthesis",
     "HinfSynthesis",
     "LoopFunctions",
+    "MixedSynthesis",
     "NcfSynthesis",
+    "StateFeedback",
     "Synthesis",
     "complementary_weight",
     "control_weight",
@@ -68,11 +76,15 @@ __all__ = [
     "complementary_weight",
     "control_weight",
     "fixed_structure",
+    "h2_hinf",
     "hinf",
     "loop_functions",
     "loop_functions_of",
     "generalized_plant",
+    "lqg",
+    "lqr",
     "mixsyn",
     "ncf",
     "performance_weight",
+    "place",
 ]

@@ -20,7 +20,7 @@ from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.search import Deadline
 from robustlab.synthesis.verified_loop import rebuilt_loop
 
-__all__ = ["H2Synthesis", "h2", "synthesize_h2"]
+__all__ = ["H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 
 Array = NDArray[Any]
 
@@ -189,7 +189,7 @@ def _synthesized(
 ) -> H2Synthesis:
     where, deadline, dt = f"synth {method}", Deadline(time_limit), plant.model.dt
     matrices = plant.matrices()
-    start = _cancelling_gain(matrices, dt, where)
+    start = cancelling_gain(matrices, dt, where)
     shifted = _with_gain(matrices, start)
     trials: list[_Trial] = []
     for scale in (paths_first, equilibrated):
@@ -277,12 +277,9 @@ def _trial(
         return None
     full, loop = rebuilt
     if not dt:
-        D11 = plant.matrices().D11
-        if np.abs(loop.D).max(initial=0.0) > CANCELLED * np.abs(D11).max(initial=0.0):
+        loop = cancelled_direct_term(loop, plant.matrices().D11, K.D)
+        if loop is None:
             return None
-        loop = StateSpaceModel(
-            loop.A, loop.B, loop.C, np.zeros_like(loop.D), 0.0, loop.inputs, loop.outputs, loop.states
-        )
     norm = h2_norm(loop)
     return _Trial(full, loop, norm, eps, scaling, regularised, bare) if np.isfinite(norm.value) else None
 
@@ -310,7 +307,7 @@ def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
 # --- the direct term and the assumptions ---------------------------------------------------------------------------
 
 
-def _cancelling_gain(p: PlantMatrices, dt: float, where: str) -> Array:
+def cancelling_gain(p: PlantMatrices, dt: float, where: str) -> Array:
     """D_K with ``D11 + D12 D_K D21 = 0``, of smallest norm; zero in discrete time, where nothing has to vanish."""
     _, _, n_u, _, n_y = p.sizes
     if dt or not p.D11.any():
@@ -326,6 +323,15 @@ def _cancelling_gain(p: PlantMatrices, dt: float, where: str) -> Array:
             "take w's direct way to z out of the plant, or pass w through a fast low-pass filter first",
         )
     return gain
+
+
+def cancelled_direct_term(loop: StateSpaceModel, D11: Array, D_K: Array) -> StateSpaceModel | None:
+    """The loop with D = 0 where D is rounding of the cancellation of D11 by D_K; None where it is more."""
+    allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(D_K).max(initial=0.0))
+    if np.abs(loop.D).max(initial=0.0) > allowed:
+        return None
+    nothing = np.zeros_like(loop.D)
+    return StateSpaceModel(loop.A, loop.B, loop.C, nothing, 0.0, loop.inputs, loop.outputs, loop.states)
 
 
 def _with_gain(p: PlantMatrices, gain: Array) -> PlantMatrices:

@@ -17,7 +17,7 @@ from robustlab.synthesis.design import Synthesis
 
 __all__ = ["FUNCTIONS", "LoopFunctions", "loop_functions", "loop_functions_of"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 # Which weight of a mixed-sensitivity problem bounds which function.
 FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}

@@ -28,7 +28,15 @@ from robustlab.statespace import MAX_NAME, MAX_STATES, Signal, StateSpaceModel, 
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["STRUCTURES", "EndpointResidual", "by_cause", "elementwise", "endpoint_residual"]
+__all__ = [
+    "STRUCTURES",
+    "EndpointResidual",
+    "by_cause",
+    "check_pair",
+    "elementwise",
+    "endpoint_residual",
+    "natural_magnitude",
+]
 
 Array = NDArray[np.float64]
 
@@ -96,7 +104,7 @@ def elementwise(
         )
     if tolerance is not None and not 0 <= tolerance < 1:
         raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
-    _check_pair(first, second)
+    check_pair(first, second)
     difference = _difference(first, second, tolerance or 0.0)
     parts = _FACTORS[structure](difference)
     return _assemble(first, parts)
@@ -139,7 +147,7 @@ def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None
     parts: list[_Part] = []
     for name, model in perturbed.items():
         second = as_model(model, f"by_cause: {name}")
-        _check_pair(first, second)
+        check_pair(first, second)
         parts += [part._replace(name=name) for part in _single(_difference(first, second, tolerance or 0.0))]
     return _assemble(first, parts)
 
@@ -221,7 +229,7 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
     n = nominal.n_states
     first, second = (np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed))
     size = np.maximum(np.abs(first), np.abs(second))
-    scale = _natural_magnitude(size)
+    scale = natural_magnitude(size)
     # An entry of a matrix of small numbers must not be judged by the large units of its row and column alone.
     limit = scale.copy()
     for rows in (slice(0, n), slice(n, None)):
@@ -233,8 +241,8 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
     return _Difference(e, scale, max(tolerance, EXACT) * limit, n, row_names, col_names)
 
 
-def _natural_magnitude(size: Array) -> Array:
-    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one.
+def natural_magnitude(size: Array) -> Array:
+    """Powers of two ``r_i c_j``, shape of ``size``, for which ``size / (r c^T)`` has rows and columns with a largest entry near one.
 
     This takes the units of signals and states out: a rank does not change when a state is counted in mm instead of m.
     """
@@ -413,30 +421,44 @@ def _channels(prefix: str, parts: list[_Part], taken: Sequence[str]) -> list[Sig
 # --- checks ----------------------------------------------------------------------------------------------------------
 
 
-def _check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> None:
+def check_pair(
+    nominal: StateSpaceModel,
+    perturbed: StateSpaceModel,
+    first: str = "nominal",
+    second: str = "perturbed",
+    where: str = "elementwise",
+) -> None:
+    """Whether two models have the same sizes, sample time, signals and units; ``first``, ``second`` are their names.
+
+    Raises
+    ------
+    InputError, UnitMismatch
+        They have not.
+    """
     shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
     wrong = [
-        f"perturbed {name} is {found}, expected {wanted} to match nominal {name}"
+        f"{second} {name} is {found}, expected {wanted} to match {first} {name}"
         for name, (found, wanted) in shapes.items()
         if found != wanted
     ]
     if wrong:
-        raise InputError("elementwise", wrong[0], more=tuple(wrong[1:]))
+        raise InputError(where, wrong[0], more=tuple(wrong[1:]))
     if nominal.dt != perturbed.dt:
-        raise InputError("elementwise", f"perturbed has dt = {perturbed.dt:g} s", f"{nominal.dt:g} s to match nominal")
+        raise InputError(where, f"{second} has dt = {perturbed.dt:g} s", f"{nominal.dt:g} s to match {first}")
     for kind, prefix in (("inputs", "u"), ("outputs", "y"), ("states", "x")):
-        _check_signals(kind, prefix, getattr(nominal, kind), getattr(perturbed, kind))
+        _check_signals(kind, prefix, (getattr(nominal, kind), getattr(perturbed, kind)), (first, second), where)
 
 
-def _check_signals(kind: str, prefix: str, first: Sequence[Signal], second: Sequence[Signal]) -> None:
+def _check_signals(
+    kind: str, prefix: str, pair: tuple[Sequence[Signal], Sequence[Signal]], called: tuple[str, str], where: str
+) -> None:
+    (first, second), (one, other) = pair, called
     names, others = [s.name for s in first], [s.name for s in second]
     # What our own models and python-control's are called when nobody named their signals.
     unnamed = ([f"{prefix}{i + 1}" for i in range(len(first))], [f"{prefix}[{i}]" for i in range(len(first))])
     if names != others and names not in unnamed and others not in unnamed:
         hint = f"bring them into one order with select({kind}=...)" if sorted(names) == sorted(others) else None
-        raise InputError(
-            "elementwise", f"perturbed {kind} are {', '.join(others)}", f"{', '.join(names)} to match nominal", hint
-        )
+        raise InputError(where, f"{other} {kind} are {', '.join(others)}", f"{', '.join(names)} to match {one}", hint)
     for a, b in zip(first, second, strict=True):
         if a.unit and b.unit and a.unit != b.unit:
-            raise UnitMismatch("elementwise", f"perturbed {b.name} is in {b.unit}", f"{a.unit} to match nominal")
+            raise UnitMismatch(where, f"{other} {b.name} is in {b.unit}", f"{a.unit} to match {one}")

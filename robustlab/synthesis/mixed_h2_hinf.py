@@ -1,0 +1,397 @@
+"""Mixed H2/H-infinity synthesis: the smallest H2 norm of one channel with the H-infinity norm of another bounded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.synthesis.common_lyapunov import Channel, CommonLyapunov
+from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.h2_synthesis import cancelled_direct_term, cancelling_gain, h2
+from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant
+from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
+from robustlab.synthesis.verified_loop import rebuilt_loop
+
+__all__ = ["MixedSynthesis", "h2_hinf"]
+
+Array = NDArray[Any]
+Names = Sequence[str]
+
+# Levels of the H-infinity inequality, in shares of gamma: above 1, because the common Lyapunov matrix makes it
+# conservative; below 1, because the solver may miss its level by a little.
+LEVELS = (1.0, 1.3, 1.7, 2.5, 4.0, 8.0)
+LOWER = (0.995, 0.97, 0.9)
+REFINEMENTS = 5
+# Factors by which the split of the level between w and z is moved, as long as the H2 norm falls by this much.
+SHARES = (3.0, 1 / 3)
+GAIN = 0.01
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MixedSynthesis(Synthesis):
+    """A mixed H2/H-infinity design; ``gamma`` is the verified H2 norm of its channel.
+
+    Attributes
+    ----------
+    h2_norm, hinf_norm
+        Norms of the two channels of the rebuilt loop.
+    bound
+        What the H-infinity norm was to stay below; ``hinf_norm.upper <= bound``.
+    h2_optimum
+        The H2 norm without the bound: no controller goes below it where it is the optimum of a regular plant.
+    hinf_smallest
+        The smallest H-infinity norm found for its channel alone.
+    """
+
+    h2_norm: H2Norm
+    hinf_norm: HinfNorm
+    bound: float
+    h2_optimum: float
+    hinf_smallest: float
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        norm = f"{self.hinf_norm.upper:.6g} <= {self.bound:.6g} (smallest found {self.hinf_smallest:.6g})"
+        return [
+            *rows[:2],
+            ("H-infinity norm", norm),
+            ("H2 norm without the bound", f"{self.h2_optimum:.6g}"),
+            *rows[2:],
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant, with arrays."""
+        return super().to_json() | {
+            "h2_norm": self.h2_norm.to_json(),
+            "hinf_norm": self.hinf_norm.to_json(),
+            "bound": self.bound,
+            "h2_optimum": self.h2_optimum,
+            "hinf_smallest": self.hinf_smallest,
+        }
+
+
+def h2_hinf(
+    P: Any,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    *,
+    gamma: float,
+    h2_outputs: Names,
+    h2_inputs: Names | None = None,
+    hinf_outputs: Names | None = None,
+    hinf_inputs: Names | None = None,
+    time_limit: float = 60.0,
+    progress: Callable[[str], None] | None = None,
+) -> MixedSynthesis:
+    r"""Controller with a small H2 norm of one channel, and the H-infinity norm of another at most ``gamma``.
+
+    .. math:: \min_K \|T_{z_2 w_2}\|_2 \quad\text{subject to}\quad \|T_{z_\infty w_\infty}\|_\infty \le \gamma
+
+    ``u = K y`` with positive feedback. Where the H2 optimum keeps the bound, it is the answer. Otherwise linear matrix
+    inequalities with a common Lyapunov matrix (Scherer, Gahinet, Chilali), which alone would be conservative: they are
+    solved for larger and larger levels as long as the *true* H-infinity norm of the rebuilt loop stays below gamma. K
+    has the order of P.
+
+    Parameters
+    ----------
+    P, n_meas, n_con
+        Generalised plant as for `robustlab.hinf`.
+    gamma
+        Bound of the H-infinity norm.
+    h2_outputs, h2_inputs
+        Names of the performance outputs and disturbances of the H2 channel; all disturbances where left out.
+    hinf_outputs, hinf_inputs
+        The same for the H-infinity channel; where left out, the other performance outputs, and all disturbances.
+    time_limit
+        Time in s of the whole search; given to the solver too.
+    progress
+        Called with one line per step.
+
+    Returns
+    -------
+    MixedSynthesis
+        Always with a verified K that keeps the bound. CONVERGED: it is not proved to be the best one.
+
+    Raises
+    ------
+    InputError
+        Unknown names, an empty channel, a bound that is no positive number.
+    NoTrustworthyNumber
+        No controller with the H-infinity norm below gamma was found (the smallest norm found is named), no
+        stabilising controller exists, or the H2 norm is infinite for every controller.
+
+    References
+    ----------
+    Scherer, Gahinet, Chilali 1997, IEEE TAC 42(7), section IV; Bernstein, Haddad 1989.
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> P = StateSpaceModel([[0.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+    ...     inputs=["d", "n", "u"], outputs=["x", "effort", "y"])
+    >>> design = h2_hinf(P, 1, 1, gamma=1.45, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"])
+    >>> design.hinf_norm.upper <= 1.45, design.gamma >= design.h2_optimum
+    (True, True)
+    """
+    where = "synth h2-hinf"
+    plant = as_generalized_plant(P, n_meas, n_con, where)
+    if isinstance(gamma, bool) or not np.isfinite(gamma) or gamma <= 0:
+        raise InputError(where, f"gamma is {gamma}", "a positive number")
+    if np.isnan(time_limit) or time_limit <= 0:
+        raise InputError(where, f"time_limit is {time_limit}", "a positive time in s")
+    channels = _channels(plant, h2_outputs, h2_inputs, hinf_outputs, hinf_inputs)
+    from threadpoolctl import threadpool_limits
+
+    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
+    with threadpool_limits(limits=1):
+        return _Mixed(plant, channels, gamma, time_limit, progress).result()
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Rows of z and columns of w of the two channels."""
+
+    h2: tuple[list[int], list[int]]
+    hinf: tuple[list[int], list[int]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Verified:
+    """A controller that keeps the bound."""
+
+    K: StateSpaceModel
+    loop: StateSpaceModel
+    h2: H2Norm
+    hinf: HinfNorm
+    how: str
+
+
+class _Mixed:
+    """One search; every controller that is considered was verified on the plant as given."""
+
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        channels: _Pair,
+        gamma: float,
+        time_limit: float,
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self.plant, self.channels, self.gamma = plant, channels, gamma
+        self.end = time.monotonic() + time_limit
+        self.say = progress or (lambda line: None)
+        self.found: list[_Verified] = []
+        self.alone = {kind: _part(plant, *getattr(channels, kind)) for kind in ("h2", "hinf")}
+
+    def result(self) -> MixedSynthesis:
+        where = "synth h2-hinf"
+        free = h2(self.alone["h2"], time_limit=max(self._left(), 1e-3))
+        norms = self._judge(free.K, "the H2 optimum, which keeps the bound")
+        self.say(f"H2 norm without the bound {free.gamma:.6g}")
+        smallest = float("nan")
+        optimal = norms is not None and norms[1].upper <= self.gamma
+        if not optimal:
+            robust = hinf(self.alone["hinf"], gamma_rel=1.0, time_limit=max(0.4 * self._left(), 1e-3))
+            smallest = robust.smallest_gamma
+            self.say(f"smallest H-infinity norm found {smallest:.6g}")
+            self._judge(robust.K, "the H-infinity design")
+            if smallest > self.gamma:
+                raise NoTrustworthyNumber(
+                    where,
+                    f"no controller keeps the H-infinity norm of {', '.join(self._names('hinf'))} below {self.gamma:g}",
+                    f"gamma above {smallest:.6g}, the smallest norm found",
+                )
+            self._search()
+        best = min(self.found, key=lambda v: v.h2.value, default=None)
+        if best is None:
+            raise NoTrustworthyNumber(
+                where,
+                "no controller that keeps the bound was verified with a finite H2 norm",
+                hint=f"a gamma clearly above {smallest:.6g} leaves more room",
+            )
+        return self._finished(best, free.gamma, smallest, optimal)
+
+    def _left(self) -> float:
+        return self.end - time.monotonic()
+
+    def _names(self, kind: str) -> list[str]:
+        rows = getattr(self.channels, kind)[0]
+        return [self.plant.model.output_names[i] for i in rows]
+
+    def _judge(self, K: StateSpaceModel, how: str, D22: Array | None = None) -> tuple[H2Norm, HinfNorm] | None:
+        """Norms of both channels of the rebuilt loop; K is kept where they are sound and the bound holds."""
+        nothing = np.zeros_like(self.plant.D22)
+        rebuilt = rebuilt_loop(self.plant, K, nothing if D22 is None else D22)
+        if rebuilt is None:
+            return None
+        named, loop = rebuilt
+        (z2, w2), (z, w) = self.channels.h2, self.channels.hinf
+        noisy = _selected(loop, z2, w2)
+        if not loop.is_discrete:
+            cleared = cancelled_direct_term(noisy, self.plant.matrices().D11[np.ix_(z2, w2)], K.D)
+            if cleared is None:
+                return None
+            noisy = cleared
+        h2_found, hinf_found = h2_norm(noisy), hinf_norm(_selected(loop, z, w))
+        sound = h2_found.status.trustworthy and hinf_found.status.trustworthy and np.isfinite(h2_found.value)
+        if sound and hinf_found.upper <= self.gamma:
+            self.found.append(_Verified(named, loop, h2_found, hinf_found, how))
+        return (h2_found, hinf_found) if sound else None
+
+    def _search(self) -> None:
+        matrices = self.plant.matrices()
+        (z2, w2), (z, w) = self.channels.h2, self.channels.hinf
+        dt = self.plant.model.dt
+        gain = cancelling_gain(_rows(matrices, z2, w2), dt, "synth h2-hinf")
+        for scale in (equilibrated, paths_first):
+            scaling = scale(matrices)
+            if dt:  # a step has no other unit of time
+                scaling = replace(scaling, rate=1.0)
+            p = scaling.apply(matrices)
+            gain_scaled = gain / scaling.u[:, None] / scaling.y
+            problem = CommonLyapunov(
+                p.A, p.B2, p.C2, _channel(p, z2, w2), _channel(p, z, w), gain_scaled, discrete=bool(dt)
+            )
+
+            def attempt(
+                level: float, share: float, problem: CommonLyapunov = problem, scaling: Scaling = scaling
+            ) -> bool:
+                bare = problem.controller(level * self.gamma * scaling.gain, share, self._left())
+                return bare is not None and self._attempted(bare, scaling, f"level {level:.3g} gamma, share {share:g}")
+
+            if self._push(attempt):
+                return
+
+    def _attempted(self, bare: StateSpaceModel, scaling: Scaling, how: str) -> bool:
+        """Whether the true norm of this controller for the scaled plant keeps the bound."""
+        try:
+            K = scaling.controller_to_plant(bare)
+        except InputError:  # entries overflow when scaled back
+            return False
+        K = StateSpaceModel(K.A, K.B, K.C, K.D, self.plant.model.dt)
+        norms = self._judge(K, f"linear matrix inequalities at {how}", self.plant.D22)
+        text = "no verified loop" if norms is None else f"H2 {norms[0].value:.6g}, H-inf {norms[1].upper:.6g}"
+        self.say(f"{how}: {text}")
+        return norms is not None and norms[1].upper <= self.gamma
+
+    def _push(self, attempt: Callable[[float, float], bool]) -> bool:
+        """Largest level whose controller keeps the bound, by growing steps and bisection; then the best share.
+
+        The H2 norm falls as the level grows, so the last controller that keeps the bound is the best one. False where
+        no level gives a controller.
+        """
+        low, high = 0.0, LEVELS[-1]
+        for level in LEVELS:
+            if self._left() <= 0 or not attempt(level, 1.0):
+                high = level
+                break
+            low = level
+        if low == 0.0:
+            low = next((level for level in LOWER if self._left() > 0 and attempt(level, 1.0)), 0.0)
+        if low == 0.0:
+            return False
+        for _ in range(REFINEMENTS):
+            middle = 0.5 * (low + high)
+            if self._left() <= 0 or high == low:
+                break
+            low, high = (middle, high) if attempt(middle, 1.0) else (low, middle)
+        for factor in SHARES:
+            share = factor
+            while self._left() > 0 and 1e-4 < share < 1e4:
+                before = min(v.h2.value for v in self.found)
+                # Another share moves the level that the true norm allows: a larger one is tried as well.
+                if attempt(low, share) and attempt(1.1 * low, share):
+                    low *= 1.1
+                if min(v.h2.value for v in self.found) > before * (1 - GAIN):
+                    break
+                share *= factor
+        return True
+
+    def _finished(self, best: _Verified, h2_optimum: float, smallest: float, optimal: bool) -> MixedSynthesis:
+        parts = ["loop rebuilt from K is stable; both norms were verified", best.how]
+        if not optimal:
+            parts.append("a better controller may exist")
+        if self._left() <= 0:
+            parts.append("time limit reached")
+        (z, w), bound = self.channels.hinf, f"H-infinity norm {best.hinf.upper:.4g} of {self.gamma:.4g} allowed"
+        peak = limiting_channels(_selected(best.loop, z, w), best.hinf.frequency)
+        return MixedSynthesis(
+            K=best.K,
+            gamma=best.h2.value,
+            closed_loop=best.loop,
+            status=Status.CONVERGED,
+            reason="; ".join(parts),
+            limit=f"{bound}; {peak}" if peak else bound,
+            plant=self.plant,
+            method="h2-hinf",
+            h2_norm=best.h2,
+            hinf_norm=best.hinf,
+            bound=self.gamma,
+            h2_optimum=h2_optimum,
+            hinf_smallest=smallest,
+        )
+
+
+# --- channels ---------------------------------------------------------------------------------------------------------
+
+
+def _channels(
+    plant: GeneralizedPlant, h2_outputs: Names, h2_inputs: Names | None, outputs: Names | None, inputs: Names | None
+) -> _Pair:
+    zs = plant.model.output_names[: plant.model.n_outputs - plant.n_meas]
+    ws = plant.model.input_names[: plant.model.n_inputs - plant.n_con]
+    z2 = _positions(h2_outputs, zs, "h2_outputs")
+    w2 = list(range(len(ws))) if h2_inputs is None else _positions(h2_inputs, ws, "h2_inputs")
+    others = [i for i in range(len(zs)) if i not in z2]
+    z = others if outputs is None else _positions(outputs, zs, "hinf_outputs")
+    w = list(range(len(ws))) if inputs is None else _positions(inputs, ws, "hinf_inputs")
+    for name, found in (("h2_outputs", z2), ("h2_inputs", w2), ("hinf_outputs", z), ("hinf_inputs", w)):
+        if not found:
+            raise InputError("synth h2-hinf", f"{name} is empty", "at least one channel", "name it by signal names")
+    return _Pair((z2, w2), (z, w))
+
+
+def _positions(names: Names, known: Sequence[str], what: str) -> list[int]:
+    names = [names] if isinstance(names, str) else list(names)
+    for name in names:
+        if name not in known:
+            hint = did_you_mean(name, tuple(known))
+            raise InputError(f"synth h2-hinf: {what}", f"no signal {name!r}", f"one of {', '.join(known)}", hint)
+    return [list(known).index(name) for name in names]
+
+
+def _part(plant: GeneralizedPlant, z: list[int], w: list[int]) -> GeneralizedPlant:
+    """The generalised plant with one of its channels only."""
+    m = plant.model
+    rows = [*z, *range(m.n_outputs - plant.n_meas, m.n_outputs)]
+    columns = [*w, *range(m.n_inputs - plant.n_con, m.n_inputs)]
+    return GeneralizedPlant(_selected(m, rows, columns), plant.n_meas, plant.n_con)
+
+
+def _selected(m: StateSpaceModel, rows: list[int], columns: list[int]) -> StateSpaceModel:
+    outputs: list[Signal] = [m.outputs[i] for i in rows]
+    inputs: list[Signal] = [m.inputs[i] for i in columns]
+    return StateSpaceModel(m.A, m.B[:, columns], m.C[rows], m.D[np.ix_(rows, columns)], m.dt, inputs, outputs, m.states)
+
+
+def _rows(p: PlantMatrices, z: list[int], w: list[int]) -> PlantMatrices:
+    return replace(p, B1=p.B1[:, w], C1=p.C1[z], D11=p.D11[np.ix_(z, w)], D12=p.D12[z], D21=p.D21[:, w])
+
+
+def _channel(p: PlantMatrices, z: list[int], w: list[int]) -> Channel:
+    part = _rows(p, z, w)
+    return Channel(part.B1, part.C1, part.D11, part.D12, part.D21)
