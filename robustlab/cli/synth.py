@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, note, status_line
+from robustlab.cli.console import JsonOption, OutOption, SeedOption, note, status_line
 from robustlab.cli.design_output import (
     ControlsOption,
     FigureOption,
@@ -161,6 +161,50 @@ def dk(
             plant, rows, direct=direct, mixed=mixed, max_order=max_order, time_limit=time_limit, progress=report
         )
     finish("synth dk", found, file, out, figure, as_json)
+
+
+@app.command()
+def fixed(
+    file: FileArgument,
+    structure: Annotated[
+        str,
+        typer.Option(
+            "--structure",
+            help="static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, "
+            ":diagonal, :scalar), decentralised:WORD.",
+        ),
+    ] = "static",
+    n_meas: NMeasOption = None,
+    n_con: NConOption = None,
+    measurements: MeasurementsOption = None,
+    controls: ControlsOption = None,
+    nominal: NominalOption = False,
+    objective: Annotated[str, typer.Option("--objective", help="hinf or h2.")] = "hinf",
+    starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
+    seed: SeedOption = 0,
+    time_limit: TimeLimitOption = 60.0,
+    out: OutOption = None,
+    figure: FigureOption = None,
+    verbose: VerboseOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Controller u = K y (positive feedback) of a given structure: the smallest norm found, verified; a local optimum.
+
+    Of an uncertain file the worst member counts, unless --nominal. Channels as for hinf.
+    Exit code 4: no start stabilised the plant.
+
+    Example: robustlab synth fixed plant.h5 --structure order:2 --n-meas 1 --n-con 1 --out controller.h5
+    """
+    require_channels("synth fixed", n_meas, n_con, measurements, controls)
+    from robustlab.synthesis import fixed_structure as design
+    from robustlab.synthesis.structure_words import structure_in_words
+
+    plant = load_plant("synth fixed", file, n_meas, n_con, measurements, controls, nominal)
+    words = structure_in_words(structure, plant)
+    options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed, "time_limit": time_limit}
+    with status_line("fixed structure", verbose) as report:
+        found = design(plant, words, progress=report, **options)
+    finish("synth fixed", found, file, out, figure, as_json)
 
 
 @app.command()

@@ -25,6 +25,7 @@ __all__ = [
     "DesignStep",
     "DkStep",
     "FollowTrajectoryStep",
+    "FixedStep",
     "H2Step",
     "HinfStep",
     "NcfStep",
@@ -128,6 +129,21 @@ class DkStep(DesignStep):
     mixed: bool = Field(True, description="Use that real blocks are real.")
     max_order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="Largest order of the controller.")
     time_limit: TimeLimit = Field(120.0, description="s")
+
+
+class FixedStep(DesignStep):
+    """Controller of a given structure with the smallest norm found; a local optimum, verified.
+
+    Of a tracking problem or an uncertain model the worst member counts, unless `nominal`.
+    """
+
+    do: Literal["fixed"]
+    structure: Annotated[str, Field(max_length=200)] = Field(
+        "static", description='static, p, i, pi, pd, pid, "order:N", "poles:-1,-20", "ipd:full", "decentralised:WORD".'
+    )
+    nominal: bool = Field(False, description="Of a tracking problem: the nominal plant alone.")
+    objective: Literal["hinf", "h2"] = "hinf"
+    starts: Annotated[int, Field(ge=0, le=1000)] = Field(3, description="Number of random starts.")
 
 
 class NcfStep(StepBase):

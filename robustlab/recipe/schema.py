@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 from robustlab.recipe.control_schema import (
     CascadeStep,
     DkStep,
+    FixedStep,
     FollowTrajectoryStep,
     H2Step,
     HinfStep,
@@ -455,6 +456,7 @@ Step = Annotated[
     | H2Step
     | NcfStep
     | DkStep
+    | FixedStep
     | ReduceControllerStep
     | TrackingProblemStep
     | CascadeStep

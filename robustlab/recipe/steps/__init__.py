@@ -34,6 +34,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "h2": design.h2,
     "ncf": design.ncf,
     "dk": design.dk,
+    "fixed": design.fixed,
     "reduce-controller": design.reduce_controller,
     "close-loop": design.close_loop,
     "tracking-problem": control.tracking_problem,

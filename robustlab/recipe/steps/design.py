@@ -5,11 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 from robustlab.errors import InputError
-from robustlab.recipe.control_schema import DesignStep, DkStep, H2Step, HinfStep, NcfStep, ReduceControllerStep
+from robustlab.recipe.control_schema import (
+    DesignStep,
+    DkStep,
+    FixedStep,
+    H2Step,
+    HinfStep,
+    NcfStep,
+    ReduceControllerStep,
+)
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import CloseLoopStep, MixsynStep
 
-__all__ = ["close_loop", "dk", "h2", "hinf", "mixsyn", "ncf", "reduce_controller", "tracking_loop"]
+__all__ = ["close_loop", "dk", "fixed", "h2", "hinf", "mixsyn", "ncf", "reduce_controller", "tracking_loop"]
 
 
 def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
@@ -71,6 +79,20 @@ def dk(step: DkStep, work: Workspace) -> Outcome:
     work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
     _draw_functions(found, step.of, work, proved=False)
     return _designed(found, f"Robust controller for {step.of}.", work)
+
+
+def fixed(step: FixedStep, work: Workspace) -> Outcome:
+    """A controller of a given structure, verified in the loop rebuilt from it."""
+    import robustlab as rl
+    from robustlab.synthesis.partition import as_generalized_plant
+    from robustlab.synthesis.structure_words import structure_in_words
+
+    plant = as_generalized_plant(*generalised(step, work, nominal=step.nominal), "fixed")
+    options: dict[str, Any] = {"objective": step.objective, "starts": step.starts, "time_limit": step.time_limit}
+    found = rl.fixed_structure(plant, structure_in_words(step.structure, plant), seed=work.seed, **options)
+    _draw_loop(found, work)
+    _draw_functions(found, step.of, work, proved=step.nominal and step.objective == "hinf")
+    return _designed(found, f"Controller of structure {step.structure} for {step.of}.", work)
 
 
 def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
