@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from robustlab.cli.console import emit, note, table
-from robustlab.errors import InputError, RobustlabError, UsageError
+from robustlab.errors import EnvironmentFault, InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,6 +21,13 @@ NMeasOption = Annotated[int | None, typer.Option("--n-meas", help="Number of mea
 NConOption = Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")]
 MeasurementsOption = Annotated[str | None, typer.Option("--measurements", help="Measured outputs by name: a,b.")]
 ControlsOption = Annotated[str | None, typer.Option("--controls", help="Control inputs by name: a,b.")]
+DisturbancesOption = Annotated[
+    str | None,
+    typer.Option("--disturbances", help="With names: the inputs w; all that are no controls where left out."),
+]
+PerformanceOption = Annotated[
+    str | None, typer.Option("--performance", help="With names: the outputs z; all outputs where left out.")
+]
 NominalOption = Annotated[
     bool, typer.Option("--nominal", help="Of an uncertain file: without its perturbation channels, at Delta = 0.")
 ]
@@ -40,39 +48,54 @@ def names(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def require_channels(
-    command: str, n_meas: int | None, n_con: int | None, measurements: str | None, controls: str | None
-) -> None:
-    """Refuse a call that does not say which channels are measurements and controls, or says so twice."""
-    by_name, by_number = (measurements, controls), (n_meas, n_con)
-    if (None in by_name) == (None in by_number) or any(by_name) == any(n is not None for n in by_number):
-        expected = "either --n-meas and --n-con, or --measurements and --controls"
-        raise UsageError(command, "channels are not given", expected)
+@dataclass(frozen=True)
+class Channels:
+    """Which inputs and outputs of a file a command was told to take, by number or by name."""
+
+    command: str
+    n_meas: int | None
+    n_con: int | None
+    measurements: str | None
+    controls: str | None
+    disturbances: str | None
+    performance: str | None
+
+    def __post_init__(self) -> None:
+        by_name, by_number = (self.measurements, self.controls), (self.n_meas, self.n_con)
+        named, counted = None not in by_name, None not in by_number
+        halves = any(by_name) != named or any(n is not None for n in by_number) != counted
+        if halves or named == counted:
+            expected = "either --n-meas and --n-con, or --measurements and --controls"
+            raise UsageError(self.command, "channels are not given", expected)
+        if counted and (self.disturbances or self.performance):
+            raise UsageError(
+                self.command, "--disturbances or --performance", "--measurements and --controls by name, too"
+            )
+
+    def plant(self, file: str, nominal: bool = False) -> GeneralizedPlant:
+        """The generalised plant of a file."""
+        from robustlab.storage import load
+        from robustlab.synthesis import generalized_plant
+        from robustlab.synthesis.partition import as_generalized_plant
+        from robustlab.uncertainty.lft import UncertainModel
+
+        found: Any = load(file)
+        if nominal:
+            if not isinstance(found, UncertainModel):
+                raise InputError(file, f"a {type(found).__name__}", "an uncertain model, because of --nominal")
+            found = found.nominal
+        if self.measurements is None or self.controls is None:
+            return as_generalized_plant(found, self.n_meas, self.n_con, self.command)
+        w, z = (None if text is None else names(text) for text in (self.disturbances, self.performance))
+        return generalized_plant(found, names(self.measurements), names(self.controls), w, z)
 
 
-def load_plant(
-    command: str,
-    file: str,
-    n_meas: int | None,
-    n_con: int | None,
-    measurements: str | None,
-    controls: str | None,
-    nominal: bool = False,
-) -> GeneralizedPlant:
-    """The generalised plant of a file, its channels by number or by name."""
-    from robustlab.storage import load
-    from robustlab.synthesis import generalized_plant
-    from robustlab.synthesis.partition import as_generalized_plant
-    from robustlab.uncertainty.lft import UncertainModel
+def check_target(out: str | None) -> None:
+    """Refuse, before the search, a file that could not be written after it."""
+    from pathlib import Path
 
-    found: Any = load(file)
-    if nominal:
-        if not isinstance(found, UncertainModel):
-            raise InputError(file, f"a {type(found).__name__}", "an uncertain model, because of --nominal")
-        found = found.nominal
-    if measurements is not None and controls is not None:
-        return generalized_plant(found, names(measurements), names(controls))
-    return as_generalized_plant(found, n_meas, n_con, command)
+    if out is not None and not Path(out).resolve().parent.is_dir():
+        raise EnvironmentFault(out, "no such folder", "a folder that exists")
 
 
 def rows_of_blocks(text: str) -> list[list[int]]:

@@ -8,7 +8,9 @@ import typer
 
 from robustlab.cli.console import JsonOption, OutOption, SeedOption, note, status_line
 from robustlab.cli.design_output import (
+    Channels,
     ControlsOption,
+    DisturbancesOption,
     FigureOption,
     FileArgument,
     GammaRelOption,
@@ -16,12 +18,12 @@ from robustlab.cli.design_output import (
     NConOption,
     NMeasOption,
     NominalOption,
+    PerformanceOption,
     TimeLimitOption,
     VerboseOption,
+    check_target,
     finish,
-    load_plant,
     names,
-    require_channels,
     rows_of_blocks,
     weight,
 )
@@ -40,6 +42,8 @@ def hinf(
     n_con: NConOption = None,
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
     nominal: NominalOption = False,
     gamma_rel: GammaRelOption = 1.05,
     time_limit: TimeLimitOption = 60.0,
@@ -54,10 +58,11 @@ def hinf(
 
     Example: robustlab synth hinf plant.h5 --n-meas 1 --n-con 1 --out controller.h5
     """
-    require_channels("synth hinf", n_meas, n_con, measurements, controls)
+    channels = Channels("synth hinf", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
     from robustlab.synthesis import hinf as design
 
-    plant = load_plant("synth hinf", file, n_meas, n_con, measurements, controls, nominal)
+    plant = channels.plant(file, nominal)
     found = design(plant, gamma_rel=gamma_rel, time_limit=time_limit)
     finish("synth hinf", found, file, out, figure, as_json)
 
@@ -69,6 +74,8 @@ def h2(
     n_con: NConOption = None,
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
     nominal: NominalOption = False,
     time_limit: TimeLimitOption = 60.0,
     out: OutOption = None,
@@ -82,10 +89,11 @@ def h2(
 
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
-    require_channels("synth h2", n_meas, n_con, measurements, controls)
+    channels = Channels("synth h2", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
     from robustlab.synthesis import h2 as design
 
-    plant = load_plant("synth h2", file, n_meas, n_con, measurements, controls, nominal)
+    plant = channels.plant(file, nominal)
     with status_line("H2", verbose) as report:
         found = design(plant, time_limit=time_limit, progress=report)
     finish("synth h2", found, file, out, figure, as_json)
@@ -114,6 +122,7 @@ def ncf(
     from robustlab.storage import load
     from robustlab.synthesis import ncf as design
 
+    check_target(out)
     model = _selected(as_model(load(file), file), inputs, outputs)
     weights = [None if text is None else _number_or_model(text) for text in (w1, w2)]
     finish("synth ncf", design(model, *weights, factor=factor), file, out, figure, as_json)
@@ -126,6 +135,8 @@ def dk(
     n_con: NConOption = None,
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
     blocks: Annotated[
         str | None,
         typer.Option(
@@ -151,11 +162,12 @@ def dk(
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
-    require_channels("synth dk", n_meas, n_con, measurements, controls)
+    channels = Channels("synth dk", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
     rows = None if blocks is None else rows_of_blocks(blocks)
     from robustlab.synthesis import dk as design
 
-    plant = load_plant("synth dk", file, n_meas, n_con, measurements, controls)
+    plant = channels.plant(file)
     with status_line("D-K", verbose) as report:
         found = design(
             plant, rows, direct=direct, mixed=mixed, max_order=max_order, time_limit=time_limit, progress=report
@@ -178,6 +190,8 @@ def fixed(
     n_con: NConOption = None,
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
     nominal: NominalOption = False,
     objective: Annotated[str, typer.Option("--objective", help="hinf or h2.")] = "hinf",
     starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
@@ -195,11 +209,12 @@ def fixed(
 
     Example: robustlab synth fixed plant.h5 --structure order:2 --n-meas 1 --n-con 1 --out controller.h5
     """
-    require_channels("synth fixed", n_meas, n_con, measurements, controls)
+    channels = Channels("synth fixed", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
     from robustlab.synthesis import fixed_structure as design
     from robustlab.synthesis.structure_words import structure_in_words
 
-    plant = load_plant("synth fixed", file, n_meas, n_con, measurements, controls, nominal)
+    plant = channels.plant(file, nominal)
     words = structure_in_words(structure, plant)
     options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed, "time_limit": time_limit}
     with status_line("fixed structure", verbose) as report:
@@ -247,6 +262,7 @@ def mixsyn(
     )
     if all(weight is None for weight in weights):
         raise UsageError("synth mixsyn", "no weight", "at least one of --w1, --w2, --w3")
+    check_target(out)
     model = _selected(as_model(load(file), file), inputs, outputs)
     kept = drop_unconnected(model)
     left_out = [name for name in model.state_names if name not in kept.state_names]
