@@ -40,6 +40,7 @@ FIT_LOSS, FIRST_LOSS = 0.002, 0.2
 PROGRESS, ROUGH_PROGRESS = 5e-4, 2e-2
 # Shares of the loop's gain that regularisation of a singular plant may cost: while iterating, and at the end.
 ROUGH, FINE = 0.1, 0.03
+BAND_LEVEL = 0.3
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
 PROOF_ACCURACY = 1e-3
 
@@ -295,10 +296,11 @@ class _Search:
             found = None if larger is None else minimised(self.problem, *larger)
 
     def _band(self) -> tuple[float, float]:
-        """Frequencies in rad/s over which sections are placed."""
+        """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
         if self.curve is None:
             self.curve = mu_curve(self.best.loop, self.blocks, self._late)
-        return float(self.curve.omega[0]), float(self.curve.omega[-1])
+        high = self.curve.omega[self.curve.levels > BAND_LEVEL * self.curve.peak]
+        return float(high[0]), float(high[-1])
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
