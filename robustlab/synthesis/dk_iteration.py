@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import default_grid
 from robustlab.mu_analysis.axis_model import continuous
 from robustlab.mu_analysis.certificate import project
 from robustlab.mu_analysis.intervals import AxisCover, cover_axis
@@ -24,6 +25,7 @@ from robustlab.synthesis.hinf_synthesis import hinf
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.pointwise_scalings import MuCurve, as_complex, mu_curve
 from robustlab.synthesis.robust_loop import Iterate, RobustProblem
+from robustlab.synthesis.scaled_plant import proved_level
 from robustlab.synthesis.scalings_fit import fitted_scalings
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, as_blocks, delta_values, structure_size
 
@@ -32,7 +34,7 @@ __all__ = ["dk", "structure_with_performance"]
 PERFORMANCE = "performance"
 # Shares of the time limit after which the H-infinity start, D-K iteration and the whole search have to end; the rest is
 # for the proof.
-START, CLASSICAL, SEARCH = 0.25, 0.5, 0.85
+START, CLASSICAL, SEARCH, SOFTENING = 0.25, 0.5, 0.8, 0.85
 ITERATIONS = 60
 # Loss at single frequencies that a fit of D may have: in D-K iteration, and where direct minimisation starts.
 FIT_LOSS, FIRST_LOSS = 0.002, 0.2
@@ -40,6 +42,8 @@ FIT_LOSS, FIRST_LOSS = 0.002, 0.2
 PROGRESS, ROUGH_PROGRESS = 5e-4, 2e-2
 # Shares of the loop's gain that regularisation of a singular plant may cost: while iterating, and at the end.
 ROUGH, FINE = 0.1, 0.03
+CURVES = 2.5  # time to keep for the end, in computations of mu over frequency
+BAND_LEVEL = 0.3
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
 PROOF_ACCURACY = 1e-3
 
@@ -90,7 +94,8 @@ def dk(
     max_order
         Largest order of the controller; three times the states of P, and no less than 24 more, where left out.
     order_rel
-        The controller of the lowest order is returned whose level is at most this share above the smallest.
+        The level may be so much larger (relative) than the smallest one for a controller of lower order, and then for
+        one with slower poles. 0 asks for the smallest level, whose controller is often absurdly fast.
     time_limit
         Time in s for everything.
     progress
@@ -200,9 +205,10 @@ class _Search:
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
         self.warm: DynamicScalings | None = None
+        self.reserve = 0.0
 
     def _late(self) -> bool:
-        return time.monotonic() >= self.until
+        return time.monotonic() >= min(self.until, self.begin + self.time_limit - self.reserve)
 
     @property
     def best(self) -> Iterate:
@@ -242,7 +248,7 @@ class _Search:
         for _ in range(ITERATIONS):
             if self._late() or stuck == 2:
                 break
-            self.curve = mu_curve(now.loop, self.blocks, self._late)
+            self.curve = self._curve(now.loop, self.blocks)
             before = self.best.level
             scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self._late)
             refitted = self.problem.proved(now.K, scalings, now.level)
@@ -258,24 +264,26 @@ class _Search:
         self.until = until
 
     def descend(self) -> None:
-        """Direct minimisation over D in growing order, then over D and G where blocks are real.
+        """Direct minimisation over D in growing order, from a constant D and from a fit of low order.
 
-        From a constant D, and from a fit of low order; the first run ends where half of the time is left.
+        Where blocks are real, then over D and G from a D of low order; that gets two thirds of the time.
         """
-        until = self.until
+        until, left = self.until, self.until - time.monotonic()
         self.problem.regularise(self.best, FINE)
         starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
-        if self.curve is not None:
-            starts.append(fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self._late))
-        phases = 2 if self.mixed else 1
+        if self.curve is not None and self.warm is None:
+            starts = [fitted_scalings(self.curve, self.blocks, np.inf, self.max_states, self._late)]
+            fitted = fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self._late)
+            starts += [fitted] if fitted.n_states and not self.mixed else []
+        share = 1 / 3 if self.mixed else 1 / len(starts)
         for k, scalings in enumerate(starts):
-            if k == 0 or scalings.n_states:
-                share = (k + 1) / (len(starts) * phases)
-                self.until = min(until, time.monotonic() + share * max(until - time.monotonic(), 0.0))
-                self._grow(scalings, "direct")
+            self.until = until if k else min(until, time.monotonic() + share * max(left, 0.0))
+            self._grow(scalings, "direct")
         self.until = until
         if self.mixed:
-            self._grow(_with_g(self.best.scalings, self.real), "D-G-K")
+            warm = self.warm is not None and self.warm.mixed
+            first = self.warm if warm and self.warm is not None else self._chosen(FIRST_LOSS).scalings
+            self._grow(_with_g(first, self.real), "D-G-K")
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
         """Minimise, enlarge the scalings, and so on, until that brings nothing."""
@@ -294,11 +302,19 @@ class _Search:
             larger = grown(self.problem, scalings, level, band, self.max_states)
             found = None if larger is None else minimised(self.problem, *larger)
 
+    def _curve(self, loop: StateSpaceModel, blocks: tuple[Block, ...]) -> MuCurve:
+        """mu of a loop over frequency; the time for a last one is taken off that of the search."""
+        begin = time.monotonic()
+        curve = mu_curve(loop, blocks, self._late)
+        self.reserve = max(self.reserve, CURVES * (time.monotonic() - begin))
+        return curve
+
     def _band(self) -> tuple[float, float]:
-        """Frequencies in rad/s over which sections are placed."""
+        """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
         if self.curve is None:
-            self.curve = mu_curve(self.best.loop, self.blocks, self._late)
-        return float(self.curve.omega[0]), float(self.curve.omega[-1])
+            self.curve = self._curve(self.best.loop, self.blocks)
+        high = self.curve.omega[self.curve.levels > BAND_LEVEL * self.curve.peak]
+        return float(high[0]), float(high[-1])
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
@@ -310,21 +326,28 @@ class _Search:
                 f"iteration {len(self.history)} ({stage}): mu <= {iterate.level:.4f}, {iterate.K.n_states} states"
             )
 
+    def _chosen(self, order_rel: float) -> Iterate:
+        """The iterate of lowest order whose level is at most ``order_rel`` above the smallest."""
+        fitting = [i for i in self.iterates if i.K.n_states <= self.max_order] or self.iterates
+        limit = min(i.level for i in fitting) * (1 + order_rel)
+        return min((i for i in fitting if i.level <= limit), key=lambda i: (i.K.n_states, i.level))
+
     # --- the result --------------------------------------------------------------------------------------------------
 
     def finished(self, order_rel: float) -> DKSynthesis:
         """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
-        fitting = [i for i in self.iterates if i.K.n_states <= self.max_order] or self.iterates
-        limit = min(i.level for i in fitting) * (1 + order_rel)
-        chosen = min((i for i in fitting if i.level <= limit), key=lambda i: (i.K.n_states, i.level))
-        end = self.begin + self.time_limit
+        self.until = self.begin + SOFTENING * self.time_limit
+        chosen = self._chosen(order_rel)
+        chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
-        model = continuous(chosen.loop)
-        curve = mu_curve(chosen.loop, blocks, self._late)
-        peaks = curve.omega[np.argsort(-curve.levels)[:8]]
+        curve = self._last_curve(chosen, blocks)
         cover = AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
-            cover = cover_axis(model, blocks, curve.peak, first=peaks, until=end, accuracy=PROOF_ACCURACY)
+            peaks = curve.omega[np.argsort(-curve.levels)[:8]]
+            end = self.begin + self.time_limit
+            cover = cover_axis(
+                continuous(chosen.loop), blocks, curve.peak, first=peaks, until=end, accuracy=PROOF_ACCURACY
+            )
         proved = not cover.open and cover.beta < chosen.level
         gamma = cover.beta if proved else chosen.level
         lower, delta, omega = _lower(curve, blocks)
@@ -352,6 +375,16 @@ class _Search:
             pieces=tuple(cover.pieces) if proved else (),
             history=tuple(self.history),
         )
+
+    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
+        """mu over frequency, or, where time is short, around the peak of the scaled loop alone."""
+        end = self.begin + self.time_limit
+        peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
+        around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
+        if end - time.monotonic() < 0.6 * self.reserve:
+            return mu_curve(chosen.loop, blocks, lambda: True, around)
+        first = np.unique(np.concatenate([default_grid(chosen.loop, 40, 1.0), around]))
+        return mu_curve(chosen.loop, blocks, lambda: end - time.monotonic() < 0.3 * self.reserve, first)
 
     def _reason(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> str:
         how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
@@ -384,7 +417,7 @@ def _without_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicS
 def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:
     """Largest attained lower bound at the frequencies of the highest upper ones."""
     top = np.argsort(-curve.levels)[:4]
-    found = lower_bounds(curve.response[top], blocks)
+    found = lower_bounds(curve.response[top], blocks, restarts=4, steps=24)
     best = max(range(len(found)), key=lambda k: found[k][0])
     value, delta = found[best]
     if delta is None:

@@ -56,13 +56,15 @@ def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
     return tuple(ComplexScalar(b.name, b.repeats) if isinstance(b, RealScalar) else b for b in blocks)
 
 
-def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], stop: Callable[[], bool]) -> MuCurve:
+def mu_curve(
+    loop: StateSpaceModel, blocks: Sequence[Block], stop: Callable[[], bool], first: Array | None = None
+) -> MuCurve:
     """The curve of a stable continuous loop on frequencies that follow it.
 
-    The grid of `default_grid` first; then, round by round, the middles of the intervals in which mu is close to its
-    peak or the entries of D change most.
+    The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
+    intervals in which mu is close to its peak or the entries of D change most.
     """
-    omega = default_grid(loop, FIRST, 1.0)
+    omega = default_grid(loop, FIRST, 1.0) if first is None else first
     response, bounds = _at(loop, blocks, omega)
     for _ in range(ROUNDS):
         if stop():

@@ -25,6 +25,8 @@ Array = NDArray[Any]
 
 # A central controller at the smallest level itself is ill-conditioned: the level is backed off until the proof agrees.
 BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2)
+# Shares (of a logarithm) of the slack in the level at which slower controllers are sought.
+SOFTER = (0.999, 0.8, 0.5)
 # D12, D21 below this size in scaled units need regularisation.
 REGULAR = 1e-6
 STATE_SHARE = 0.3
@@ -51,6 +53,11 @@ class Iterate:
     loop: StateSpaceModel
     scalings: DynamicScalings
     level: float
+
+    @property
+    def pace(self) -> float:
+        """Largest modulus of the controller's poles."""
+        return float(np.abs(self.K.poles()).max(initial=0.0))
 
 
 class RobustProblem:
@@ -103,6 +110,22 @@ class RobustProblem:
                     best = found
                 if best is not None and best.level <= level.beta * (1 + share) * (1 + 1e-3):
                     return best
+        return best
+
+    def softened(self, iterate: Iterate, limit: float) -> Iterate:
+        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``.
+
+        The central controller at the smallest level has poles that run away to infinity; at a level a little higher
+        they are slower by orders of magnitude.
+        """
+        search = self.search(iterate.scalings)
+        theta = iterate.scalings.parameters()
+        best = iterate
+        for share in SOFTER:
+            K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
+            found = None if K is None or self.stop() else self.closed(K, iterate.scalings, iterate.level)
+            if found is not None and found.level <= limit and found.pace < best.pace:
+                best = found
         return best
 
     def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
@@ -159,8 +182,8 @@ class RobustProblem:
         self.matrices = self.bare.with_channels(
             level / np.maximum(u, least) / np.sqrt(n_u),
             level / np.maximum(y, least) / np.sqrt(n_y),
-            STATE_SHARE * level / max(out, least) / self.scale.states,  # pyright: ignore[reportArgumentType]
-            STATE_SHARE * level / max(back, least) * into,  # pyright: ignore[reportArgumentType]
+            STATE_SHARE * level / max(out, least) / self.scale.states,
+            STATE_SHARE * level / max(back, least) * into,
         )
 
     def _mapped(self, K: StateSpaceModel) -> StateSpaceModel:

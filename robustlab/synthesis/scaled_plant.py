@@ -91,7 +91,7 @@ def proved_level(
             high, proof = trial, norm
         else:
             low = trial
-        if high - low <= rtol * high:
+        if proof is not None and high - low <= rtol * high:
             break
         if proof is None:
             trial = low * (1 + step)
