@@ -71,7 +71,7 @@ def ours(P: StateSpaceModel, n_y: int, n_u: int, gamma_rel: float) -> tuple[floa
     except NoTrustworthyNumber as error:
         return np.inf, time.process_time() - start, np.nan, False, error.found
     cpu = time.process_time() - start
-    norms = sorted(float(step.rsplit(" ", 1)[1]) for step in steps if "H2 norm" in step)
+    norms = sorted({float(step.rsplit(" ", 1)[1]) for step in steps if "H2 norm" in step})
     settled = not design.regularisation or (
         design.regularised_norm <= 1.001 * design.gamma and norms[min(1, len(norms) - 1)] <= 1.001 * norms[0]
     )

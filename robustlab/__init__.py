@@ -38,8 +38,10 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.structural import controllability as controllability
     from robustlab.structural import observability as observability
     from robustlab.synthesis import Controller as Controller
+    from robustlab.synthesis import check_weights as check_weights
     from robustlab.synthesis import complementary_weight as complementary_weight
     from robustlab.synthesis import control_weight as control_weight
+    from robustlab.synthesis import design_weights as design_weights
     from robustlab.synthesis import dk as dk
     from robustlab.synthesis import fixed_structure as fixed_structure
     from robustlab.synthesis import generalized_plant as generalized_plant
@@ -50,8 +52,11 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import loop_functions_of as loop_functions_of
     from robustlab.synthesis import lqg as lqg
     from robustlab.synthesis import lqr as lqr
+    from robustlab.synthesis import makeweight as makeweight
     from robustlab.synthesis import mixsyn as mixsyn
     from robustlab.synthesis import ncf as ncf
+    from robustlab.synthesis import noise_weight as noise_weight
+    from robustlab.synthesis import performance_limits as performance_limits
     from robustlab.synthesis import performance_weight as performance_weight
     from robustlab.synthesis import place as place
     from robustlab.uncertainty.algebra import beside as beside
@@ -145,9 +150,14 @@ _PUBLIC = {
     "dk": "synthesis",
     "fixed_structure": "synthesis",
     "generalized_plant": "synthesis",
+    "performance_limits": "synthesis",
     "performance_weight": "synthesis",
     "control_weight": "synthesis",
     "complementary_weight": "synthesis",
+    "design_weights": "synthesis",
+    "check_weights": "synthesis",
+    "makeweight": "synthesis",
+    "noise_weight": "synthesis",
     "Controller": "synthesis",
     # measurements
     "compare": "identification",

@@ -34,10 +34,17 @@ from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
+from robustlab.synthesis.performance_limits import PerformanceLimits as PerformanceLimits
+from robustlab.synthesis.performance_limits import performance_limits as performance_limits
 from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
 from robustlab.synthesis.state_feedback import lqg as lqg
 from robustlab.synthesis.state_feedback import lqr as lqr
 from robustlab.synthesis.state_feedback import place as place
+from robustlab.synthesis.weight_design import DesignWeights as DesignWeights
+from robustlab.synthesis.weight_design import check_weights as check_weights
+from robustlab.synthesis.weight_design import design_weights as design_weights
+from robustlab.synthesis.weight_design import makeweight as makeweight
+from robustlab.synthesis.weight_design import noise_weight as noise_weight
 from robustlab.synthesis.weights import complementary_weight as complementary_weight
 from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight
@@ -53,16 +60,20 @@ __all__ = [
     "FixedOrder",
     "FixedPoles",
     "FixedSynthesis",
+    "DesignWeights",
     "GeneralizedPlant",
     "H2Synthesis",
     "HinfSynthesis",
     "LoopFunctions",
     "MixedSynthesis",
     "NcfSynthesis",
+    "PerformanceLimits",
     "StateFeedback",
     "Synthesis",
+    "check_weights",
     "complementary_weight",
     "control_weight",
+    "design_weights",
     "h2",
     "dk",
     "MultichannelPID",
@@ -83,8 +94,11 @@ __all__ = [
     "generalized_plant",
     "lqg",
     "lqr",
+    "makeweight",
     "mixsyn",
     "ncf",
+    "noise_weight",
+    "performance_limits",
     "performance_weight",
     "place",
 ]

@@ -156,12 +156,12 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # slow convergence: the poles that came out are compared below
         try:
-            K = np.asarray(place_poles(g.A, g.B, wanted).gain_matrix)
+            placed: Any = place_poles(g.A, g.B, wanted)
         except (ValueError, np.linalg.LinAlgError) as error:
             raise NoTrustworthyNumber("place", f"the method broke down: {error}") from None
+    K = np.ascontiguousarray(np.real(placed.gain_matrix))
     if not np.isfinite(K).all():
         raise NoTrustworthyNumber("place", "the gain is not finite")
-    K = np.ascontiguousarray(K.real)
     reached = _closed(g, K).poles()
     miss = _largest_distance(reached, wanted)
     size = max(float(np.abs(wanted).max()), 1e-300)
@@ -287,7 +287,7 @@ def _wanted(g: StateSpaceModel, poles: Any) -> Array:
         raise InputError("place: poles", f"{len(wanted)} poles", f"{g.n_states} finite numbers, one for each state")
     if not np.allclose(np.sort_complex(wanted), np.sort_complex(wanted.conj()), rtol=1e-12, atol=0):
         raise InputError("place: poles", "a complex pole without its conjugate", "conjugate pairs")
-    unstable = np.abs(wanted) >= 1 if g.is_discrete else wanted.real >= 0
+    unstable = np.abs(wanted) >= 1 if g.is_discrete else np.real(wanted) >= 0
     if unstable.any():
         region = "inside the unit circle" if g.is_discrete else "in the open left half plane"
         raise InputError("place: poles", f"{wanted[unstable][0]:.6g} is not stable", f"poles {region}")
