@@ -59,6 +59,13 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import performance_limits as performance_limits
     from robustlab.synthesis import performance_weight as performance_weight
     from robustlab.synthesis import place as place
+    from robustlab.synthesis.controller_reduction import reduce_controller as reduce_controller
+    from robustlab.synthesis.discretisation import discretise as discretise
+    from robustlab.synthesis.model_reduction import balanced_truncation as balanced_truncation
+    from robustlab.synthesis.model_reduction import hankel_singular_values as hankel_singular_values
+    from robustlab.synthesis.model_reduction import reduce_model as reduce_model
+    from robustlab.synthesis.sampled_controller import discretise_controller as discretise_controller
+    from robustlab.synthesis.sampled_data import sampled_data_norm as sampled_data_norm
     from robustlab.uncertainty.algebra import beside as beside
     from robustlab.uncertainty.algebra import stacked as stacked
     from robustlab.uncertainty.algebra import star as star
@@ -159,6 +166,14 @@ _PUBLIC = {
     "makeweight": "synthesis",
     "noise_weight": "synthesis",
     "Controller": "synthesis",
+    # reduction and discretisation
+    "hankel_singular_values": "synthesis.model_reduction",
+    "balanced_truncation": "synthesis.model_reduction",
+    "reduce_model": "synthesis.model_reduction",
+    "reduce_controller": "synthesis.controller_reduction",
+    "discretise": "synthesis.discretisation",
+    "discretise_controller": "synthesis.sampled_controller",
+    "sampled_data_norm": "synthesis.sampled_data",
     # measurements
     "compare": "identification",
     "discover": "identification.discovery",

@@ -310,17 +310,19 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
             raise InputError("lyapunov_factor", f"{name} is {matrix.shape}", f"{shape}")
     if n == 0 or not b.any():
         return np.zeros((n, n))
-    s, q = schur(a, output="complex")
+    s, q = (np.asarray(part) for part in schur(a, output="complex")[:2])
     poles = np.diag(s)
-    if poles.real.max() >= 0:
-        raise NoTrustworthyNumber("lyapunov_factor", f"A has the eigenvalue {poles[poles.real.argmax()]:.6g}", "a stable A")
+    if np.real(poles).max() >= 0:
+        raise NoTrustworthyNumber(
+            "lyapunov_factor", f"A has the eigenvalue {poles[np.real(poles).argmax()]:.6g}", "a stable A"
+        )
     rest, u = (q.conj().T @ b).astype(complex), np.zeros((n, n), complex)
     # Last row of U first; what is left of the right-hand side is again of the form B B^H.
     for k in range(n - 1, -1, -1):
         size = np.linalg.norm(rest[k])
         if size == 0:
             continue
-        decay, direction = np.sqrt(-2 * poles[k].real), rest[k].conj() / size
+        decay, direction = np.sqrt(-2 * np.real(poles[k])), rest[k].conj() / size
         u[k, k] = size / decay
         if k:
             shifted = s[:k, :k] + poles[k].conj() * np.eye(k)
@@ -330,7 +332,7 @@ def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> A
     if not np.isfinite(factor).all():
         raise NoTrustworthyNumber("lyapunov_factor", "the factor is not finite")
     # X is real, so its real and imaginary factors side by side are a real factor of it.
-    L = np.linalg.qr(np.hstack([factor.real, factor.imag]).T, mode="r").T
+    L = np.asarray(np.linalg.qr(np.hstack([np.real(factor), np.imag(factor)]).T, mode="r")).T
     X = L @ L.T
     size = 2 * np.linalg.norm(a @ X) + np.linalg.norm(b @ b.T)
     residual = float(np.linalg.norm(a @ X + X @ a.T + b @ b.T) / size)

@@ -1,6 +1,8 @@
 """Controllers: H-infinity and mixed-sensitivity synthesis, every one verified in the loop rebuilt from it."""
 
 from robustlab.synthesis.controller import Controller as Controller
+from robustlab.synthesis.controller_reduction import ReducedController as ReducedController
+from robustlab.synthesis.controller_reduction import reduce_controller as reduce_controller
 from robustlab.synthesis.controller_structures import PID as PID
 from robustlab.synthesis.controller_structures import Decentralised as Decentralised
 from robustlab.synthesis.controller_structures import FixedOrder as FixedOrder
@@ -17,6 +19,7 @@ from robustlab.synthesis.design_limits import Damping as Damping
 from robustlab.synthesis.design_limits import Decay as Decay
 from robustlab.synthesis.design_limits import RollOff as RollOff
 from robustlab.synthesis.design_limits import StableController as StableController
+from robustlab.synthesis.discretisation import discretise as discretise
 from robustlab.synthesis.dk_design import DKSynthesis as DKSynthesis
 from robustlab.synthesis.dk_iteration import dk as dk
 from robustlab.synthesis.fixed_result import FixedSynthesis as FixedSynthesis
@@ -32,10 +35,18 @@ from robustlab.synthesis.loop_shaping import ncf as ncf
 from robustlab.synthesis.mixed_h2_hinf import MixedSynthesis as MixedSynthesis
 from robustlab.synthesis.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.mixed_sensitivity import mixsyn as mixsyn
+from robustlab.synthesis.model_reduction import ReducedModel as ReducedModel
+from robustlab.synthesis.model_reduction import balanced_truncation as balanced_truncation
+from robustlab.synthesis.model_reduction import hankel_singular_values as hankel_singular_values
+from robustlab.synthesis.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.partition import GeneralizedPlant as GeneralizedPlant
 from robustlab.synthesis.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.performance_limits import PerformanceLimits as PerformanceLimits
 from robustlab.synthesis.performance_limits import performance_limits as performance_limits
+from robustlab.synthesis.sampled_controller import SampledController as SampledController
+from robustlab.synthesis.sampled_controller import discretise_controller as discretise_controller
+from robustlab.synthesis.sampled_data import SampledDataNorm as SampledDataNorm
+from robustlab.synthesis.sampled_data import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
 from robustlab.synthesis.state_feedback import lqg as lqg
 from robustlab.synthesis.state_feedback import lqr as lqr
@@ -83,11 +94,19 @@ __all__ = [
     "StableController",
     "StaticGain",
     "Sum",
+    "ReducedController",
+    "ReducedModel",
+    "SampledController",
+    "SampledDataNorm",
     "Synthesis",
+    "balanced_truncation",
     "complementary_weight",
     "control_weight",
     "fixed_structure",
     "h2_hinf",
+    "discretise",
+    "discretise_controller",
+    "hankel_singular_values",
     "hinf",
     "loop_functions",
     "loop_functions_of",
@@ -101,4 +120,7 @@ __all__ = [
     "performance_limits",
     "performance_weight",
     "place",
+    "reduce_controller",
+    "reduce_model",
+    "sampled_data_norm",
 ]

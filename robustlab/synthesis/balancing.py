@@ -19,7 +19,7 @@ from robustlab.matrix_equations import lyapunov_factor
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["Balancing", "Projection", "SplitModel", "gramian_factors", "split_stable"]
+__all__ = ["Balancing", "Projection", "SplitModel", "gramian_factors", "split_stable", "triangular_root"]
 
 Array = NDArray[Any]
 Projection = Literal["truncation", "residualisation"]
@@ -73,7 +73,8 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     scale = _balancing(model.A)
     a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
     try:
-        t, q, k = schur(a, output="real", sort=lambda x, y: bool(_is_stable(np.array([complex(x, y)]), dt)[0]))
+        form = schur(a, output="real", sort=lambda x, y: bool(_is_stable(np.array([complex(x, y)]), dt)[0]))
+        t, q, k = np.asarray(form[0]), np.asarray(form[1]), int(form[-1])
         x = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
     except LinAlgError:
         raise NoTrustworthyNumber("stable part", "its poles cannot be told from the others") from None
@@ -97,6 +98,11 @@ def gramian_factors(model: StateSpaceModel) -> tuple[Array, Array]:
     reach = lyapunov_factor(a, m.B / scale[:, None])
     see = lyapunov_factor(a.T, (m.C * scale).T)
     return scale[:, None] * reach, see / scale[:, None]
+
+
+def triangular_root(rows: Array) -> Array:
+    """R with ``R^T R = rows^T rows``, upper triangular, with no more rows than columns."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +142,8 @@ class Balancing:
             The states to be residualised have no equilibrium of their own.
         """
         if projection == "truncation" or not len(self.left):
-            t, l = self.right[:, :order], self.left[:order]
-            return _model(model, l @ model.A @ t, l @ model.B, model.C @ t, model.D)
+            t, back = self.right[:, :order], self.left[:order]
+            return _model(model, back @ model.A @ t, back @ model.B, model.C @ t, model.D)
         a, b, c = self.left @ model.A @ self.right, self.left @ model.B, model.C @ self.right
         r = min(order, len(a))
         rest = (np.eye(len(a) - r) if model.is_discrete else 0.0) - a[r:, r:]
@@ -159,7 +165,7 @@ def _model(like: StateSpaceModel, a: Array, b: Array, c: Array, d: Array) -> Sta
 def _is_stable(poles: Array, dt: float) -> Array:
     if dt:
         return np.abs(poles) < 1 - STABLE_MARGIN
-    return poles.real < -STABLE_MARGIN * np.abs(poles)
+    return np.real(poles) < -STABLE_MARGIN * np.abs(poles)
 
 
 def _balancing(a: Array) -> Array:

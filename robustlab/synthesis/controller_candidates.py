@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.balancing import Balancing, Projection, gramian_factors, split_stable
+from robustlab.synthesis.balancing import Balancing, Projection, gramian_factors, split_stable, triangular_root
 from robustlab.synthesis.model_reduction import CoprimeReduction, weighted_factors
 from robustlab.synthesis.partition import GeneralizedPlant
 
@@ -81,7 +81,7 @@ def _of_loop(loop: StateSpaceModel, K: StateSpaceModel) -> Balancing:
 
 def _block(rows: Array) -> Array:
     """Square factor of the diagonal block of ``L L^T`` that belongs to some rows of L."""
-    return np.linalg.qr(rows.T, mode="r").T
+    return triangular_root(rows.T).T
 
 
 def _projected(name: str, balancing: Balancing, K: StateSpaceModel, kind: Projection) -> CandidateFamily:
@@ -120,7 +120,9 @@ def _weighted(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFami
                 return split.joined(balancing.reduced(stable, order - apart, kind))
 
             families += [
-                CandidateFamily(f"{name}, {kind}", apart, apart + len(balancing.left), lambda r, k=kind, m=make: m(r, k))
+                CandidateFamily(
+                    f"{name}, {kind}", apart, apart + len(balancing.left), lambda r, k=kind, m=make: m(r, k)
+                )
                 for kind in _PROJECTIONS
             ]
     return families

@@ -1,10 +1,10 @@
-"""Reduction of controllers to the lowest order whose closed loop, rebuilt and verified again, loses no more than said."""
+"""Reduction of controllers to the lowest order whose closed loop, rebuilt and proved anew, loses no more than said."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,11 @@ from robustlab.uncertainty.blocks import Block
 __all__ = ["OrderTried", "ReducedController", "reduce_controller"]
 
 WHERE = "reduce_controller"
+Improvement = Callable[[GeneralizedPlant, StateSpaceModel, float], StateSpaceModel]
+Found = tuple[str, StateSpaceModel, Performance]
+
+# Candidates up to this multiple of the loss allowed are worth an improvement; each gets this share of the time left.
+WORTH_IMPROVING, SHARE_OF_TIME = 10.0, 0.25
 # The loss is not monotone in the order: the search goes on for so many orders after the first that loses too much.
 PATIENCE = 3
 
@@ -129,10 +134,11 @@ def reduce_controller(
     scalings: Any = None,
     n_meas: int | None = None,
     n_con: int | None = None,
+    improve: Improvement | None = None,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
 ) -> ReducedController:
-    r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one's.
+    r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one.
 
     .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
 
@@ -161,6 +167,10 @@ def reduce_controller(
         then is J (quick); where left out the mu analysis finds its own scalings for every candidate (slow).
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
+    improve
+        Called as ``improve(plant, K_r, seconds)`` with the (scaled) plant and the best controller of an order that
+        loses too much, but less than ten times the loss allowed; what comes back, a controller of that order with a
+        smaller H-infinity norm, is verified like any other. For nonsmooth descent.
     time_limit
         Time in s, asked between candidates; the lowest order verified by then is returned.
     progress
@@ -206,7 +216,10 @@ def reduce_controller(
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
-        return _reduced(judge, full, loss, order, time.monotonic() + time_limit, progress or (lambda _: None))
+        search = _Descent(
+            judge, full, loss, order, time.monotonic() + time_limit, improve, progress or (lambda _: None)
+        )
+        return search.run()
 
 
 def _plant_and_controller(
@@ -235,43 +248,85 @@ def _loss(value: float, reference: float) -> float:
     return 0.0 if value == reference else value / reference - 1 if reference > 0 else np.inf
 
 
-def _reduced(
-    judge: PerformanceMeasure,
-    full: StateSpaceModel,
-    allowed: float,
-    order: int | None,
-    until: float,
-    progress: Callable[[str], None],
-) -> ReducedController:
-    reference = judge.certified(full)
-    if not np.isfinite(reference.value) or not reference.status.trustworthy:
-        reason = getattr(reference.evidence, "reason", "")
-        raise NoTrustworthyNumber(
-            WHERE, f"the loop with the full controller has no trustworthy {judge.text} ({reason or reference.status})"
-        )
-    families = candidate_families(judge.gramian_plant, full)
-    limit = np.inf if order is not None else (1 + allowed) * reference.value
-    tried: list[OrderTried] = []
-    chosen, performance, failed, late = full, reference, 0, False
-    for n in range(full.n_states - 1, -1, -1) if order is None else (order,):
-        late = time.monotonic() > until
-        if late or failed == PATIENCE:
-            break
-        found = _best_of_order(judge, families, full, n, limit, until)
+class _Descent:
+    """The way down from the full order, with the lowest order that is good enough so far."""
+
+    def __init__(
+        self,
+        judge: PerformanceMeasure,
+        full: StateSpaceModel,
+        allowed: float,
+        order: int | None,
+        until: float,
+        improve: Improvement | None,
+        progress: Callable[[str], None],
+    ) -> None:
+        self.judge, self.full, self.allowed, self.order, self.until = judge, full, allowed, order, until
+        self.improve = improve if judge.name == "hinf" or judge.scaled is not None else None
+        self.progress = progress
+        self.reference = judge.certified(full)
+        if not np.isfinite(self.reference.value) or not self.reference.status.trustworthy:
+            reason = getattr(self.reference.evidence, "reason", "") or self.reference.status
+            raise NoTrustworthyNumber(
+                WHERE, f"the loop with the full controller has no trustworthy {judge.text} ({reason})"
+            )
+        self.limit = np.inf if order is not None else (1 + allowed) * self.reference.value
+        self.families = candidate_families(judge.gramian_plant, full)
+
+    def run(self) -> ReducedController:
+        """Order by order; the search ends where three orders in a row lose too much."""
+        tried: list[OrderTried] = []
+        chosen, performance, failed, late = self.full, self.reference, 0, False
+        stage = self.full  # the best of the order before: what matters in its loop is a second way down
+        for n in range(self.full.n_states - 1, -1, -1) if self.order is None else (self.order,):
+            late = time.monotonic() > self.until
+            if late or failed == PATIENCE:
+                break
+            again = stage is not self.full and stage.n_states > n
+            more = _renamed(candidate_families(self.judge.gramian_plant, stage)) if again else []
+            found = self._improved(
+                _best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit, self.until)
+            )
+            stage = self.full if found is None else found[1]
+            tried.append(self._tried(n, found))
+            self.progress(_line(tried[-1], self.judge.name))
+            if found is not None and found[2].value <= self.limit and found[2].status.trustworthy:
+                chosen, performance, failed = found[1], found[2], 0
+            else:
+                failed += 1
+        if self.order is not None and chosen is self.full and self.order < self.full.n_states:
+            text = f"no controller of order {self.order} could be verified{', in the time limit' if late else ''}"
+            raise NoTrustworthyNumber(WHERE, text, hint="a higher order")
+        return _finished(self.judge, self.full, self.reference, chosen, performance, self.allowed, tried, late)
+
+    def _tried(self, order: int, found: Found | None) -> OrderTried:
         if found is None:
-            tried.append(OrderTried(n, "", np.inf, np.inf, Status.CONVERGED))
-        else:
-            method, K, value = found
-            tried.append(OrderTried(K.n_states, method, value.value, _loss(value.value, reference.value), value.status))
-        progress(_line(tried[-1], judge.name))
-        if found is not None and found[2].value <= limit and found[2].status.trustworthy:
-            chosen, performance, failed = found[1], found[2], 0
-        else:
-            failed += 1
-    if order is not None and chosen is full and order < full.n_states:
-        late_text = ", in the time limit" if late else ""
-        raise NoTrustworthyNumber(WHERE, f"no controller of order {order} could be verified{late_text}", hint="a higher order")
-    return _finished(judge, full, reference, chosen, performance, allowed, tried, late)
+            return OrderTried(order, "", np.inf, np.inf, Status.CONVERGED)
+        method, K, value = found
+        return OrderTried(K.n_states, method, value.value, _loss(value.value, self.reference.value), value.status)
+
+    def _improved(self, found: Found | None) -> Found | None:
+        """What ``improve`` makes of a controller that is almost good enough, where that is better."""
+        if found is None or self.improve is None:
+            return found
+        name, K, value = found
+        most = (1 + WORTH_IMPROVING * self.allowed) * self.reference.value
+        if value.value <= min(self.limit, most) or value.value > most:
+            return found
+        seconds = SHARE_OF_TIME * (self.until - time.monotonic())
+        if seconds <= 0:
+            return found
+        better = self.improve(self.judge.gramian_plant, K, seconds)
+        named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs, K.states)
+        try:
+            verified = self.judge.certified(named)
+        except (InputError, NoTrustworthyNumber):
+            return found
+        return (f"{name}, improved", named, verified) if verified.value < value.value else found
+
+
+def _renamed(families: list[CandidateFamily]) -> list[CandidateFamily]:
+    return [replace(family, name=f"{family.name}, step by step") for family in families]
 
 
 def _line(tried: OrderTried, name: str) -> str:
@@ -287,7 +342,7 @@ def _best_of_order(
     order: int,
     limit: float,
     until: float,
-) -> tuple[str, StateSpaceModel, Performance] | None:
+) -> Found | None:
     """The candidate of best verified measure; None where none of this order leaves the loop stable."""
     estimated: list[tuple[float, str, StateSpaceModel]] = []
     for family in families:
@@ -302,7 +357,7 @@ def _best_of_order(
             [f"k{i + 1}" for i in range(made.n_states)],
         )  # fmt: skip
         estimated.append((judge.estimate(named), family.name, named))
-    best: tuple[str, StateSpaceModel, Performance] | None = None
+    best: Found | None = None
     for estimate, name, K in sorted(estimated, key=lambda entry: entry[0]):
         if not np.isfinite(estimate) or (best is not None and estimate >= min(best[2].value, limit)):
             break
@@ -312,7 +367,10 @@ def _best_of_order(
             continue
         if not np.isfinite(value.value):
             continue
-        if best is None or (not value.status.trustworthy, value.value) < (not best[2].status.trustworthy, best[2].value):
+        if best is None or (not value.status.trustworthy, value.value) < (
+            not best[2].status.trustworthy,
+            best[2].value,
+        ):
             best = (name, K, value)
         if best[2].value <= limit and best[2].value <= estimate * (1 + 1e-3):
             break  # what the others can gain is not worth a proof

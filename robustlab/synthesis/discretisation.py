@@ -80,7 +80,9 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
         hint = did_you_mean(str(method), METHODS)
         raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
     if (prewarp is None) == (method == "tustin-prewarp"):
-        raise InputError("discretise", f"method {method!r} with prewarp={prewarp}", "prewarp with 'tustin-prewarp' alone")
+        raise InputError(
+            "discretise", f"method {method!r} with prewarp={prewarp}", "prewarp with 'tustin-prewarp' alone"
+        )
     if method == "matched":
         found = _matched(m, dt)
     elif method in ("tustin", "tustin-prewarp"):
@@ -139,7 +141,9 @@ def _tustin(m: StateSpaceModel, dt: float, prewarp: float | None) -> StateSpaceM
     if prewarp is None:
         return bilinear_to_discrete(m, dt)
     if not 0 < prewarp < np.pi / dt:
-        raise InputError("discretise", f"prewarp is {prewarp:g} rad/s", f"between 0 and the Nyquist frequency {np.pi / dt:g}")
+        raise InputError(
+            "discretise", f"prewarp is {prewarp:g} rad/s", f"between 0 and the Nyquist frequency {np.pi / dt:g}"
+        )
     return bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp)
 
 
@@ -186,7 +190,7 @@ def _finite_zeros(m: StateSpaceModel) -> Array:
     rate, into, out = max(float(np.linalg.norm(a, 2)), 1e-300), np.linalg.norm(b), np.linalg.norm(c)
     pencil = np.block([[a / rate, b / into], [c / out, m.D * rate / into / out]])
     found = eigvals(pencil, np.diag(np.append(np.ones(n), 0.0)), homogeneous_eigvals=True)
-    alpha, beta = found
+    alpha, beta = np.asarray(found[0]), np.asarray(found[1])
     finite = np.abs(beta) * INFINITE_ZERO > np.abs(alpha)
     return alpha[finite] / beta[finite] * rate
 
@@ -204,8 +208,9 @@ def _from_roots(zeros: Array, poles: Array, gain: float) -> StateSpaceModel:
 
 def _sections(roots: Array) -> list[Array]:
     """Monic real polynomials: of second order for complex pairs, of first for real roots (largest first)."""
-    real = np.sort(roots.real[np.abs(roots.imag) <= 1e-12 * np.abs(roots)])[::-1]
-    upper = roots[roots.imag > 1e-12 * np.abs(roots)]
+    height, size = np.imag(roots), np.abs(roots)
+    real = np.sort(np.real(roots)[np.abs(height) <= 1e-12 * size])[::-1]
+    upper = roots[height > 1e-12 * size]
     pairs = [np.array([1.0, -2 * r.real, abs(r) ** 2]) for r in upper[np.argsort(-np.abs(upper))]]
     return [*pairs, *[np.array([1.0, -r]) for r in real]]
 
@@ -259,7 +264,9 @@ class MergedModes:
     def __str__(self) -> str:
         one, two = (f"{pole.real:.6g}{pole.imag:+.6g}j" for pole in self.modes)
         what = "they cannot be controlled one by one" if self.stable else "no digital controller moves both"
-        return f"pathological sampling: modes {one} and {two} rad/s differ by {self.multiple} sampling frequencies; {what}"
+        return (
+            f"pathological sampling: modes {one} and {two} rad/s differ by {self.multiple} sampling frequencies; {what}"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """All fields, and the text."""

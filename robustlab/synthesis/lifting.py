@@ -1,8 +1,8 @@
 r"""A continuous plant behind a sampler and a hold, as a discrete one over whole sample periods (lifting).
 
-Each period is cut into intervals. On an interval of length h the disturbance is w = its mean over the interval + a rest
-w0 of mean zero, and z likewise; energies are kept: the lifted channels are the means times :math:`\sqrt h`, and what the
-rest can do is bounded. Between breakpoints nothing is approximated: the energy of z for a w constant on intervals is
+Each period is cut into intervals. On an interval of length h the disturbance is w = its mean over the interval + a
+rest w0 of mean zero, and z likewise; energies are kept: the lifted channels are the means times :math:`\sqrt h`, and
+what the rest can do is bounded. Nothing is approximated: the energy of z for a w that is constant on intervals is
 
 .. math:: \int_0^h |z|^2 dt = |M v|^2 + v^T V v, \qquad v = (x, w, u)
 
@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.balancing import triangular_root
 from robustlab.synthesis.partition import GeneralizedPlant
 
 __all__ = ["LiftedPlant", "Rest", "lift", "mean_and_variance"]
@@ -62,8 +63,8 @@ class LiftedPlant:
     Attributes
     ----------
     model
-        Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y]; its
-        states are those of the plant and the controls that are still under way.
+        Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
+        its states are those of the plant and the controls that are still under way.
     n_intervals, n_means, n_rests
         Number of intervals; sizes of the two groups of outputs.
     n_w, n_kick
@@ -92,7 +93,15 @@ class LiftedPlant:
         keep = [*range(self.n_w), *range(self.n_w + self.n_kick, self.model.n_inputs)]
         m = self.model
         model = StateSpaceModel(
-            m.A, m.B[:, keep], m.C, m.D[:, keep], m.dt, [m.inputs[i] for i in keep], m.outputs, m.states, where="lifting"
+            m.A,
+            m.B[:, keep],
+            m.C,
+            m.D[:, keep],
+            m.dt,
+            [m.inputs[i] for i in keep],
+            m.outputs,
+            m.states,
+            where="lifting",
         )
         return GeneralizedPlant(model, self.n_meas, self.n_con)
 
@@ -211,7 +220,7 @@ def _assembled(
 
 def _compressed(rows: Array) -> Array:
     """Rows with the same Gram matrix, no more than columns."""
-    return rows if len(rows) <= rows.shape[1] else np.linalg.qr(rows, mode="r")
+    return rows if len(rows) <= rows.shape[1] else triangular_root(rows)
 
 
 # --- one interval -----------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from robustlab.frequency import default_grid, frequency_response
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.synthesis.balancing import Balancing, Projection, gramian_factors, split_stable
+from robustlab.synthesis.balancing import Balancing, Projection, gramian_factors, split_stable, triangular_root
 from robustlab.uncertainty.coprime import continuous_models, coprime_factors
 
 __all__ = [
@@ -300,8 +300,7 @@ def weighted_factors(
 
 def _rows(factor: Array, rows: slice) -> Array:
     """Square factor of the diagonal block of ``L L^T`` with these rows."""
-    part = factor[rows]
-    return np.linalg.qr(part.T, mode="r").T
+    return triangular_root(factor[rows].T).T
 
 
 def error_bound(values: Array, order: int) -> float:

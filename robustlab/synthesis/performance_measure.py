@@ -20,14 +20,22 @@ from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.bounds import mu
 from robustlab.mu_analysis.margin import Margin
 from robustlab.mu_analysis.worst_gain import PERFORMANCE, robust_performance
-from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
+from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["MeasureName", "Performance", "PerformanceMeasure", "Scalings", "given_scalings", "make_measure", "scaled_plant"]
+__all__ = [
+    "MeasureName",
+    "Performance",
+    "PerformanceMeasure",
+    "Scalings",
+    "given_scalings",
+    "make_measure",
+    "scaled_plant",
+]
 
 MeasureName = Literal["hinf", "h2", "mu"]
 Evidence = HinfNorm | H2Norm | Margin
@@ -140,13 +148,15 @@ def make_measure(
     if name != "mu" and (blocks is not None or scalings is not None):
         raise InputError(where, f"blocks or scalings with measure {name!r}", "measure='mu'")
     if name != "mu":
-        return PerformanceMeasure(plant, name)  # pyright: ignore[reportArgumentType]
+        return PerformanceMeasure(plant, name)
     known = tuple(plant.blocks if blocks is None else blocks)
     n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
     if known and structure_size(known) == (n_w, n_z) and isinstance(known[-1], FullBlock):
         known = known[:-1]  # the last block is the performance block
     if scalings is not None:
-        return PerformanceMeasure(plant, "mu", known, scaled_plant(plant, given_scalings(scalings, where), where))
+        return PerformanceMeasure(
+            plant, "mu", known, scaled_plant(plant, given_scalings(scalings, plant.model.dt, where), where)
+        )
     q, p = structure_size(known) if known else (0, 0)
     if not known or q >= n_w or p >= n_z:
         raise InputError(
@@ -171,17 +181,26 @@ def scaled_plant(plant: GeneralizedPlant, scalings: Scalings, where: str = "scal
     return GeneralizedPlant(wide.renamed(m.inputs, m.outputs), n_y, n_u, plant.blocks)
 
 
-def given_scalings(scalings: Any, where: str) -> Scalings:
-    """A pair of models, or anything with ``on_outputs()`` and ``on_inputs()`` that give ``A, B, C, D`` of the two."""
+def given_scalings(scalings: Any, dt: float, where: str) -> Scalings:
+    """The pair ``(D_z, D_w^-1)`` for a plant with this sample time.
+
+    A pair of models, or anything with ``on_outputs()`` and ``on_inputs()`` that give the matrices of the two: those are
+    continuous, and meant for the bilinear image of a discrete plant.
+    """
     if hasattr(scalings, "on_outputs") and hasattr(scalings, "on_inputs"):
         if getattr(scalings, "mixed", False):
             raise InputError(where, "scalings with G for real blocks", "D scalings alone, or none", "leave them out")
-        return StateSpaceModel(*scalings.on_outputs()), StateSpaceModel(*scalings.on_inputs())
+        made = StateSpaceModel(*scalings.on_outputs()), StateSpaceModel(*scalings.on_inputs())
+        return (bilinear_to_discrete(made[0], dt), bilinear_to_discrete(made[1], dt)) if dt else made
     try:
         on_z, on_w = scalings
     except (TypeError, ValueError):
         raise InputError(where, f"scalings of type {type(scalings).__name__}", "the pair (D_z, D_w^-1)") from None
-    return as_model(on_z, f"{where}: D_z"), as_model(on_w, f"{where}: D_w^-1")
+    pair = as_model(on_z, f"{where}: D_z"), as_model(on_w, f"{where}: D_w^-1")
+    for model in pair:
+        if model.n_states and model.dt != dt:
+            raise InputError(where, f"a scaling with dt = {model.dt:g} s", f"dt = {dt:g} s, that of the plant")
+    return pair
 
 
 def _plain(m: StateSpaceModel, dt: float) -> StateSpaceModel:

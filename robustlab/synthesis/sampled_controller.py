@@ -1,4 +1,4 @@
-"""Digital controllers: every discretisation of a controller verified in the sampled loop, and design on the lifted plant."""
+"""Digital controllers: every formula verified in the sampled loop, and direct design on the lifted plant."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def discretise_controller(
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
     if not 0 <= loss < np.inf or not time_limit > 0:
         raise InputError(WHERE, f"loss {loss}, time_limit {time_limit}", "a loss >= 0 and a positive time in s")
-    judged = plant if scalings is None else scaled_plant(plant, given_scalings(scalings, WHERE), WHERE)
+    judged = plant if scalings is None else scaled_plant(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
     filtered = with_antialiasing(judged, antialiasing, WHERE)
     from threadpoolctl import threadpool_limits
 
@@ -332,7 +332,9 @@ class _Trials:
 
     def _judge(self, name: str, K: StateSpaceModel) -> None:
         try:
-            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, np.inf if self.best is None else self.best[2].upper)
+            norm = sampled_loop_norm(
+                self.plant, K, self.delay, 1e-2, np.inf if self.best is None else self.best[2].upper
+            )
         except (InputError, NoTrustworthyNumber) as error:  # the loop is not well posed
             self._none(name, error.line)
             return

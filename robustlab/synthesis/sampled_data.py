@@ -27,6 +27,7 @@ from robustlab.errors import InputError
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series
+from robustlab.synthesis.balancing import triangular_root
 from robustlab.synthesis.lifting import LiftedPlant, lift
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 
@@ -229,7 +230,9 @@ def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> Sampled
     upper, doubtful = lower.upper, [norm for norm in (lower,) if norm.status is not Status.CERTIFIED]
     if np.isfinite(upper) and len(lifted.held) < n:  # where all of w is held, nothing is left to bound
         a = hinf_norm(_narrow(_part(loop, mean, w)), rtol)
-        b, c, d = (hinf_norm(_narrow(_part(loop, i, j)), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
+        b, c, d = (
+            hinf_norm(_narrow(_part(loop, i, j)), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick))
+        )
         gains = np.array([[a.upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
         upper = max(float(np.linalg.norm(gains, 2)), upper)
         doubtful += [norm for norm in (a,) if norm.status is not Status.CERTIFIED]
@@ -252,5 +255,5 @@ def _narrow(loop: StateSpaceModel) -> StateSpaceModel:
     """The same norm with no more outputs than states and inputs: an orthogonal turn of the outputs."""
     if loop.n_outputs <= loop.n_states + loop.n_inputs:
         return loop
-    r = np.linalg.qr(np.hstack([loop.C, loop.D]), mode="r")
+    r = triangular_root(np.hstack([loop.C, loop.D]))
     return StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)
