@@ -171,9 +171,35 @@ class LoopFamily:
         continuous = bilinear(loop) if loop is not None and self.discrete else loop
         if effective is None or loop is None or continuous is None:
             return []
+        omegas = np.array([*self._finder.peaks(continuous, value, share, band), *extra], dtype=float)
+        dynamic = np.isfinite(omegas) | self.discrete if len(loop.A) else np.zeros(len(omegas), dtype=bool)
+        found = self._stacked_gradients(loop, effective, omegas[dynamic], (1 - share) * value)
+        if not dynamic.all():
+            found += self._gradients(loop, effective, np.inf, (1 - share) * value) or []
+        return found
+
+    def _stacked_gradients(
+        self, loop: LoopMatrices, effective: tuple[Array, Array | None, Array | None], omegas: Array, least: float
+    ) -> list[tuple[float, Array]]:
+        """What `_gradients` gives, for many frequencies at once."""
+        if not len(omegas):
+            return []
+        a, b, c, d = loop
+        m = b.shape[1]
+        points = np.array([resolvent_point(omega, self.discrete) for omega in omegas])
+        try:
+            x = np.linalg.solve(points[:, None, None] * np.eye(len(a)) - a, np.hstack([b, self.B])[None] + 0j)
+        except np.linalg.LinAlgError:
+            return []
+        gain = c @ x[:, :, :m] + d
+        if not np.isfinite(gain).all():
+            return []
+        left, s, right = np.linalg.svd(gain, full_matrices=False)
+        rows, columns = self.D12 + c @ x[:, :, m:], self.D21 + self.C @ x[:, :, :m]
         found: list[tuple[float, Array]] = []
-        for omega in [*self._finder.peaks(continuous, value, share, band), *extra]:
-            found += self._gradients(loop, effective, omega, (1 - share) * value) or []
+        for i, k in np.argwhere((s > least) & (s > 0.5 * s[:, :1])):
+            row, column = left[i, :, k].conj() @ rows[i], columns[i] @ right[i, k].conj()
+            found.append((float(s[i, k]), self._chained(np.outer(row, column), effective[1], effective[2]).real))
         return found
 
     def peak_frequency(self, theta: Array) -> float:

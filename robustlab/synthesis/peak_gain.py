@@ -205,7 +205,7 @@ class PeakFinder:
         direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
         if not modal.stable:
             return direct
-        omega = np.unique(np.concatenate([self._frequencies(modal, 4 * GRID), self._warm]))
+        omega = np.unique(np.concatenate([self._frequencies(modal, 2 * GRID), self._warm]))
         sigma = modal.sigma(omega, (1 - share) * value)
         sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
         left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
