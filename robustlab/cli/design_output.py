@@ -115,7 +115,11 @@ def rows_of_blocks(text: str) -> list[list[int]]:
 
 def finish(command: str, found: Synthesis, file: str, out: str | None, figure: str | None, as_json: bool) -> None:
     """Print the design, store the controller, draw, and leave with the exit code of its status."""
+    from robustlab.synthesis.limits_of_design import limits_in_words
+
+    limits = limits_in_words(found)
     rows = found.summary()
+    rows += [("" if k else "limits of any controller", line) for k, line in enumerate(limits)]
     if out is not None:
         from robustlab.provenance import Provenance, file_sha256
         from robustlab.storage import save
@@ -124,7 +128,7 @@ def finish(command: str, found: Synthesis, file: str, out: str | None, figure: s
         rows.append(("written", out))
     if figure is not None:
         draw(found, figure)
-    emit(command, found.to_json(), table(rows), as_json)
+    emit(command, {**found.to_json(), "limits": limits}, table(rows), as_json)
     if not found.status.trustworthy:
         raise typer.Exit(4)
 

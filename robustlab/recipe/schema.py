@@ -145,7 +145,9 @@ class ElementwiseStep(StepBase):
     do: Literal["elementwise"]
     nominal: ToModel
     perturbed: ToModel
-    structure: Literal["elements", "columns", "rows", "matrices", "single"] = "elements"
+    structure: Literal["elements", "columns", "rows", "matrices", "single", "cover"] = Field(
+        "elements", description="cover: a full block for each matrix, which holds every element-wise member."
+    )
 
 
 # --- analysis --------------------------------------------------------------------------------------------------------

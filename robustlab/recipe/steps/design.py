@@ -186,12 +186,15 @@ def tracking_loop(system: Any, controller: Any) -> Any:
 
 def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
     """What a design leaves: every number of it that stands alone, and what a person wants to read."""
+    from robustlab.synthesis.limits_of_design import limits_in_words
+
     work.keep(found)
     numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
     numbers["stable"] = found.closed_loop_abscissa < 0
     facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.summary() if text)
     reason = f"{found.reason[:1].upper()}{found.reason[1:]}"
-    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts, found.status)
+    text = "\n".join(["What limits any controller of this plant:", *limits_in_words(found)])
+    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts, found.status, (), text)
 
 
 def _draw_loop(found: Any, work: Workspace) -> None:
