@@ -1,4 +1,4 @@
-"""The recipe robust-machine in parts (the actuator without D-K, the platform's PID), and its kinds of steps elsewhere."""
+"""The recipe robust-machine in parts (actuator without D-K, the platform's PID), and its kinds of steps elsewhere."""
 
 from __future__ import annotations
 
@@ -134,17 +134,22 @@ noise = { "*" = 0.1 }
 """
 
 
+POSE = '[step.k]\ndo = "tracking-problem"\nof = "set"\n'
+
+
 def test_every_design_step_on_a_small_problem(tmp_path):
     text = (
         MOTOR
         + '[step.hinf]\ndo = "hinf"\nof = "task"\n'
         + '[step.dk]\ndo = "dk"\nof = "task"\nstart = "hinf"\ntime_limit = 10.0\n'
-        + '[step.gain]\ndo = "fixed"\nof = "task"\nnominal = true\nstructure = "static"\nstarts = 1\ntime_limit = 10.0\n'
+        + '[step.gain]\ndo = "fixed"\nof = "task"\nnominal = true\n'
+        + 'structure = "static"\nstarts = 1\ntime_limit = 10.0\n'
         + '[step.speed]\ndo = "linearise"\nof = "motor"\noutputs = ["omega"]\n'
         + '[step.shape]\ndo = "ncf"\nof = "speed"\nW1 = 5.0\n'
         + '[step.small]\ndo = "reduce-controller"\nof = "task"\ncontroller = "hinf"\nloss = 0.05\n'
         + '[step.kept]\ndo = "save"\nof = "task"\nfile = "task.h5"\n'
-        + '[step.judge]\ndo = "robust-performance"\nof = "task"\ncontrollers = ["hinf", "dk", "gain"]\ngain = false\npoints = 4\n'
+        + '[step.judge]\ndo = "robust-performance"\nof = "task"\n'
+        + 'controllers = ["hinf", "dk", "gain"]\ngain = false\npoints = 4\n'
         + '[[require]]\ntext = "robust"\nthat = "dk.gamma"\nat_most = 2.0\n'
         + '[[require]]\ntext = "small"\nthat = "small.order"\nat_most = 3.0\n'
         + '[[require]]\ntext = "never worse"\nthat = "judge.controllers.dk.mu_upper"\nat_most = 2.0\n'
@@ -180,9 +185,9 @@ def test_h2_of_a_generalised_plant_from_a_file(tmp_path):
         ('[step.k]\ndo = "fixed"\nof = "task"\nstructure = "ordr:2"\n', "did you mean order"),
         ('[step.k]\ndo = "dk"\nof = "task"\nstart = "set"\n', "gives uncertain, expected a step that gives controller"),
         ('[step.axis]\ndo = "plant"\nplant = "servo-axis"\n[step.k]\ndo = "cascade"\nof = "axis"\n', "linear-actuator"),
-        ('[step.k]\ndo = "tracking-problem"\nof = "set"\ncontrolled = ["omga"]\nmeasured = ["omega"]\nW1 = 1.0\n', "omega"),
-        ('[step.k]\ndo = "tracking-problem"\nof = "set"\ncontrolled = ["omega"]\nmeasured = ["omega"]\n', "at least one of W1"),
-        ('[step.k]\ndo = "tracking-problem"\nof = "set"\ncontrolled = ["x*"]\nmeasured = ["omega"]\nW1 = 1.0\n', "x*"),
+        (POSE + 'controlled = ["omga"]\nmeasured = ["omega"]\nW1 = 1.0\n', "omega"),
+        (POSE + 'controlled = ["omega"]\nmeasured = ["omega"]\n', "at least one of W1"),
+        (POSE + 'controlled = ["x*"]\nmeasured = ["omega"]\nW1 = 1.0\n', "x*"),
         ('[step.k]\ndo = "ncf"\nof = "motor"\nfactor = 1.0\n', "factor"),
         (
             '[step.h]\ndo = "ncf"\nof = "set"\n[step.k]\ndo = "follow-trajectory"\nof = "motor"\ncontrollers = ["h"]\n',

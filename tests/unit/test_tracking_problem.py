@@ -44,7 +44,10 @@ def posed(G=None, **changes):
 def expected_response(G, K, omega):
     """From (r, d, n) to (W1 e, W2 u, W3 y_c), from u = (I - K_y G)^-1 (K_r r + K_y (G d + n))."""
     g, k = frequency_response(G, [omega])[0], frequency_response(K, [omega])[0]
-    of = lambda w: frequency_response(w, [omega])[0, 0, 0]
+
+    def of(w):
+        return frequency_response(w, [omega])[0, 0, 0]
+
     size, f = np.diag([2.0, 0.5]), of(StateSpaceModel([[-3.0]], [[1.0]], [[3.0]], [[0.0]]))
     pick = np.array([[0, 1, 0], [0, 0, 1.0]])  # v and x are measured
     k_r, k_y = k[:, :2], k[:, 2:]
@@ -70,8 +73,9 @@ def test_the_weighted_loop_is_the_algebra_of_the_loop():
 
 def test_members_of_the_set_are_those_of_the_plant():
     other = plant()
-    set_ = rl.elementwise(other, StateSpaceModel(1.2 * other.A, other.B, other.C, other.D, 0.0, other.inputs, other.outputs,
-                                                 other.states), "single")  # fmt: skip
+    signals = (other.inputs, other.outputs, other.states)
+    faster = StateSpaceModel(1.2 * other.A, other.B, other.C, other.D, 0.0, *signals)
+    set_ = rl.elementwise(other, faster, "single")
     problem = posed(set_)
     assert [b.name for b in problem.uncertain.blocks] == ["single"]
     member = problem.close(controller()).evaluate({"single": 0.6})
