@@ -194,9 +194,9 @@ def test_h2_of_a_generalised_plant_from_a_file(tmp_path):
             "no Stewart platform with motors",
         ),
         (
-            '[step.h]\ndo = "ncf"\nof = "set"\n[step.k]\ndo = "simulate-control"\nof = "motor"\ncontrollers = ["h"]\n'
+            ('[step.h]\ndo = "ncf"\nof = "set"\n[step.k]\ndo = "simulate-control"\nof = "motor"\ncontrollers = ["h"]\n'
             'controlled = ["omega"]\nmeasured = ["omega"]\namplitude = 1.0\nomega = 1.0\nrise_time = 1.0\nt_end = 1.0\n'
-            "limits = { v = 1.0 }\n",
+            "limits = { v = 1.0 }\n"),
             "one of phi, omega, i, u",
         ),
     ],

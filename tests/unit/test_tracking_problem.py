@@ -1,4 +1,4 @@
-"""Tracking problems: the weighted loop against loop algebra at single frequencies, sets of models, sizes, bad inputs."""
+"""Tracking problems: the weighted loop against loop algebra at single frequencies, sets of models, sizes, faults."""
 
 from __future__ import annotations
 
