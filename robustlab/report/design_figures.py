@@ -28,15 +28,16 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-# Colour and dashes of the designs that a figure compares, in their order.
+# Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
 DESIGNS = (
-    (COLOURS["reference"], (0, (4, 1.5))),
-    (COLOURS["nominal"], "-"),
-    (COLOURS["worst"], "-"),
-    (COLOURS["good"], (0, (6, 1.5, 1.5, 1.5))),
-    (COLOURS["limit"], (0, (1.5, 1))),
-    (COLOURS["sample"], "-"),
+    (COLOURS["reference"], (0, (4, 1.5)), 1.4),
+    (COLOURS["nominal"], "-", 3.0),
+    (COLOURS["worst"], "-", 1.4),
+    (COLOURS["good"], (0, (6, 1.5, 1.5, 1.5)), 1.4),
+    (COLOURS["limit"], (0, (1.5, 1)), 1.4),
+    (COLOURS["sample"], "-", 1.4),
 )
+NAMED = 6  # more measurements than these are drawn as one kind
 CYCLE = ("sample", "nominal", "good", "limit")
 
 
@@ -118,6 +119,7 @@ def loop_figure(
     peak: tuple[float, float],
     controller: tuple[Array, Sequence[str]],
     level: str = "γ, verified",
+    heading: str = "weighted closed loop",
 ) -> Figure:
     """Singular values of the weighted closed loop with the peak marked, and the controller's gains.
 
@@ -131,6 +133,8 @@ def loop_figure(
         Largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
     level
         What the marked level is.
+    heading
+        Of the closed loop's panel.
     """
     figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
     with house_style():
@@ -144,10 +148,14 @@ def loop_figure(
         loop.axhline(peak[1], color=COLOURS["limit"], ls=(0, (5, 2)), label=f"{plain_label(level)}: {peak[1]:.4g}")
         if omega[0] <= peak[0] <= omega[-1]:
             loop.plot(peak[0], peak[1], "o", color=COLOURS["worst"], ms=6, label=f"peak, {peak[0]:.4g} rad/s", zorder=4)
-        loop.set_title("weighted closed loop")
+        loop.set_title(plain_label(heading))
         loop.set_ylabel("singular values")
         values, names = controller
-        _designs(gains, omega, dict(zip(names, values.T, strict=True)))
+        if len(names) <= NAMED:
+            _designs(gains, omega, dict(zip(names, values.T, strict=True)))
+        else:
+            label = f"each of the {len(names)} measurements"
+            gains.plot(omega, values, color=COLOURS["nominal"], lw=0.9, label=[label] + ["_"] * (len(names) - 1))
         gains.set_title("controller, gain from each measurement")
         gains.set_ylabel("largest gain")
         logarithmic(gains.yaxis)
@@ -165,12 +173,12 @@ def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of r
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.8)
     with house_style():
         top = 1.0
-        for (name, margin), (colour, dashes) in zip(margins.items(), _cycle(len(margins)), strict=True):
+        for (name, margin), (colour, dashes, width) in zip(margins.items(), _cycle(len(margins)), strict=True):
             proved = 1 / margin.lower if margin.lower > 0 else float("inf")
             label = f"{plain_label(name)}: at most {proved:.4g} on the whole axis" if np.isfinite(proved) else (
                 f"{plain_label(name)}: nothing proved on the whole axis"
             )  # fmt: skip
-            axes.plot(margin.omega, margin.mu_upper, color=colour, ls=dashes, label=label)
+            axes.plot(margin.omega, margin.mu_upper, color=colour, ls=dashes, lw=width, label=label)
             if np.isfinite(proved):
                 axes.axhline(proved, color=colour, lw=0.7, alpha=0.7)
                 top = max(top, proved)
@@ -201,6 +209,8 @@ def history_figure(
         best = int(np.argmin(proved))
         level.plot(steps[best], proved[best], "o", ms=11, mfc="none", color=COLOURS["worst"], label="smallest")
         level.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="1: robust performance")
+        logarithmic(level.yaxis)
+        level.set_ylim(0.7 * min([1.0, *proved]), 1.5 * max([1.0, *(p for p in proved if np.isfinite(p))]))
         level.set_ylabel("bound of μ")
         level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         order.step(steps, orders, where="mid", color=COLOURS["nominal"])
@@ -214,8 +224,10 @@ def runs_figure(t: Array, panels: Sequence[TimePanel]) -> Figure:
     figure, axes_list = new_figure(len(panels), 1, width=8.6, height=2.2, sharex=True)
     with house_style():
         for axes, panel in zip(axes_list, panels, strict=True):
-            for (name, curve), (colour, dashes) in zip(panel.curves.items(), _cycle(len(panel.curves)), strict=True):
-                axes.plot(t, curve, color=colour, ls=dashes, lw=1.2, label=plain_label(name))
+            for (name, curve), (colour, dashes, width) in zip(
+                panel.curves.items(), _cycle(len(panel.curves)), strict=True
+            ):
+                axes.plot(t, curve, color=colour, ls=dashes, lw=0.8 * width, label=plain_label(name))
             largest = max(float(np.abs(curve).max()) for curve in panel.curves.values())
             axes.set_ylabel(plain_label(panel.label))
             if panel.limit is not None and largest > 0.4 * panel.limit:
@@ -230,14 +242,16 @@ def runs_figure(t: Array, panels: Sequence[TimePanel]) -> Figure:
 
 
 def _designs(axes: Axes, omega: Array, gains: Mapping[str, Array]) -> None:
-    for (name, gain), (colour, dashes) in zip(gains.items(), _cycle(len(gains), only=len(gains) == 1), strict=True):
-        axes.plot(omega, gain, color=colour, ls=dashes, label=plain_label(name), zorder=3)
+    for (name, gain), (colour, dashes, width) in zip(
+        gains.items(), _cycle(len(gains), only=len(gains) == 1), strict=True
+    ):
+        axes.plot(omega, gain, color=colour, ls=dashes, lw=width, label=plain_label(name), zorder=3)
 
 
-def _cycle(n: int, only: bool = False) -> list[tuple[str, Any]]:
-    """Colour and dashes of n designs; a single one is drawn as the nominal curve."""
+def _cycle(n: int, only: bool = False) -> list[tuple[str, Any, float]]:
+    """Colour, dashes and width of n designs; a single one is drawn as the nominal curve."""
     if only:
-        return [(COLOURS["nominal"], "-")]
+        return [(COLOURS["nominal"], "-", 1.6)]
     return [DESIGNS[k % len(DESIGNS)] for k in range(n)]
 
 

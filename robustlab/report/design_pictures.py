@@ -32,9 +32,9 @@ def loop_picture(design: Synthesis) -> Figure:
     from robustlab.synthesis.loop_curves import loop_curves
 
     curves = loop_curves(design)
-    return loop_figure(
-        curves.omega, curves.closed_loop, curves.peak, (curves.controller, curves.measurements), curves.level
-    )
+    heading = "closed loop, channels of Δ included" if design.plant.blocks else "weighted closed loop"
+    controller = (curves.controller, curves.measurements)
+    return loop_figure(curves.omega, curves.closed_loop, curves.peak, controller, curves.level, heading)
 
 
 def functions_picture(design: Synthesis) -> Figure:
