@@ -42,8 +42,10 @@ FIT_LOSS, FIRST_LOSS = 0.002, 0.2
 PROGRESS, ROUGH_PROGRESS = 5e-4, 2e-2
 # Shares of the loop's gain that regularisation of a singular plant may cost: while iterating, and at the end.
 ROUGH, FINE = 0.1, 0.03
-CURVES = 2.5  # time to keep for the end, in computations of mu over frequency
-BAND_LEVEL = 0.3
+# Numbers of blocks: above the one D starts at constants fitted, above the other less is computed on the side.
+FEW, MANY = 6, 30
+CURVES = 1.5  # time to keep for the end, in computations of mu over frequency
+BAND_LEVEL, BEYOND = 0.3, 3.0
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
 PROOF_ACCURACY = 1e-3
 
@@ -264,7 +266,8 @@ class _Search:
         self.until = until
 
     def descend(self) -> None:
-        """Direct minimisation over D in growing order, from a constant D and from a fit of low order.
+        """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a
+        fit of low order.
 
         Where blocks are real, then over D and G from a D of low order; that gets two thirds of the time.
         """
@@ -272,7 +275,8 @@ class _Search:
         self.problem.regularise(self.best, FINE)
         starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
         if self.curve is not None and self.warm is None:
-            starts = [fitted_scalings(self.curve, self.blocks, np.inf, self.max_states, self._late)]
+            if len(self.blocks) > FEW:  # the way from D = I is long then
+                starts = [fitted_scalings(self.curve, self.blocks, np.inf, self.max_states, self._late)]
             fitted = fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self._late)
             starts += [fitted] if fitted.n_states and not self.mixed else []
         share = 1 / 3 if self.mixed else 1 / len(starts)
@@ -303,7 +307,7 @@ class _Search:
             found = None if larger is None else minimised(self.problem, *larger)
 
     def _curve(self, loop: StateSpaceModel, blocks: tuple[Block, ...]) -> MuCurve:
-        """mu of a loop over frequency; the time for a last one is taken off that of the search."""
+        """The curve of mu of a loop; the time for a last one is taken off that of the search."""
         begin = time.monotonic()
         curve = mu_curve(loop, blocks, self._late)
         self.reserve = max(self.reserve, CURVES * (time.monotonic() - begin))
@@ -314,7 +318,7 @@ class _Search:
         if self.curve is None:
             self.curve = self._curve(self.best.loop, self.blocks)
         high = self.curve.omega[self.curve.levels > BAND_LEVEL * self.curve.peak]
-        return float(high[0]), float(high[-1])
+        return float(high[0] / BEYOND), float(high[-1] * BEYOND)
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
@@ -377,14 +381,14 @@ class _Search:
         )
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
-        """mu over frequency, or, where time is short, around the peak of the scaled loop alone."""
+        """The curve of mu, or, where time is short, around the peak of the scaled loop alone."""
         end = self.begin + self.time_limit
         peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
         if end - time.monotonic() < 0.6 * self.reserve:
             return mu_curve(chosen.loop, blocks, lambda: True, around)
         first = np.unique(np.concatenate([default_grid(chosen.loop, 40, 1.0), around]))
-        return mu_curve(chosen.loop, blocks, lambda: end - time.monotonic() < 0.3 * self.reserve, first)
+        return mu_curve(chosen.loop, blocks, lambda: end - time.monotonic() < 0.5 * self.reserve, first)
 
     def _reason(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> str:
         how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
@@ -402,7 +406,9 @@ class _Search:
 def _with_g(scalings: DynamicScalings, real: tuple[Block, ...]) -> DynamicScalings:
     """The same D, with room for G at the real blocks."""
     parts = tuple(
-        BlockScaling(part.factors, part.mixing, part.g or (CoprimePair(),) * block.rows) if isinstance(block, RealScalar) else part
+        BlockScaling(part.factors, part.mixing, part.g or (CoprimePair(),) * block.rows)
+        if isinstance(block, RealScalar)
+        else part
         for block, part in zip(real, scalings.parts, strict=True)
     )
     return DynamicScalings(real, parts)
@@ -416,7 +422,7 @@ def _without_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicS
 
 def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:
     """Largest attained lower bound at the frequencies of the highest upper ones."""
-    top = np.argsort(-curve.levels)[:4]
+    top = np.argsort(-curve.levels)[: 4 if len(blocks) < MANY else 1]
     found = lower_bounds(curve.response[top], blocks, restarts=4, steps=24)
     best = max(range(len(found)), key=lambda k: found[k][0])
     value, delta = found[best]

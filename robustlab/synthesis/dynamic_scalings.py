@@ -36,7 +36,15 @@ from numpy.typing import NDArray
 
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
-__all__ = ["BlockScaling", "CoprimePair", "DynamicScalings", "Factor", "Realisation", "reference_block", "unit_scalings"]
+__all__ = [
+    "BlockScaling",
+    "CoprimePair",
+    "DynamicScalings",
+    "Factor",
+    "Realisation",
+    "reference_block",
+    "unit_scalings",
+]
 
 Array = NDArray[Any]
 Realisation = tuple[Array, Array, Array, Array]
@@ -375,7 +383,7 @@ def _coprime(pair: CoprimePair) -> tuple[Array, Array, Array, Array]:
 
 
 def _all_pass(sections: list[tuple[float, ...]]) -> tuple[Array, Array, Array]:
-    """States, input and output of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
+    """States, input, output of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
     n = sum(map(len, sections))
     A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
     at = 0

@@ -19,6 +19,7 @@ __all__ = ["MuCurve", "as_complex", "mu_curve"]
 Array = NDArray[Any]
 
 FIRST, ROUNDS, ADDED = 40, 3, 24
+CHUNK = 8  # frequencies between two looks at the clock
 TOLERANCE = 1e-4
 
 
@@ -62,10 +63,10 @@ def mu_curve(
     """The curve of a stable continuous loop on frequencies that follow it.
 
     The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
-    intervals in which mu is close to its peak or the entries of D change most.
+    intervals in which mu is close to its peak or the entries of D change most. Where ``stop`` says so after some of the
+    first frequencies, spread over all of them, it is left at these.
     """
-    omega = default_grid(loop, FIRST, 1.0) if first is None else first
-    response, bounds = _at(loop, blocks, omega)
+    omega, response, bounds = _spread(loop, blocks, default_grid(loop, FIRST, 1.0) if first is None else first, stop)
     for _ in range(ROUNDS):
         if stop():
             break
@@ -86,6 +87,25 @@ def mu_curve(
         response = np.concatenate([response, more])[order]
         bounds = [[*bounds, *found][i] for i in order]
     return MuCurve(omega, response, tuple(bounds))
+
+
+def _spread(
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, stop: Callable[[], bool]
+) -> tuple[Array, Array, list[UpperBound]]:
+    """The bounds at every so-many-th frequency first, until all are done or the time is up; frequencies rise again."""
+    stride = max(1, len(omega) // CHUNK)
+    order = np.concatenate([np.arange(start, len(omega), stride) for start in range(stride)])
+    responses: list[Array] = []
+    bounds: list[UpperBound] = []
+    for begin in range(0, len(order), CHUNK):
+        if bounds and stop():
+            break
+        response, found = _at(loop, blocks, omega[order[begin : begin + CHUNK]])
+        responses.append(response)
+        bounds += found
+    done = order[: len(bounds)]
+    back = np.argsort(done)
+    return omega[done[back]], np.concatenate(responses)[back], [bounds[i] for i in back]
 
 
 def _at(loop: StateSpaceModel, blocks: Sequence[Block], omega: Array) -> tuple[Array, list[UpperBound]]:
