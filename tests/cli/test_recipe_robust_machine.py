@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from pathlib import Path
@@ -70,7 +71,10 @@ def test_the_simulated_errors_are_those_of_the_frequency_responses(actuator):
     assert rows["hinf"]["largest_error"] < rows["pid"]["largest_error"]
     for row in rows.values():
         assert row["within_limits"]
-        assert row["largest"]["u"] == pytest.approx(12.4, rel=0.05)  # back-EMF at 231 rad/s, and friction
+        # the weak, heavy member at 231 rad/s: back-EMF, and the current that both kinds of friction ask for
+        speed = 73.603 * math.pi
+        volts = 0.0546 * speed + 2.277 / 0.0494 * (6.48e-5 * speed + 3e-3)
+        assert row["largest"]["u"] == pytest.approx(volts, rel=0.01)
         assert row["worst_error"] >= row["largest_error"] * (1 - 1e-9)
 
 
@@ -208,5 +212,5 @@ def test_steps_that_make_no_sense(tmp_path, text, message):
 
 
 def test_the_shipped_recipe_can_be_run(capsys):
-    assert run(["recipe", "check", "robust-machine", "--json"]) == 0
+    assert not run(["recipe", "check", "robust-machine", "--json"])
     assert json.loads(capsys.readouterr().out)["requirements"] >= 5
