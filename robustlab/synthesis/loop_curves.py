@@ -56,7 +56,7 @@ def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | No
     if model.is_discrete:
         poles = np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / model.dt
     size = np.abs(poles)
-    size = size[size > 1e-9 * size.max(initial=0.0)]
+    size = size[size > 1e-12 * size.max(initial=0.0)]
     middle = float(np.median(size)) if len(size) else 1.0
     seen = size[(size <= SPAN * middle) & (size >= middle / SPAN)] if len(size) else np.array([1.0])
     low, high = float(seen.min()) / 10, float(seen.max()) * 10

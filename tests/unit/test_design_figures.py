@@ -62,7 +62,7 @@ def test_history_marks_the_smallest_and_keeps_infinite_levels_out_of_the_span():
 def test_a_limit_far_from_the_curves_is_named():
     t = np.linspace(0, 1, 5)
     figure = runs_figure(t, [TimePanel("u [V]", {"a": t, "b": -t}, 42.0), TimePanel("e", {"a": t, "b": t}, 1.0)])
-    assert "42" in figure.axes[0].get_title()
+    assert "42" in figure.axes[0].get_title("left")
     assert len(figure.axes[1].lines) == 4
 
 
