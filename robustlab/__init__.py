@@ -46,6 +46,8 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis import complementary_weight as complementary_weight
     from robustlab.synthesis import control_weight as control_weight
     from robustlab.synthesis import design_weights as design_weights
+    from robustlab.synthesis import dk as dk
+    from robustlab.synthesis import fixed_structure as fixed_structure
     from robustlab.synthesis import generalized_plant as generalized_plant
     from robustlab.synthesis import h2 as h2
     from robustlab.synthesis import h2_hinf as h2_hinf
@@ -161,6 +163,8 @@ _PUBLIC = {
     "place": "synthesis",
     "mixsyn": "synthesis",
     "ncf": "synthesis",
+    "dk": "synthesis",
+    "fixed_structure": "synthesis",
     "generalized_plant": "synthesis",
     "performance_limits": "synthesis",
     "performance_weight": "synthesis",

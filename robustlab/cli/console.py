@@ -26,6 +26,7 @@ __all__ = [
     "note",
     "plant_settings",
     "progress",
+    "status_line",
     "table",
 ]
 
@@ -124,6 +125,25 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[..
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=total)
         yield lambda steps, text="": bar.update(task, advance=steps, description=text or None)
+
+
+@contextmanager
+def status_line(description: str, verbose: bool = False) -> Iterator[Callable[[str], None]]:
+    """Where a search stands; yields ``report(text)``.
+
+    On a terminal one line on stderr that the next text replaces, elsewhere nothing; with ``verbose`` a line each.
+    """
+    if verbose:
+        yield note
+        return
+    if not sys.stderr.isatty():
+        yield lambda _text: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    with Console(stderr=True).status(escape(description)) as line:
+        yield lambda text: line.update(escape(plain_text(f"{description}: {text}")))
 
 
 def main_guard(run: Callable[[], int | None]) -> int:

@@ -7,33 +7,49 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli import reduction
-from robustlab.cli.console import JsonOption, OutOption, emit, note, table
-from robustlab.errors import UsageError, did_you_mean
+from robustlab.cli.console import JsonOption, OutOption, SeedOption, note, status_line
+from robustlab.cli.design_output import (
+    Channels,
+    ControlsOption,
+    DisturbancesOption,
+    FigureOption,
+    FileArgument,
+    GammaRelOption,
+    MeasurementsOption,
+    NConOption,
+    NMeasOption,
+    NominalOption,
+    PerformanceOption,
+    TimeLimitOption,
+    VerboseOption,
+    check_target,
+    finish,
+    names,
+    rows_of_blocks,
+    weight,
+)
+from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
     from robustlab.statespace import StateSpaceModel
-    from robustlab.synthesis.design import Synthesis
 
-app = typer.Typer(help="Design an H-infinity controller and verify it.", no_args_is_help=True)
-
-FileArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", show_default=False)]
-GammaRelOption = Annotated[
-    float,
-    typer.Option("--gamma-rel", help="Allowed ratio to the smallest gamma; within it the slowest controller wins."),
-]
-TimeLimitOption = Annotated[float, typer.Option("--time-limit", help="Time limit in s.")]
+app = typer.Typer(help="Design a controller and verify it in the loop rebuilt from it.", no_args_is_help=True)
 
 
 @app.command()
 def hinf(
     file: FileArgument,
-    n_meas: Annotated[int | None, typer.Option("--n-meas", help="Number of measurements (the last outputs).")] = None,
-    n_con: Annotated[int | None, typer.Option("--n-con", help="Number of controls (the last inputs).")] = None,
-    measurements: Annotated[str | None, typer.Option("--measurements", help="Measured outputs by name: a,b.")] = None,
-    controls: Annotated[str | None, typer.Option("--controls", help="Control inputs by name: a,b.")] = None,
+    n_meas: NMeasOption = None,
+    n_con: NConOption = None,
+    measurements: MeasurementsOption = None,
+    controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
+    nominal: NominalOption = False,
     gamma_rel: GammaRelOption = 1.05,
     time_limit: TimeLimitOption = 60.0,
     out: OutOption = None,
+    figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
@@ -43,19 +59,168 @@ def hinf(
 
     Example: robustlab synth hinf plant.h5 --n-meas 1 --n-con 1 --out controller.h5
     """
-    by_name, by_number = (measurements, controls), (n_meas, n_con)
-    if (None in by_name) == (None in by_number) or any(by_name) == any(n is not None for n in by_number):
-        raise UsageError(
-            "synth hinf", "channels are not given", "either --n-meas and --n-con, or --measurements and --controls"
-        )
-    from robustlab.storage import load
-    from robustlab.synthesis import generalized_plant
+    channels = Channels("synth hinf", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
     from robustlab.synthesis import hinf as design
 
-    plant = load(file)
-    if measurements is not None and controls is not None:
-        plant = generalized_plant(plant, _names(measurements), _names(controls))
-    _finish("synth hinf", design(plant, n_meas, n_con, gamma_rel=gamma_rel, time_limit=time_limit), file, out, as_json)
+    plant = channels.plant(file, nominal)
+    found = design(plant, gamma_rel=gamma_rel, time_limit=time_limit)
+    finish("synth hinf", found, file, out, figure, as_json)
+
+
+@app.command()
+def h2(
+    file: FileArgument,
+    n_meas: NMeasOption = None,
+    n_con: NConOption = None,
+    measurements: MeasurementsOption = None,
+    controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
+    nominal: NominalOption = False,
+    time_limit: TimeLimitOption = 60.0,
+    out: OutOption = None,
+    figure: FigureOption = None,
+    verbose: VerboseOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """H2 (LQG) controller u = K y (positive feedback) of a generalised plant; gamma is the verified H2 norm.
+
+    Channels as for hinf. Exit code 4: no controller could be vouched for, or no finite H2 norm exists.
+
+    Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
+    """
+    channels = Channels("synth h2", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
+    from robustlab.synthesis import h2 as design
+
+    plant = channels.plant(file, nominal)
+    with status_line("H2", verbose) as report:
+        found = design(plant, time_limit=time_limit, progress=report)
+    finish("synth h2", found, file, out, figure, as_json)
+
+
+@app.command()
+def ncf(
+    file: FileArgument,
+    w1: Annotated[str | None, typer.Option("--w1", help="Before the plant: a number or a model file.")] = None,
+    w2: Annotated[str | None, typer.Option("--w2", help="Behind the plant: a number or a model file.")] = None,
+    inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None,
+    outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None,
+    factor: Annotated[float, typer.Option("--factor", help="Back-off from the smallest gamma, above 1.")] = 1.1,
+    out: OutOption = None,
+    figure: FigureOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
+
+    Choose W1 and W2 so that W2 G W1 has the wanted shape. A margin (1 / gamma) above 0.25 keeps it.
+    Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis import ncf as design
+
+    check_target(out)
+    model = _selected(as_model(load(file), file), inputs, outputs)
+    weights = [None if text is None else _number_or_model(text) for text in (w1, w2)]
+    finish("synth ncf", design(model, *weights, factor=factor), file, out, figure, as_json)
+
+
+@app.command()
+def dk(
+    file: FileArgument,
+    n_meas: NMeasOption = None,
+    n_con: NConOption = None,
+    measurements: MeasurementsOption = None,
+    controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
+    blocks: Annotated[
+        str | None,
+        typer.Option(
+            "--blocks",
+            help='Blocks of Delta as rows "r,c" separated by ";" (-r,0 real repeated, r,0 complex repeated, r,c full); '
+            "those of the uncertain file where left out.",
+            show_default=False,
+        ),
+    ] = None,
+    direct: Annotated[bool, typer.Option(help="Go on with direct minimisation after D-K iteration.")] = True,
+    mixed: Annotated[bool, typer.Option(help="Use that real blocks are real.")] = True,
+    max_order: Annotated[int | None, typer.Option(help="Largest order of the controller.", show_default=False)] = None,
+    time_limit: TimeLimitOption = 120.0,
+    out: OutOption = None,
+    figure: FigureOption = None,
+    verbose: VerboseOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Robust controller u = K y (positive feedback): makes the peak of mu small, by D-K iteration and directly.
+
+    Of an uncertain file the blocks are known; what they leave of w and z is the performance. gamma is an upper bound of
+    mu at all frequencies. Channels as for hinf. Exit code 4: no controller could be vouched for.
+
+    Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
+    """
+    channels = Channels("synth dk", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
+    rows = None if blocks is None else rows_of_blocks(blocks)
+    from robustlab.synthesis import dk as design
+
+    plant = channels.plant(file)
+    with status_line("D-K", verbose) as report:
+        found = design(
+            plant, rows, direct=direct, mixed=mixed, max_order=max_order, time_limit=time_limit, progress=report
+        )
+    finish("synth dk", found, file, out, figure, as_json)
+
+
+@app.command()
+def fixed(
+    file: FileArgument,
+    structure: Annotated[
+        str,
+        typer.Option(
+            "--structure",
+            help="static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, "
+            ":diagonal, :scalar), decentralised:WORD.",
+        ),
+    ] = "static",
+    n_meas: NMeasOption = None,
+    n_con: NConOption = None,
+    measurements: MeasurementsOption = None,
+    controls: ControlsOption = None,
+    disturbances: DisturbancesOption = None,
+    performance: PerformanceOption = None,
+    nominal: NominalOption = False,
+    objective: Annotated[str, typer.Option("--objective", help="hinf or h2.")] = "hinf",
+    starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
+    seed: SeedOption = 0,
+    time_limit: TimeLimitOption = 60.0,
+    out: OutOption = None,
+    figure: FigureOption = None,
+    verbose: VerboseOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Controller u = K y (positive feedback) of a given structure: the smallest norm found, verified; a local optimum.
+
+    Of an uncertain file the worst member counts, unless --nominal. Channels as for hinf.
+    Exit code 4: no start stabilised the plant.
+
+    Example: robustlab synth fixed plant.h5 --structure order:2 --n-meas 1 --n-con 1 --out controller.h5
+    """
+    channels = Channels("synth fixed", n_meas, n_con, measurements, controls, disturbances, performance)
+    check_target(out)
+    from robustlab.synthesis import fixed_structure as design
+    from robustlab.synthesis.structure_words import structure_in_words
+
+    plant = channels.plant(file, nominal)
+    words = structure_in_words(structure, plant)
+    options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed, "time_limit": time_limit}
+    with status_line("fixed structure", verbose) as report:
+        found = design(plant, words, progress=report, **options)
+    finish("synth fixed", found, file, out, figure, as_json)
 
 
 @app.command()
@@ -75,6 +240,7 @@ def mixsyn(
     gamma_rel: GammaRelOption = 1.05,
     time_limit: TimeLimitOption = 60.0,
     out: OutOption = None,
+    figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Mixed-sensitivity controller u = K (r - y) of a plant, verified in the loop rebuilt from K.
@@ -91,71 +257,38 @@ def mixsyn(
     from robustlab.synthesis import mixsyn as design
 
     weights = (
-        _weight("--w1", w1, performance_weight),
-        _weight("--w2", w2, control_weight),
-        _weight("--w3", w3, complementary_weight),
+        weight("--w1", w1, performance_weight),
+        weight("--w2", w2, control_weight),
+        weight("--w3", w3, complementary_weight),
     )
     if all(weight is None for weight in weights):
         raise UsageError("synth mixsyn", "no weight", "at least one of --w1, --w2, --w3")
-    model = as_model(load(file), file)
-    if inputs or outputs:
-        model = model.select(_names(inputs) if inputs else None, _names(outputs) if outputs else None)
+    check_target(out)
+    model = _selected(as_model(load(file), file), inputs, outputs)
     kept = drop_unconnected(model)
     left_out = [name for name in model.state_names if name not in kept.state_names]
     if left_out:
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
     found = design(kept, *weights, gamma_rel=gamma_rel, time_limit=time_limit)
-    _finish("synth mixsyn", found, file, out, as_json)
+    finish("synth mixsyn", found, file, out, figure, as_json)
 
 
 app.command("reduce")(reduction.reduce_controller)
 app.command("discretise")(reduction.discretise_controller)
 
 
-def _names(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
+def _selected(model: StateSpaceModel, inputs: str | None, outputs: str | None) -> StateSpaceModel:
+    if not inputs and not outputs:
+        return model
+    return model.select(names(inputs) if inputs else None, names(outputs) if outputs else None)
 
 
-def _weight(option: str, text: str | None, make: Any) -> StateSpaceModel | float | None:
-    """A number, or the weight that ``key=value,...`` specifies."""
-    import inspect
+def _number_or_model(text: str) -> StateSpaceModel | float:
+    """A weight: a number, or a file with a model."""
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
 
-    if text is None:
-        return None
-    if "=" not in text:
-        return _number(option, text)
-    known = list(inspect.signature(make).parameters)
-    specification: dict[str, float] = {}
-    for part in _names(text):
-        key, _, value = part.partition("=")
-        key = key.strip().replace("-", "_")
-        if key not in known:
-            raise UsageError(option, f"unknown word {key!r}", f"one of {', '.join(known)}", did_you_mean(key, known))
-        specification[key] = _number(f"{option}: {key}", value)
-    if "order" in specification and specification["order"].is_integer():
-        specification["order"] = int(specification["order"])
-    required = known[0]
-    if required not in specification:
-        raise UsageError(option, f"{required} is missing", f"at least {required}=NUMBER")
-    return make(**specification)
-
-
-def _number(where: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise UsageError(where, f"{text.strip()!r}", "a number") from None
-
-
-def _finish(command: str, found: Synthesis, file: str, out: str | None, as_json: bool) -> None:
-    """Print the design, store the controller, and leave with the exit code of its status."""
-    rows = found.summary()
-    if out is not None:
-        from robustlab.provenance import Provenance, file_sha256
-        from robustlab.storage import save
-
-        save(out, found.controller, Provenance.now(command, {file: file_sha256(file)}))
-        rows.append(("written", out))
-    emit(command, found.to_json(), table(rows), as_json)
-    if not found.status.trustworthy:
-        raise typer.Exit(4)
+        return as_model(load(text), text)

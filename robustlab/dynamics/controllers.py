@@ -42,7 +42,15 @@ from robustlab.dynamics.trimming import trim
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 
-__all__ = ["TorqueGains", "TwoLayerController", "closed_loop", "measured", "torque_gains", "two_layer"]
+__all__ = [
+    "LayeredController",
+    "TorqueGains",
+    "TwoLayerController",
+    "closed_loop",
+    "measured",
+    "torque_gains",
+    "two_layer",
+]
 
 # Without a rotor in the machine the lower layer still designs with one, as the thesis does (its eq. 9.3).
 ROTOR = 7.2e-6
@@ -86,24 +94,76 @@ class TwoLayerController:
         for gain in (self.Kp, self.Kd, self.Ki):
             gain.setflags(write=False)
 
+    def upper_layer(self) -> StateSpaceModel:
+        """The upper layer alone: 6 states, inputs r, phi, phidot (6 each), outputs the six motor torques."""
+        one, none = np.eye(6), np.zeros((6, 6))
+        b, d = np.hstack([one, -one, none]), np.hstack([none, -self.Kp, -self.Kd])
+        return StateSpaceModel(none, b, self.Ki, d, 0.0, _ABOVE, _TORQUES, where="two-layer: upper layer")
+
     def state_space(self) -> StateSpaceModel:
         """Linear model of the controller: 18 states, inputs r, phi, phidot, torque (6 each), outputs the six voltages.
 
         States: integrals of the angles' errors and of the torques' errors, and sigma.
         """
-        one, none, low = np.eye(6), np.zeros((6, 6)), self.lower
-        a = np.block([[none, none, none], [self.Ki, none, none], [none, low.ki * one, none]])
-        b = np.block(
-            [[one, -one, none, none], [none, -self.Kp, -self.Kd, -one], [none, none, none, -low.kp * one]]
-        )  # fmt: skip
-        names = (("r", "rad"), ("phi", "rad"), ("phidot", "rad/s"), ("torque", "N m"))
-        inputs = [Signal(f"{name}_{i}", unit) for name, unit in names for i in NUMBERS]
-        c, d = np.hstack([none, none, one]), np.hstack([none, none, none, -low.kd * one])
-        return StateSpaceModel(a, b, c, d, 0.0, inputs, [Signal(f"u_{i}", "V") for i in NUMBERS], where="two-layer")
+        return _above_torque_loops(self.upper_layer(), self.lower)
 
     def to_json(self) -> dict[str, Any]:
         """All gains and poles."""
         return dict(vars(self))
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredController:
+    """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed.
+
+    Attributes
+    ----------
+    upper
+        From r, phi, phidot (6 each) to the six motor torques that it asks for; continuous.
+    lower
+        Gains of every motor's torque loop.
+    at
+        The trim; its torques and voltages are added to what the controller gives.
+
+    Raises
+    ------
+    InputError
+        An upper layer of other sizes, or a discrete one.
+    """
+
+    upper: StateSpaceModel
+    lower: TorqueGains
+    at: Trim
+
+    def __post_init__(self) -> None:
+        if (self.upper.n_inputs, self.upper.n_outputs) != (18, 6) or self.upper.is_discrete:
+            kind = "discrete" if self.upper.is_discrete else "continuous"
+            found = f"{self.upper.n_inputs} inputs and {self.upper.n_outputs} outputs, {kind}"
+            raise InputError("layered controller", found, "r, phi, phidot (6 each) in and 6 torques out, continuous")
+
+    def state_space(self) -> StateSpaceModel:
+        """Linear model of the controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages."""
+        return _above_torque_loops(self.upper, self.lower)
+
+
+def _signals(*kinds: tuple[str, str]) -> list[Signal]:
+    return [Signal(f"{name}_{i}", unit) for name, unit in kinds for i in NUMBERS]
+
+
+_ABOVE = _signals(("r", "rad"), ("phi", "rad"), ("phidot", "rad/s"))
+_TORQUES = _signals(("torque", "N m"))
+
+
+def _above_torque_loops(upper: StateSpaceModel, lower: TorqueGains) -> StateSpaceModel:
+    """The upper layer's torques as references of the motors' torque loops; states: its own, xi, sigma."""
+    n, one, none = upper.n_states, np.eye(6), np.zeros((6, 6))
+    below = np.zeros((6, n))
+    a = np.block(
+        [[upper.A, np.zeros((n, 12))], [upper.C, none, none], [below, lower.ki * one, none]]
+    )  # fmt: skip
+    b = np.block([[upper.B, np.zeros((n, 6))], [upper.D, -one], [np.zeros((6, 18)), -lower.kp * one]])
+    c, d = np.hstack([below, none, one]), np.hstack([np.zeros((6, 18)), -lower.kd * one])
+    return StateSpaceModel(a, b, c, d, 0.0, [*_ABOVE, *_TORQUES], _signals(("u", "V")), where="two-layer")
 
 
 def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
@@ -164,8 +224,12 @@ def measured(plant: StewartPlatform) -> Array:
     return c
 
 
-def closed_loop(plant: StewartPlatform, controller: TwoLayerController, at: Trim | None = None) -> StateSpaceModel:
-    """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18); 36 states.
+def closed_loop(
+    plant: StewartPlatform, controller: TwoLayerController | LayeredController, at: Trim | None = None
+) -> StateSpaceModel:
+    """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18).
+
+    Its states are the machine's 18 and the controller's.
 
     Parameters
     ----------
@@ -177,8 +241,7 @@ def closed_loop(plant: StewartPlatform, controller: TwoLayerController, at: Trim
     direct = k.D[:, 6:] @ c
     a = np.block([[model.A + model.B @ direct, model.B @ k.C], [from_y @ c, k.A]])
     b = np.vstack([np.zeros((18, 6)), from_r])
-    outputs = np.vstack(
-        [np.hstack([c[:6], np.zeros((6, 18))]), np.hstack([c[12:], np.zeros((6, 18))]), np.hstack([direct, k.C])]
-    )
-    names = [Signal(f"{n}_{i}", unit) for n, unit in (("phi", "rad"), ("torque", "N m"), ("u", "V")) for i in NUMBERS]
+    none = np.zeros((6, k.n_states))
+    outputs = np.vstack([np.hstack([c[:6], none]), np.hstack([c[12:], none]), np.hstack([direct, k.C])])
+    names = _signals(("phi", "rad"), ("torque", "N m"), ("u", "V"))
     return StateSpaceModel(a, b, outputs, np.zeros((18, 6)), 0.0, k.inputs[:6], names, where="closed_loop")

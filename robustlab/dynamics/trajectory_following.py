@@ -1,4 +1,4 @@
-"""The nonlinear machine under two-layer control, following a trajectory."""
+"""The nonlinear machine under control, following a trajectory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.dynamics.controllers import TwoLayerController, measured
+from robustlab.dynamics.controllers import LayeredController, TwoLayerController, measured
 from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.stewart.kinematics import nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
@@ -111,7 +111,7 @@ class TrajectoryFollowing:
 
 def follow(
     plant: StewartPlatform,
-    controller: TwoLayerController,
+    controller: TwoLayerController | LayeredController,
     trajectory: SineTrajectory,
     t: ArrayLike,
     *,
@@ -163,16 +163,19 @@ def follow(
 
 
 class _Loop:
-    """Rates and Jacobian of the 36 states: those of the machine, and of the controller in deviations from its trim."""
+    """Rates and Jacobian of the states: 18 of the machine, and the controller's in deviations from its trim."""
 
     def __init__(
-        self, plant: StewartPlatform, controller: TwoLayerController, angles: Callable[[float], Array]
+        self,
+        plant: StewartPlatform,
+        controller: TwoLayerController | LayeredController,
+        angles: Callable[[float], Array],
     ) -> None:
         self.plant, self.angles, self.evaluations = plant, angles, 0
         self.k, self.c, self.trim = controller.state_space(), measured(plant), controller.at
         self.into_u = np.hstack([self.k.D[:, 6:] @ self.c, self.k.C])
         self.into_k = np.hstack([self.k.B[:, 6:] @ self.c, self.k.A])
-        self.rest = np.concatenate([self.trim.x, np.zeros(18)])
+        self.rest = np.concatenate([self.trim.x, np.zeros(self.k.n_states)])
 
     def voltage(self, state: Array) -> Array:
         return self.trim.u + self.into_u @ (state - self.rest)
@@ -188,12 +191,12 @@ class _Loop:
 
     def jacobian(self, time: float, state: Array) -> Array:
         a, b, _, _ = self.plant.jacobians(state[:18], self.voltage(state))
-        machine = np.hstack([a, np.zeros((18, 18))]) + b @ self.into_u
+        machine = np.hstack([a, np.zeros((18, self.k.n_states))]) + b @ self.into_u
         return np.vstack([machine, self.into_k])
 
 
 def _integrated(loop: _Loop, t: Array, breaks: tuple[float, ...], rtol: float) -> Array:
-    """States (n, 36) at the times t, from rest at the trim."""
+    """States (n, 18 + n_k) at the times t, from rest at the trim."""
     from scipy.integrate import solve_ivp
 
     if not 0 < rtol < 1:
@@ -202,7 +205,7 @@ def _integrated(loop: _Loop, t: Array, breaks: tuple[float, ...], rtol: float) -
     small = np.abs(loop.into_u).max(axis=0)
     scale = np.concatenate([np.full(6, 1.0), np.full(6, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small[18:], 1.0)])
     edges = [t[0], *sorted({b for b in breaks if t[0] < b < t[-1]}), t[-1]]
-    states, state = np.empty((len(t), 36)), loop.rest
+    states, state = np.empty((len(t), len(loop.rest))), loop.rest
     for first, last in itertools.pairwise(edges):
         found = solve_ivp(
             loop.rates, (first, last), state, "Radau", jac=loop.jacobian, dense_output=True, rtol=rtol,

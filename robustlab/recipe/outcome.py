@@ -128,12 +128,15 @@ class Workspace:
             self.files.append(f"figures/{path.name}")
         self.figures.setdefault(self.step, []).append((stem, caption))
 
-    def keep(self, result: Any) -> None:
-        """Save a result with its evidence as ``evidence/STEP.h5``: it can then be checked again without a new run."""
+    def keep(self, result: Any, part: str = "") -> None:
+        """Save a result with its evidence as ``evidence/STEP.h5``: it can then be checked again without a new run.
+
+        A step with several results names each: ``evidence/STEP-PART.h5``.
+        """
         from robustlab.provenance import Provenance
         from robustlab.storage import save
 
-        path = self.folder / "evidence" / f"{self.step}.h5"
+        path = self.folder / "evidence" / f"{self.step}{'-' * bool(part)}{part}.h5"
         path.parent.mkdir(exist_ok=True)
         save(path, result, Provenance.now(f"recipe step {self.step}", self.inputs, self.seed))
         self.files.append(f"evidence/{path.name}")

@@ -11,6 +11,19 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from robustlab.recipe.control_schema import (
+    CascadeStep,
+    DkStep,
+    FixedStep,
+    FollowTrajectoryStep,
+    H2Step,
+    HinfStep,
+    NcfStep,
+    ReduceControllerStep,
+    RobustPerformanceStep,
+    SimulateControlStep,
+    TrackingProblemStep,
+)
 from robustlab.recipe.vocabulary import (
     ComplementaryWeight,
     ControlWeight,
@@ -132,7 +145,9 @@ class ElementwiseStep(StepBase):
     do: Literal["elementwise"]
     nominal: ToModel
     perturbed: ToModel
-    structure: Literal["elements", "columns", "rows", "matrices", "single"] = "elements"
+    structure: Literal["elements", "columns", "rows", "matrices", "single", "cover"] = Field(
+        "elements", description="cover: a full block for each matrix, which holds every element-wise member."
+    )
 
 
 # --- analysis --------------------------------------------------------------------------------------------------------
@@ -283,16 +298,6 @@ class MixsynStep(StepBase):
         if self.W1 is None and self.W2 is None and self.W3 is None:
             raise PydanticCustomError("some_weight", "expected at least one of W1, W2, W3")
         return self
-
-
-class HinfStep(StepBase):
-    """H-infinity controller of a generalised plant: its last inputs are controls, its last outputs measurements."""
-
-    gives: ClassVar[str] = "controller"
-    do: Literal["hinf"]
-    of: ToModel
-    measurements: Annotated[int, Field(ge=1)]
-    controls: Annotated[int, Field(ge=1)]
 
 
 class CloseLoopStep(StepBase):
@@ -450,6 +455,16 @@ Step = Annotated[
     | MixsynStep
     | HinfStep
     | CloseLoopStep
+    | H2Step
+    | NcfStep
+    | DkStep
+    | FixedStep
+    | ReduceControllerStep
+    | TrackingProblemStep
+    | CascadeStep
+    | RobustPerformanceStep
+    | SimulateControlStep
+    | FollowTrajectoryStep
     | RecordStep
     | JoinStep
     | CompareStep

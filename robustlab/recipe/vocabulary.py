@@ -12,6 +12,7 @@ __all__ = [
     "ComplementaryWeight",
     "ControlWeight",
     "Count",
+    "ErrorWeight",
     "FileName",
     "NumberOrPair",
     "Order",
@@ -57,7 +58,7 @@ ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
 ToController = Annotated[str, RefersTo(("controller", "any"))]
 ToRecord = Annotated[str, RefersTo(("record", "any"))]
 ToSaved = Annotated[str, RefersTo(("saved",))]
-ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "controller", "record", "any"))]
+ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "problem", "controller", "record", "any"))]
 
 StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=100)]
@@ -101,6 +102,14 @@ class PerformanceWeight(Strict):
     error: Tolerance = Field(1e-3, description="Largest control error in steady state, as a share of the reference.")
     peak: Annotated[float, Field(gt=1)] = 2.0
     order: Order = 1
+
+
+class ErrorWeight(Strict):
+    """Asks the error of shaped references to stay below ``error``, and to fall with the frequency below ``corner``."""
+
+    error: Tolerance = Field(description="Largest error above the corner, as a share of the reference.")
+    corner: Positive = Field(description="rad/s")
+    steady: Tolerance = Field(1e-3, description="Largest error in steady state, as a share of the reference.")
 
 
 class ControlWeight(Strict):

@@ -3,9 +3,27 @@
 from robustlab.synthesis.controller import Controller as Controller
 from robustlab.synthesis.controller_reduction import ReducedController as ReducedController
 from robustlab.synthesis.controller_reduction import reduce_controller as reduce_controller
+from robustlab.synthesis.controller_structures import PID as PID
+from robustlab.synthesis.controller_structures import Decentralised as Decentralised
+from robustlab.synthesis.controller_structures import FixedOrder as FixedOrder
+from robustlab.synthesis.controller_structures import FixedPoles as FixedPoles
+from robustlab.synthesis.controller_structures import MultichannelPID as MultichannelPID
+from robustlab.synthesis.controller_structures import Part as Part
+from robustlab.synthesis.controller_structures import Series as Series
+from robustlab.synthesis.controller_structures import StaticGain as StaticGain
+from robustlab.synthesis.controller_structures import Sum as Sum
 from robustlab.synthesis.design import HinfSynthesis as HinfSynthesis
 from robustlab.synthesis.design import Synthesis as Synthesis
+from robustlab.synthesis.design_limits import Bandwidth as Bandwidth
+from robustlab.synthesis.design_limits import Damping as Damping
+from robustlab.synthesis.design_limits import Decay as Decay
+from robustlab.synthesis.design_limits import RollOff as RollOff
+from robustlab.synthesis.design_limits import StableController as StableController
 from robustlab.synthesis.discretisation import discretise as discretise
+from robustlab.synthesis.dk_design import DKSynthesis as DKSynthesis
+from robustlab.synthesis.dk_iteration import dk as dk
+from robustlab.synthesis.fixed_result import FixedSynthesis as FixedSynthesis
+from robustlab.synthesis.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.h2_synthesis import H2Synthesis as H2Synthesis
 from robustlab.synthesis.h2_synthesis import h2 as h2
 from robustlab.synthesis.hinf_synthesis import hinf as hinf
@@ -43,7 +61,16 @@ from robustlab.synthesis.weights import control_weight as control_weight
 from robustlab.synthesis.weights import performance_weight as performance_weight
 
 __all__ = [
+    "PID",
+    "Bandwidth",
     "Controller",
+    "DKSynthesis",
+    "Damping",
+    "Decay",
+    "Decentralised",
+    "FixedOrder",
+    "FixedPoles",
+    "FixedSynthesis",
     "DesignWeights",
     "GeneralizedPlant",
     "H2Synthesis",
@@ -59,12 +86,21 @@ __all__ = [
     "control_weight",
     "design_weights",
     "h2",
-    "h2_hinf",
+    "dk",
+    "MultichannelPID",
+    "Part",
+    "RollOff",
+    "Series",
+    "StableController",
+    "StaticGain",
+    "Sum",
     "ReducedController",
     "ReducedModel",
     "SampledController",
     "SampledDataNorm",
     "balanced_truncation",
+    "fixed_structure",
+    "h2_hinf",
     "discretise",
     "discretise_controller",
     "hankel_singular_values",

@@ -50,7 +50,9 @@ class PlantMatrices:
         """``(n_x, n_w, n_u, n_z, n_y)``."""
         return self.A.shape[0], self.B1.shape[1], self.B2.shape[1], self.C1.shape[0], self.C2.shape[0]
 
-    def with_channels(self, u: float | Array, y: float | Array, x_out: float, x_in: float) -> PlantMatrices:
+    def with_channels(
+        self, u: float | Array, y: float | Array, x_out: float | Array, x_in: float | Array
+    ) -> PlantMatrices:
         """With outputs ``u * controls``, ``x_out * x`` and noises ``y`` on y, ``x_in`` on x added."""
         n, _, n_u, n_z, n_y = self.sizes
         C1 = np.vstack([self.C1, np.zeros((n_u, n)), x_out * np.eye(n)])

@@ -7,7 +7,7 @@ import numpy as np
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel, series
 
-__all__ = ["complementary_weight", "control_weight", "performance_weight"]
+__all__ = ["complementary_weight", "control_weight", "error_weight", "performance_weight"]
 
 
 def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0, order: int = 1) -> StateSpaceModel:
@@ -44,6 +44,33 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
         raise InputError(where, f"error is {error:g}, peak is {peak:g}", "error < 1 < peak")
     _order(where, order)
     return _repeated(_lead(1 / peak ** (1 / order), bandwidth, bandwidth * error ** (1 / order)), order)
+
+
+def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpaceModel:
+    r"""Weight on the error that shaped references leave: ``error`` above the corner, ever less below it.
+
+    .. math:: W_1(s) = \frac{1}{\varepsilon} \frac{s + \omega_c}{s + \omega_c \varepsilon_0 / \varepsilon}
+
+    Parameters
+    ----------
+    error
+        epsilon: largest error above the corner, as a share of the reference.
+    corner
+        omega_c in rad/s below which the error has to fall with the frequency.
+    steady
+        epsilon_0: largest steady-state error (0 < epsilon_0 < epsilon).
+
+    Examples
+    --------
+    >>> W1 = error_weight(error=0.04, corner=1.0, steady=1e-3)
+    >>> round(float(W1.dc_gain()[0, 0]), 6), float(W1.D[0, 0])
+    (1000.0, 25.0)
+    """
+    where = "error weight"
+    _positive(where, error=error, corner=corner, steady=steady)
+    if steady >= error:
+        raise InputError(where, f"steady is {steady:g}, error is {error:g}", "steady < error")
+    return _lead(1 / error, corner / error, corner * steady / error)
 
 
 def control_weight(limit: float, bandwidth: float | None = None, roll_off: float = 100.0) -> StateSpaceModel:

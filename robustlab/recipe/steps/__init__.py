@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, campaign, design, discovery, measurement, models, published
+from robustlab.recipe.steps import analysis, campaign, control, design, discovery, measurement, models, published
 
 __all__ = ["EXECUTORS"]
 
@@ -31,7 +31,17 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "robust-stability": analysis.robust_stability,
     "mixsyn": design.mixsyn,
     "hinf": design.hinf,
+    "h2": design.h2,
+    "ncf": design.ncf,
+    "dk": design.dk,
+    "fixed": design.fixed,
+    "reduce-controller": design.reduce_controller,
     "close-loop": design.close_loop,
+    "tracking-problem": control.tracking_problem,
+    "cascade": control.cascade,
+    "robust-performance": control.robust_performance,
+    "simulate-control": control.simulate_control,
+    "follow-trajectory": control.follow_trajectory,
     "record": measurement.record,
     "join": measurement.join,
     "compare": measurement.compare,

@@ -5,10 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 from robustlab.errors import InputError
+from robustlab.recipe.control_schema import (
+    DesignStep,
+    DkStep,
+    FixedStep,
+    H2Step,
+    HinfStep,
+    NcfStep,
+    ReduceControllerStep,
+)
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import CloseLoopStep, HinfStep, MixsynStep
+from robustlab.recipe.schema import CloseLoopStep, MixsynStep
 
-__all__ = ["close_loop", "hinf", "mixsyn", "tracking_loop"]
+__all__ = ["close_loop", "dk", "fixed", "h2", "hinf", "mixsyn", "ncf", "reduce_controller", "tracking_loop"]
 
 
 def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
@@ -28,8 +37,94 @@ def hinf(step: HinfStep, work: Workspace) -> Outcome:
     """An H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
     import robustlab as rl
 
-    found = rl.hinf(work.values[step.of], step.measurements, step.controls)
+    P, *channels = generalised(step, work, nominal=step.nominal)
+    found = rl.hinf(P, *channels, gamma_rel=step.gamma_rel, time_limit=step.time_limit)
+    _draw_loop(found, work)
+    _draw_functions(found, step.of, work)
     return _designed(found, f"H-infinity controller for {step.of}.", work)
+
+
+def h2(step: H2Step, work: Workspace) -> Outcome:
+    """An H2 controller of the nominal plant, verified in the loop rebuilt from it."""
+    import robustlab as rl
+
+    P, *channels = generalised(step, work, nominal=True)
+    found = rl.h2(P, *channels, time_limit=step.time_limit)
+    _draw_loop(found, work)
+    _draw_functions(found, step.of, work)
+    return _designed(found, f"H2 controller for {step.of}.", work)
+
+
+def ncf(step: NcfStep, work: Workspace) -> Outcome:
+    """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
+    import robustlab as rl
+    from robustlab.report.design_pictures import functions_picture
+
+    found = rl.ncf(work.values[step.of], step.W1, step.W2, factor=step.factor)
+    _draw_loop(found, work)
+    work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
+    return _designed(found, f"Loop-shaping controller for {step.of}.", work)
+
+
+def dk(step: DkStep, work: Workspace) -> Outcome:
+    """A robust controller; mu proved at all frequencies."""
+    import robustlab as rl
+    from robustlab.report.design_pictures import history_picture
+
+    P, *channels = generalised(step, work)
+    start = None if step.start is None else work.values[step.start]
+    options = {"direct": step.direct, "mixed": step.mixed, "max_order": step.max_order, "time_limit": step.time_limit}
+    found = rl.dk(P, None, *channels, K0=start, **options)
+    _draw_loop(found, work)
+    work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
+    _draw_functions(found, step.of, work, proved=False)
+    return _designed(found, f"Robust controller for {step.of}.", work)
+
+
+def fixed(step: FixedStep, work: Workspace) -> Outcome:
+    """A controller of a given structure, verified in the loop rebuilt from it."""
+    import robustlab as rl
+    from robustlab.synthesis.partition import as_generalized_plant
+    from robustlab.synthesis.structure_words import structure_in_words
+
+    plant = as_generalized_plant(*generalised(step, work, nominal=step.nominal), "fixed")
+    options: dict[str, Any] = {"objective": step.objective, "starts": step.starts, "time_limit": step.time_limit}
+    found = rl.fixed_structure(plant, structure_in_words(step.structure, plant), seed=work.seed, **options)
+    _draw_loop(found, work)
+    _draw_functions(found, step.of, work, proved=step.nominal and step.objective == "hinf")
+    return _designed(found, f"Controller of structure {step.structure} for {step.of}.", work)
+
+
+def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
+    """A controller of lower order whose loop was verified anew."""
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.controller_reduction import reduce_controller as reduce
+
+    P, n_meas, n_con = generalised(step, work, nominal=step.measure != "mu")
+    K = as_model(work.values[step.controller], step.controller)
+    options: dict[str, Any] = {
+        "loss": step.loss,
+        "order": step.order,
+        "measure": step.measure,
+        "time_limit": step.time_limit,
+    }
+    found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
+    return _designed(found, f"{step.controller} with fewer states.", work)
+
+
+def generalised(step: DesignStep, work: Workspace, nominal: bool = False) -> tuple[Any, int | None, int | None]:
+    """The generalised plant of a design step with its numbers of measurements and controls."""
+    from robustlab.synthesis.tracking_problem import TrackingProblem
+
+    given = work.values[step.of]
+    if isinstance(given, TrackingProblem):
+        if step.measurements is not None or step.controls is not None:
+            raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
+        return given.nominal if nominal else given.plant, None, None
+    if step.measurements is None or step.controls is None:
+        found = "measurements or controls is missing"
+        raise InputError(step.kind, found, "how many of the last outputs are measured, of the last inputs are controls")
+    return given, step.measurements, step.controls
 
 
 def close_loop(step: CloseLoopStep, work: Workspace) -> Outcome:
@@ -90,26 +185,39 @@ def tracking_loop(system: Any, controller: Any) -> Any:
 
 
 def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
+    """What a design leaves: every number of it that stands alone, and what a person wants to read."""
+    from robustlab.synthesis.limits_of_design import limits_in_words
+
     work.keep(found)
-    numbers = {
-        "gamma": found.gamma,
-        "smallest_gamma": found.smallest_gamma,
-        "peak_frequency": found.peak_frequency,
-        "order": found.K.n_states,
-        "fastest_controller_pole": found.fastest_controller_pole,
-        "closed_loop_abscissa": found.closed_loop_abscissa,
-    }
-    facts = (
-        Fact("γ, norm of the loop rebuilt from the controller", f"at most {quantity(found.gamma, digits=6)}"),
-        Fact("reached at", quantity(found.peak_frequency, "rad/s")),
-        Fact("What limits it", found.limit or "nothing stands out"),
-        Fact(
-            "Controller", f"{found.K.n_states} states, fastest pole {quantity(found.fastest_controller_pole, 'rad/s')}"
-        ),
-    )
-    return Outcome(
-        found.controller, f"{summary} {found.reason[:1].upper()}{found.reason[1:]}.", numbers, facts, found.status
-    )
+    numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
+    numbers["stable"] = found.closed_loop_abscissa < 0
+    facts = tuple(Fact(f"{label[:1].upper()}{label[1:]}", text) for label, text in found.summary() if text)
+    reason = f"{found.reason[:1].upper()}{found.reason[1:]}"
+    text = "\n".join(["What limits any controller of this plant:", *limits_in_words(found)])
+    return Outcome(found.controller, f"{summary} {reason}.", numbers, facts, found.status, (), text)
+
+
+def _draw_loop(found: Any, work: Workspace) -> None:
+    """Singular values of the weighted loop with the peak, and the controller."""
+    from robustlab.report.design_pictures import loop_picture
+
+    work.draw(loop_picture(found), "loop", "The weighted closed loop with its peak, and the controller.")
+
+
+def _draw_functions(found: Any, of: str, work: Workspace, proved: bool = True) -> None:
+    """S, K S and T of a tracking problem against what the weights ask for and, if wanted, what gamma proves."""
+    from robustlab.report.design_figures import functions_figure
+    from robustlab.report.function_panels import tracking_panels
+    from robustlab.synthesis.loop_curves import frequencies
+    from robustlab.synthesis.tracking_problem import TrackingProblem
+
+    problem = work.values[of]
+    if not isinstance(problem, TrackingProblem):
+        return
+    omega = frequencies(found.closed_loop)
+    gamma = found.gamma if proved else None
+    panels = tracking_panels(problem, {found.method: found.K}, omega, gamma)
+    work.draw(functions_figure(omega, panels, gamma), "functions", "The nominal loop against its weights.")
 
 
 def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:

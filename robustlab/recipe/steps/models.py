@@ -93,6 +93,8 @@ def save(step: SaveStep, work: Workspace) -> Outcome:
 
     path = work.folder / step.file
     given = work.values[step.of]
+    if hasattr(given, "to_uncertain"):  # a tracking problem is kept as its generalised plant
+        given = given.to_uncertain()
     if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedPlant)):
         given = given.to_model()  # a plant without effects is kept as its linear model
     rl.save(path, given, Provenance.now(f"recipe step {work.step}", work.inputs, work.seed))
@@ -175,8 +177,15 @@ def elementwise(step: ElementwiseStep, work: Workspace) -> Outcome:
     """The set of models between a nominal and a maximally perturbed one, checked at its two ends."""
     import robustlab as rl
     from robustlab.uncertainty.elementwise import endpoint_residual
+    from robustlab.uncertainty.elementwise_cover import elementwise_cover
 
     perturbed = work.values[step.perturbed]
+    if step.structure == "cover":
+        cover = elementwise_cover(work.values[step.nominal], perturbed)
+        facts = (Fact("Blocks of Δ", ", ".join(f"{b.name} {b.rows} x {b.cols}" for b in cover.blocks) or "none"),)
+        note = "Contains every member of the element-wise set: what is proved for it is proved for them."
+        summary = f"Cover of the element-wise uncertainty from {step.nominal} and {step.perturbed}."
+        return Outcome(cover, summary, uncertain_numbers(cover), facts, notes=(note,))
     model = rl.elementwise(work.values[step.nominal], perturbed, step.structure)
     residual = endpoint_residual(model, perturbed).largest
     numbers = {**uncertain_numbers(model), "endpoint_residual": residual}

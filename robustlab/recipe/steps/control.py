@@ -1,0 +1,336 @@
+"""Steps on tracking problems: pose them, close them with a known law, judge and simulate several controllers alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any
+
+from robustlab.errors import InputError
+from robustlab.recipe.control_schema import (
+    CascadeStep,
+    FollowTrajectoryStep,
+    RobustPerformanceStep,
+    SimulateControlStep,
+    TrackingProblemStep,
+)
+from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
+from robustlab.recipe.vocabulary import ErrorWeight
+from robustlab.result import Status
+
+__all__ = ["cascade", "follow_trajectory", "robust_performance", "simulate_control", "tracking_problem"]
+
+
+def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
+    """A weighted tracking problem, and what its weights allow."""
+    from robustlab.synthesis.tracking_problem import tracking_problem as pose
+    from robustlab.synthesis.weights import complementary_weight, control_weight, error_weight, performance_weight
+
+    given = work.values[step.of]
+    G = given.uncertain() if hasattr(given, "uncertain") and hasattr(given, "with_parameters") else given
+    first = error_weight if isinstance(step.W1, ErrorWeight) else performance_weight
+    makers = {"W1": first, "W2": control_weight, "W3": complementary_weight}
+    weights = {name: _weight(getattr(step, name), make) for name, make in makers.items()}
+    inputs, outputs = _signals(G)
+    controlled, measured = _matching(step.controlled, outputs), _matching(step.measured, outputs)
+    problem = pose(
+        G,
+        controlled,
+        measured,
+        **weights,
+        reference=_sizes_of(step.reference, controlled),
+        reference_bandwidth=step.reference_bandwidth,
+        disturbance=_sizes_of(step.disturbance, inputs),
+        noise=_sizes_of(step.noise, [*(f"{name}_ref" for name in controlled), *measured]),
+    )
+    blocks = problem.uncertain.blocks
+    numbers = {
+        "states": problem.uncertain.M.n_states,
+        "blocks": [b.name for b in blocks],
+        "channels": problem.uncertain.delta_shape[0],
+        "measurements": problem.n_meas,
+        "controls": problem.n_con,
+    }
+    seen = [s.name for s in problem.plant.measurements]
+    facts = (
+        Fact("The controller sees", ", ".join(seen)),
+        Fact("It drives", ", ".join(f"{s.name} [{s.unit}]" for s in problem.plant.controls)),
+        Fact("Size of the references", _sizes(problem.reference, problem.controlled)),
+        Fact("of the disturbances", _sizes(problem.disturbance, problem.plant.controls)),
+        Fact("of the noise", _sizes(problem.noise, problem.plant.measurements)),
+        Fact("Uncertain", f"{len(blocks)} blocks, {problem.uncertain.delta_shape[0]} channels"),
+        Fact("States, weights included", str(problem.uncertain.M.n_states)),
+    )
+    return Outcome(problem, f"Tracking problem of {step.of}: a gain of at most 1 is asked for.", numbers, facts)
+
+
+def cascade(step: CascadeStep, work: Workspace) -> Outcome:
+    """The thesis' layers as a controller of the same signals as any other."""
+    from robustlab.dynamics.controlled_plant import actuator_cascade
+    from robustlab.dynamics.controllers import two_layer
+    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+    from robustlab.synthesis import Controller
+
+    plant = work.values[step.of]
+    if isinstance(plant, StewartPlatform):
+        K = two_layer(plant, step.p_up, step.p_low).upper_layer()
+        what = "upper layer of the thesis, angles and rates to torques"
+    else:
+        K = actuator_cascade(plant, step.p_up, step.p_low)
+        what = "two layers of the thesis, angle, speed and current to volts"
+    numbers = {"order": K.n_states, "p_up": step.p_up, "p_low": step.p_low}
+    poles = f"{step.p_up:g} and {step.p_low:g} 1/s, triple"
+    facts = (Fact("Order", str(K.n_states)), Fact("Poles of the layers", poles))
+    return Outcome(Controller(K, method="cascade"), f"{what[:1].upper()}{what[1:]}.", numbers, facts)
+
+
+def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
+    """Certified mu and worst-case gain of one problem under each controller."""
+    import robustlab as rl
+    from robustlab.report.design_figures import mu_comparison_figure
+    from robustlab.synthesis.loop_curves import frequencies
+
+    margins: dict[str, Any] = {}
+    rows: dict[str, dict[str, Any]] = {}
+    statuses: list[Status] = []
+    for name in step.controllers:
+        loop, K = _closed(step, work, name)
+        row: dict[str, Any] = {"order": K.n_states, "nominal_gain": rl.hinf_norm(loop.nominal).upper}
+        if not loop.nominal.is_stable():
+            raise InputError(f"controller {name!r}", f"does not stabilise {step.of}", "a stable nominal loop")
+        grid = frequencies(loop.M, step.points)
+        options = {"accuracy": step.accuracy, "time_limit": step.time_limit, "seed": work.seed, "tolerance": math.inf}
+        margin = rl.robust_performance(loop, omega=grid, **options)
+        row |= {"mu_lower": _inverse(margin.upper), "mu_upper": _inverse(margin.lower), "frequency": margin.frequency}
+        margins[name] = margin
+        statuses.append(margin.status)
+        if step.gain:
+            worst = rl.worst_case_gain(loop, tolerance=0.01, time_limit=step.time_limit, seed=work.seed)
+            row |= {"gain_lower": worst.lower, "gain_upper": worst.upper}
+            statuses.append(worst.status)
+        rows[name] = row
+        work.keep(margin, name)
+    caption = (
+        "μ of robust performance; thin lines: proved at all frequencies. Below 1 every member meets the requirement."
+    )
+    work.draw(mu_comparison_figure(margins), "mu", caption)
+    header = ["controller", "order", "nominal gain", "μ, attained .. proved"] + ["worst-case gain"] * step.gain
+    table = [
+        [name, str(row["order"]), f"{row['nominal_gain']:.4g}", f"{row['mu_lower']:.4g} .. {row['mu_upper']:.4g}"]
+        + ([f"{row['gain_lower']:.4g} .. {row['gain_upper']:.4g}"] if step.gain else [])
+        for name, row in rows.items()
+    ]
+    met = [name for name, row in rows.items() if row["mu_upper"] <= 1]
+    facts = (Fact("Requirement met by every member, proved", ", ".join(met) or "by none of them"),)
+    status = max(statuses, key=list(Status).index)
+    where = step.of if step.set is None else f"{step.of} on {step.set}"
+    summary = f"Robust performance of {where} under {len(rows)} controllers, the same requirement for all."
+    note = "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
+    return Outcome(None, summary, {"controllers": rows}, facts, status, (note,), text_table(header, table))
+
+
+def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:
+    """A sine followed under each controller: nominal with effects, and further members of the set."""
+    import numpy as np
+
+    import robustlab as rl
+    from robustlab.dynamics import LinearPlant
+    from robustlab.dynamics.controlled_plant import controlled_plant
+    from robustlab.report.design_figures import TimePanel, runs_figure
+
+    plant = work.values[step.of]
+    if not isinstance(plant, LinearPlant):
+        raise InputError(f"step {step.of!r}", f"gave a {type(plant).__name__}", "a linear plant")
+    _known_limits(step.limits, plant)
+    fine = max(1, math.ceil(step.t_end / (step.points - 1) / step.step))
+    t = np.linspace(0.0, step.t_end, fine * (step.points - 1) + 1)
+    share = np.clip(t / step.rise_time, 0.0, 1.0)
+    wave = step.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(step.omega * t)
+    reference = np.tile(wave[:, None], len(step.controlled))
+    rows: dict[str, dict[str, Any]] = {}
+    errors: dict[str, Any] = {}
+    efforts: dict[str, dict[str, Any]] = {name: {} for name in step.limits}
+    for name in step.controllers:
+        loop = controlled_plant(plant, work.values[name], step.controlled, step.measured)
+        runs = []
+        for member in ({}, *step.members):
+            made = loop.with_parameters(**member) if member else loop
+            moved = rl.with_effects(made, step.effects) if step.effects else made
+            runs.append(rl.simulate(moved, t, reference))
+        error = [np.column_stack([wave - run[c] for c in step.controlled]) * step.scale for run in runs]
+        late = t >= step.after
+        row: dict[str, Any] = {
+            "order": len(loop.states) - len(plant.states),
+            "largest_error": float(np.abs(error[0][late]).max()),
+            "worst_error": float(max(np.abs(e[late]).max() for e in error)),
+            "largest": {n: float(max(np.abs(run[n]).max() for run in runs)) for n in step.limits},
+        }
+        row["within_limits"] = all(row["largest"][n] <= limit for n, limit in step.limits.items())
+        rows[name] = row
+        errors[name] = error[0][::fine, 0]
+        for signal in step.limits:
+            efforts[signal][name] = runs[0][signal][::fine]
+    units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
+    unit = step.unit or units[step.controlled[0]]
+    panels = [TimePanel(f"error of {step.controlled[0]} [{unit}]", errors)]
+    panels += [TimePanel(f"{n} [{units[n]}]", efforts[n], limit) for n, limit in step.limits.items()]
+    words = ", ".join(step.effects) or "no further effect"
+    work.draw(runs_figure(t[::fine], panels), "runs", f"A sine is followed; nominal parameters, with {words}.")
+    header = ["controller", "order", f"error [{unit}]", f"of the worst member [{unit}]"]
+    header += [f"largest {n} [{units[n]}]" for n in step.limits]
+    table = [
+        [name, str(row["order"]), f"{row['largest_error']:.4g}", f"{row['worst_error']:.4g}"]
+        + [f"{row['largest'][n]:.4g}" for n in step.limits]
+        for name, row in rows.items()
+    ]
+    facts = (
+        Fact("Reference", f"{quantity(step.amplitude, units[step.controlled[0]])} at {quantity(step.omega, 'rad/s')}"),
+        Fact("Effects that no design knew", words),
+        Fact("Further members simulated", str(len(step.members))),
+        Fact("Errors count from", quantity(step.after, "s")),
+    )
+    summary = f"{step.of} under {len(rows)} controllers, simulated with {words}."
+    note = "Limits are compared with, not applied: nothing is clipped."
+    return Outcome(None, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
+
+
+def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
+    """The nonlinear platform under each upper layer, its motors' torque loops below."""
+    import numpy as np
+
+    from robustlab.dynamics import trim
+    from robustlab.dynamics.controllers import LayeredController, closed_loop, two_layer
+    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+    from robustlab.dynamics.trajectory import SineTrajectory
+    from robustlab.dynamics.trajectory_following import follow
+    from robustlab.report.design_figures import TimePanel, runs_figure
+    from robustlab.statespace import as_model
+
+    plant = work.values[step.of]
+    if not (isinstance(plant, StewartPlatform) and plant.motors):
+        raise InputError(f"step {step.of!r}", "gave no Stewart platform with motors", "choices = { motors = true }")
+    point = trim(plant) if step.at is None else trim(plant, pose=step.at)
+    lower = two_layer(plant, p_low=step.p_low).lower
+    start = plant.geometry.home if step.at is None else step.at
+    path = SineTrajectory(start, rise_time=step.rise_time)
+    t = np.linspace(0.0, step.t_end, step.points)
+    rows: dict[str, dict[str, Any]] = {}
+    curves: dict[str, dict[str, Any]] = {key: {} for key in ("position", "torque", "voltage")}
+    limits = None
+    for name in step.controllers:
+        controller = LayeredController(as_model(work.values[name], name), lower, point)
+        run = follow(plant, controller, path, t)
+        error = run.largest_error(step.after)
+        rows[name] = {
+            "order": controller.upper.n_states,
+            "position_error": float(error[:3].max()),
+            "orientation_error": float(error[3:].max()),
+            "largest_torque": float(run.largest_torque().max()),
+            "largest_voltage": float(run.largest_voltage().max()),
+            "within_limits": run.within_limits,
+            "spectral_abscissa": closed_loop(plant, controller).spectral_abscissa(),
+        }
+        curves["position"][name] = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
+        curves["torque"][name] = 1e3 * np.abs(run.torque).max(axis=1)
+        curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
+        limits = run.limits
+    assert limits is not None
+    panels = [
+        TimePanel("distance to path [mm]", curves["position"]),
+        TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * limits.torque),
+        TimePanel("largest |voltage| [V]", curves["voltage"], limits.voltage),
+    ]
+    caption = "The nonlinear machine on the path of section 9.1.3: a lift of 5 mm, then sines of 5 mm and 20 mrad."
+    work.draw(runs_figure(t, panels), "runs", caption)
+    header = ["upper layer", "order", "position [mm]", "angle [mrad]", "torque [mN m]", "voltage [V]", "in limits"]
+    columns = (("position_error", 1e3), ("orientation_error", 1e3), ("largest_torque", 1e3), ("largest_voltage", 1.0))
+    table = [
+        [
+            name,
+            str(row["order"]),
+            *(f"{factor * row[key]:.4g}" for key, factor in columns),
+            "yes" if row["within_limits"] else "no",
+        ]
+        for name, row in rows.items()
+    ]
+    pose = "home" if step.at is None else ", ".join(f"{v:g}" for v in step.at)
+    facts = (
+        Fact("Path begins at", pose),
+        Fact("Torque loops below", f"triple pole at {step.p_low:g} 1/s"),
+        Fact("Errors count from", quantity(step.after, "s")),
+    )
+    summary = f"Nonlinear simulation of {step.of} under {len(rows)} upper layers."
+    note = "Nothing is clipped: 'in limits' says whether the motors' torque and voltage would have been enough."
+    return Outcome(None, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
+
+
+# --- what the steps share ---------------------------------------------------------------------------------------------
+
+
+def text_table(header: list[str], rows: list[list[str]]) -> str:
+    """Aligned columns for the report's text."""
+    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (header, *rows)]
+    return "\n".join([lines[0], "  ".join("-" * w for w in widths), *lines[1:]])
+
+
+def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[Any, Any]:
+    """The loop of a problem (or of a generalised plant) under a controller, and that controller's model."""
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.tracking_problem import TrackingProblem
+
+    given, K = work.values[step.of], as_model(work.values[name], name)
+    if isinstance(given, TrackingProblem):
+        problem = given if step.set is None else given.on(work.uncertain(step.set))
+        return problem.close(K), K
+    if step.set is not None:
+        raise InputError("set", f"given, but {step.of} is no tracking problem", "no set")
+    return work.uncertain(step.of).close(K), K
+
+
+def _signals(G: Any) -> tuple[list[str], list[str]]:
+    """Names of the inputs and outputs of a model or an uncertain model."""
+    from robustlab.statespace import as_model
+
+    base = G if hasattr(G, "blocks") else as_model(G, "tracking problem")
+    return [s.name for s in base.inputs], [s.name for s in base.outputs]
+
+
+def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:
+    """The names with each pattern replaced by what it matches; a pattern without a match stays, to be refused."""
+    found: list[str] = []
+    for name in names:
+        found += [k for k in known if fnmatchcase(k, name)] or [name] if "*" in name else [name]
+    return found
+
+
+def _sizes_of(given: Any, known: Sequence[str]) -> Any:
+    """Sizes with each pattern replaced by what it matches; the first pattern that matches a signal counts."""
+    if not isinstance(given, dict):
+        return given
+    sizes: dict[str, float] = {}
+    for pattern, size in given.items():
+        for name in _matching([pattern], known):
+            sizes.setdefault(name, size)
+    return sizes
+
+
+def _inverse(value: float) -> float:
+    return 1 / value if value > 0 else math.inf
+
+
+def _weight(given: Any, make: Any) -> Any:
+    return given if given is None or isinstance(given, float) else make(**given.model_dump())
+
+
+def _sizes(sizes: Mapping[str, float], signals: Any) -> str:
+    units = {s.name: s.unit for s in signals}
+    return ", ".join(f"{name} {quantity(size, units.get(name, ''))}" for name, size in sizes.items()) or "none"
+
+
+def _known_limits(limits: Mapping[str, float], plant: Any) -> None:
+    known = [s.name for s in (*plant.outputs, *plant.inputs)]
+    for name in limits:
+        if name not in known:
+            raise InputError(f"limits.{name}", "no such signal", f"one of {', '.join(known)}")

@@ -1,0 +1,263 @@
+"""Figures of designs: the weighted loop with its peak, S, T and K S with their bounds, controllers, mu, simulations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
+
+if TYPE_CHECKING:
+    from robustlab.mu_analysis import Margin
+
+__all__ = [
+    "FunctionPanel",
+    "TimePanel",
+    "functions_figure",
+    "history_figure",
+    "loop_figure",
+    "mu_comparison_figure",
+    "runs_figure",
+]
+
+Array = NDArray[np.float64]
+# Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
+DESIGNS = (
+    (COLOURS["reference"], (0, (4, 1.5)), 1.4),
+    (COLOURS["nominal"], "-", 3.0),
+    (COLOURS["worst"], "-", 1.4),
+    (COLOURS["good"], (0, (6, 1.5, 1.5, 1.5)), 1.4),
+    (COLOURS["limit"], (0, (1.5, 1)), 1.4),
+    (COLOURS["sample"], "-", 1.4),
+)
+NAMED = 6  # more measurements than these are drawn as one kind
+CYCLE = ("sample", "nominal", "good", "limit")
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionPanel:
+    """One closed-loop function of one or several designs over frequency.
+
+    Attributes
+    ----------
+    name
+        Heading, for example ``"S: control error"``.
+    gains
+        Design -> largest singular value, shape (n_omega,).
+    allowed
+        ``1 / |W|``, what the weight asks for, shape (n_omega,); None without a weight.
+    proved
+        ``gamma / |W|``, below which the verified gamma keeps the function; None without.
+    unit
+        Of the gain; empty for a ratio.
+    """
+
+    name: str
+    gains: Mapping[str, Array]
+    allowed: Array | None = None
+    proved: Array | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TimePanel:
+    """One signal of several runs over time: label with unit, run -> samples (n,), and a limit to draw (None: none)."""
+
+    label: str
+    curves: Mapping[str, Array]
+    limit: float | None = None
+
+
+def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float | None = None) -> Figure:
+    """Gains over frequency against the inverses of the weights, one panel per function."""
+    figure, axes_list = new_figure(1, len(panels), width=3.5 * max(2, len(panels)), height=3.5)
+    with house_style():
+        for axes, panel in zip(axes_list, panels, strict=True):
+            _designs(axes, omega, panel.gains)
+            if panel.allowed is not None:
+                text = "1 / |W|, what is asked for"
+                axes.plot(omega, panel.allowed, color=COLOURS["sample"], lw=2.6, label=text, zorder=1)
+            if panel.proved is not None:
+                text = "γ / |W|, proved" if gamma is None else f"γ / |W|, proved, γ = {gamma:.4g}"
+                axes.plot(omega, panel.proved, color=COLOURS["limit"], ls=(0, (5, 2)), label=text)
+            logarithmic(axes.xaxis)
+            logarithmic(axes.yaxis)
+            _span(axes, list(panel.gains.values()), 4.0, [b for b in (panel.allowed, panel.proved) if b is not None])
+            axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
+            axes.set_title(axis_label(panel.name, panel.unit))
+        axes_list[0].set_ylabel("largest singular value")
+        _legend_below(figure, axes_list)
+    return figure
+
+
+def _span(axes: Axes, curves: Sequence[Array], decades: float = 6.0, bounds: Sequence[Array] = ()) -> float:
+    """Set the height: not more than so many decades below the highest point, not less than one and a half.
+
+    A bound within two decades above the curves is shown whole. Returns the lower end.
+    """
+    top = max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in curves), default=0.0)
+    low = min((float(np.min(c[np.isfinite(c) & (c > 0)], initial=np.inf)) for c in curves), default=0.0)
+    if top <= 0:
+        return 0.0
+    low = min(max(low / 2, top * 10.0**-decades), top / 30)
+    nearest = max((float(np.min(b[np.isfinite(b)], initial=np.inf)) for b in bounds), default=0.0)
+    high = max(5 * top, 3 * nearest) if nearest <= 100 * top else 5 * top
+    axes.set_ylim(low, high)
+    return low
+
+
+def loop_figure(
+    omega: Array,
+    closed_loop: Array,
+    peak: tuple[float, float],
+    controller: tuple[Array, Sequence[str]],
+    level: str = "γ, verified",
+    heading: str = "weighted closed loop",
+) -> Figure:
+    """Singular values of the weighted closed loop with the peak marked, and the controller's gains.
+
+    Parameters
+    ----------
+    closed_loop
+        Singular values, shape (n_omega, k).
+    peak
+        Frequency in rad/s and gamma.
+    controller
+        Largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
+    level
+        What the marked level is.
+    heading
+        Of the closed loop's panel.
+    """
+    figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
+    with house_style():
+        low = _span(loop, [closed_loop[:, 0], np.array([peak[1]])], 4.0)
+        for k, curve in enumerate(c for c in closed_loop.T if c.max() > low):
+            first = k == 0
+            loop.plot(
+                omega, curve, color=COLOURS["nominal" if first else "band"], lw=1.6 if first else 0.8,
+                label="largest" if first else "others" if k == 1 else None, zorder=3 if first else 2,
+            )  # fmt: skip
+        loop.axhline(peak[1], color=COLOURS["limit"], ls=(0, (5, 2)), label=f"{plain_label(level)}: {peak[1]:.4g}")
+        if omega[0] <= peak[0] <= omega[-1]:
+            loop.plot(peak[0], peak[1], "o", color=COLOURS["worst"], ms=6, label=f"peak, {peak[0]:.4g} rad/s", zorder=4)
+        loop.set_title(plain_label(heading))
+        loop.set_ylabel("singular values")
+        values, names = controller
+        if len(names) <= NAMED:
+            _designs(gains, omega, dict(zip(names, values.T, strict=True)))
+        else:
+            label = f"each of the {len(names)} measurements"
+            gains.plot(omega, values, color=COLOURS["nominal"], lw=0.9, label=[label] + ["_"] * (len(names) - 1))
+        gains.set_title("controller, gain from each measurement")
+        gains.set_ylabel("largest gain")
+        logarithmic(gains.yaxis)
+        logarithmic(loop.yaxis)
+        _span(gains, list(values.T), 8.0)
+        for axes in (loop, gains):
+            logarithmic(axes.xaxis)
+            axes.set(xlim=(omega[0], omega[-1]), xlabel="frequency [rad/s]")
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
+    return figure
+
+
+def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of robust performance") -> Figure:
+    """Upper bound of mu over frequency for each design; the level proved for the whole axis as a thin line."""
+    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.8)
+    with house_style():
+        top = 1.0
+        for (name, margin), (colour, dashes, width) in zip(margins.items(), _cycle(len(margins)), strict=True):
+            proved = 1 / margin.lower if margin.lower > 0 else float("inf")
+            label = f"{plain_label(name)}: at most {proved:.4g} on the whole axis" if np.isfinite(proved) else (
+                f"{plain_label(name)}: nothing proved on the whole axis"
+            )  # fmt: skip
+            axes.plot(margin.omega, margin.mu_upper, color=colour, ls=dashes, lw=width, label=label)
+            if np.isfinite(proved):
+                axes.axhline(proved, color=colour, lw=0.7, alpha=0.7)
+                top = max(top, proved)
+            if margin.frequency is not None and 0 < margin.upper < np.inf:
+                axes.plot(margin.frequency, 1 / margin.upper, "o", color=colour, ms=5)
+        axes.plot([], [], "o", color=COLOURS["sample"], ms=5, label="attained by an explicit Δ")
+        axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.2, label="1: requirement met by every member")
+        logarithmic(axes.xaxis)
+        omega = next(iter(margins.values())).omega
+        axes.set(xlim=(omega[0], omega[-1]), ylim=(0, 1.1 * top), xlabel="frequency [rad/s]", ylabel=quantity)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def history_figure(
+    mu: Sequence[float], proved: Sequence[float], orders: Sequence[int], stages: Sequence[str]
+) -> Figure:
+    """A search iterate by iterate: mu at single frequencies (NaN: not computed), what was proved, order of K."""
+    steps = np.arange(1, len(proved) + 1)
+    figure, (level, order) = new_figure(2, 1, width=8.0, height=2.2, sharex=True)
+    with house_style():
+        for stage, colour in zip(dict.fromkeys(stages), (COLOURS[c] for c in CYCLE), strict=False):
+            mine = np.array([s == stage for s in stages])
+            text = f"{plain_label(stage)}: proved"
+            level.plot(steps[mine], np.asarray(proved)[mine], "o", color=colour, ms=5, label=text)
+        level.plot(steps, proved, color=COLOURS["sample"], lw=0.8, zorder=1)
+        level.plot(steps, mu, "x", color=COLOURS["reference"], ms=5, label="μ at single frequencies")
+        best = int(np.argmin(proved))
+        level.plot(steps[best], proved[best], "o", ms=11, mfc="none", color=COLOURS["worst"], label="smallest")
+        level.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="1: robust performance")
+        logarithmic(level.yaxis)
+        level.set_ylim(0.7 * min([1.0, *proved]), 1.5 * max([1.0, *(p for p in proved if np.isfinite(p))]))
+        level.set_ylabel("bound of μ")
+        level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        order.step(steps, orders, where="mid", color=COLOURS["nominal"])
+        order.set(ylabel="order of K", xlabel="iterate", ylim=(0, 1.15 * max(orders, default=1)))
+        order.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return figure
+
+
+def runs_figure(t: Array, panels: Sequence[TimePanel]) -> Figure:
+    """Several runs over time, one panel per signal; a limit that is far from all curves is named, not drawn."""
+    figure, axes_list = new_figure(len(panels), 1, width=8.6, height=2.2, sharex=True)
+    with house_style():
+        for axes, panel in zip(axes_list, panels, strict=True):
+            for (name, curve), (colour, dashes, width) in zip(
+                panel.curves.items(), _cycle(len(panel.curves)), strict=True
+            ):
+                axes.plot(t, curve, color=colour, ls=dashes, lw=0.8 * width, label=plain_label(name))
+            largest = max(float(np.abs(curve).max()) for curve in panel.curves.values())
+            axes.set_ylabel(plain_label(panel.label))
+            if panel.limit is not None and largest > 0.4 * panel.limit:
+                for i, edge in enumerate((-panel.limit, panel.limit)):
+                    label = None if i else f"limit: {panel.limit:g}"
+                    axes.axhline(edge, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.2, label=label)
+            elif panel.limit is not None:
+                axes.set_title(f"the limit of {panel.limit:g} is beyond this panel", fontsize=8.5, fontweight="normal")
+        axes_list[-1].set_xlabel("time [s]")
+        _legend_below(figure, axes_list)
+    return figure
+
+
+def _designs(axes: Axes, omega: Array, gains: Mapping[str, Array]) -> None:
+    for (name, gain), (colour, dashes, width) in zip(
+        gains.items(), _cycle(len(gains), only=len(gains) == 1), strict=True
+    ):
+        axes.plot(omega, gain, color=colour, ls=dashes, lw=width, label=plain_label(name), zorder=3)
+
+
+def _cycle(n: int, only: bool = False) -> list[tuple[str, Any, float]]:
+    """Colour, dashes and width of n designs; a single one is drawn as the nominal curve."""
+    if only:
+        return [(COLOURS["nominal"], "-", 1.6)]
+    return [DESIGNS[k % len(DESIGNS)] for k in range(n)]
+
+
+def _legend_below(figure: Figure, axes_list: Sequence[Axes]) -> None:
+    entries: dict[str, Any] = {}
+    for axes in axes_list:
+        handles, labels = axes.get_legend_handles_labels()
+        entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=min(4, max(2, len(entries))))

@@ -1,0 +1,273 @@
+r"""Smallest level beta of a scaled H-infinity problem, and its derivative by the parameters of the scalings.
+
+A controller with a closed loop below one exists where both Riccati equations of the plant scaled at beta have
+stabilising solutions X, Y >= 0 with :math:`\rho(X Y) < 1`. At the smallest beta usually :math:`\rho(X Y) = 1`, which is
+an equation for beta that can be differentiated, eigenvalue by eigenvalue: with :math:`X Y u = \rho u`
+
+.. math:: d\rho = \frac{(Y u)^T dX\, Y u + \rho\, u^T dY u}{u^T Y u}, \qquad
+   A_X^T dX + dX A_X + [I\; F^T]\, dM_X \begin{bmatrix} I \\ F \end{bmatrix} = 0
+
+where M_X is the matrix of the Riccati equation's quadratic form at X held fixed and ``A_X = A + B F``. One Lyapunov
+equation for each of X and Y therefore gives the derivative by *all* parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.matrix_equations import care
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.partition import PlantMatrices
+from robustlab.synthesis.scaling import Scaling
+from robustlab.synthesis.two_riccati import TwoRiccatiProblem
+
+__all__ = ["Branches", "Level", "LevelSearch"]
+
+Array = NDArray[Any]
+
+# Looser than in a final design: every controller is verified afterwards.
+RESIDUAL = 1e-3
+PSD_TOLERANCE = 1e-6
+# Step of the logarithmic parameters in the derivative of the frozen quadratic forms, which are smooth.
+STEP = 1e-5
+RTOL = 1e-7
+MAX_TESTS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Solutions of both equations at one beta, in scaled units, with the eigenvalues of X Y over gamma^2, falling, and
+    for each the direction ``S q`` where ``Y = S S^T`` and q is a unit eigenvector of ``S^T X S``.
+    """
+
+    X: Array
+    F: Array
+    Y: Array
+    L: Array
+    eigenvalues: Array
+    directions: Array
+
+    @property
+    def coupling(self) -> float:
+        """``rho(X Y) / gamma^2``."""
+        return float(self.eigenvalues[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    r"""Several eigenvalues of X Y to first order: ``log beta(theta + d) = max_i (values_i + slopes_i^T d)``.
+
+    ``values`` has shape (m,), the largest first; ``slopes`` (m, n_theta). The level has a kink where two meet.
+    """
+
+    values: Array
+    slopes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Smallest level of given scalings.
+
+    Attributes
+    ----------
+    beta
+        The level.
+    smooth
+        Whether it is where ``rho(X Y) = 1``; else a Riccati equation loses its solution there.
+    pair
+        The solutions at a level a little above.
+    """
+
+    beta: float
+    smooth: bool
+    pair: _Pair
+
+
+class LevelSearch:
+    """Smallest levels of ``plant(theta, beta)`` in the units of one numerical scaling.
+
+    Parameters
+    ----------
+    plant
+        The scaled plant for parameters theta at a level beta.
+    scaling
+        Numerical scaling of its states and channels, held fixed.
+    """
+
+    def __init__(self, plant: Callable[[Array, float], PlantMatrices], scaling: Scaling) -> None:
+        self._plant, self.scaling = plant, scaling
+
+    def smallest(self, theta: Array, start: float, stop: Callable[[], bool], rtol: float = RTOL) -> Level | None:
+        """The smallest level near ``start``; None where none is found.
+
+        Above it rho(X Y) < 1. It is bracketed by growing steps, and found by false position (Illinois) on log rho.
+        """
+        high = low = None  # (log beta, log rho) with rho < 1; with rho > 1, or rho None where the test fails
+        best: tuple[float, _Pair] | None = None
+        log_beta, step = float(np.log(start)), 1e-4
+        side = 0
+        for _ in range(MAX_TESTS):
+            pair = self._test(theta, float(np.exp(log_beta)))
+            value = None if pair is None else float(np.log(max(pair.coupling, 1e-300)))
+            if pair is not None and value is not None and value < 0:
+                side, low = (1, _halved(low, side == 1)) if low else (1, low)
+                high, best = (log_beta, value), (float(np.exp(log_beta)), pair)
+            else:
+                side, high_next = (-1, _halved(high, side == -1)) if high else (-1, high)
+                low, high = (log_beta, value), high_next
+            if stop():
+                break
+            if high is None or low is None:
+                step *= 4
+                log_beta += step if high is None else -step
+                if step > 60:
+                    break
+                continue
+            if high[0] - low[0] <= rtol:
+                break
+            log_beta = _next(low, high, rtol)
+        if best is None or low is None:
+            return None
+        return Level(best[0], low[1] is not None, best[1])
+
+    def branches(self, theta: Array, level: Level, within: float, most: int) -> Branches | None:
+        """The largest eigenvalues of X Y as functions of theta; None where the level is not smooth.
+
+        Parameters
+        ----------
+        within
+            Eigenvalues whose own level lies further below than this (in log beta) are left out.
+        most
+            At most so many are kept.
+        """
+        if not level.smooth:
+            return None
+        forms = self._frozen(theta, level, most)
+        log_beta = float(np.log(level.beta))
+        slope = (forms(theta, log_beta + STEP) - forms(theta, log_beta - STEP)) / (2 * STEP)
+        size = level.pair.eigenvalues[:most]
+        below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
+        if not below[0] > -np.inf:
+            return None
+        kept = np.flatnonzero((below - below[0] > -within) & np.isfinite(below))
+        slopes = np.zeros((len(slope), len(theta)))
+        for i in range(len(theta)):
+            e = np.zeros(len(theta))
+            e[i] = STEP
+            slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * STEP)
+        found = Branches(log_beta + below[kept] - below[0], slopes[kept] / -slope[kept, None])
+        return found if np.isfinite(found.slopes).all() else None
+
+    def controller(self, theta: Array, beta: float) -> StateSpaceModel | None:
+        """The central controller at this level, for the plant without D22; None where there is none."""
+        try:
+            problem = TwoRiccatiProblem(self._scaled(theta, beta))
+            pair = problem.solve(self.scaling.gain)
+            return None if pair is None else self.scaling.controller_to_plant(problem.central_controller(pair))
+        except (NoTrustworthyNumber, InputError, np.linalg.LinAlgError):
+            return None
+
+    def _scaled(self, theta: Array, beta: float) -> PlantMatrices:
+        return self.scaling.apply(self._plant(theta, beta))
+
+    def _test(self, theta: Array, beta: float) -> _Pair | None:
+        try:
+            p = self._scaled(theta, beta)
+            first = _solution(*_quadratic(p, self.scaling.gain))
+            second = None if first is None else _solution(*_quadratic(_dual(p), self.scaling.gain))
+        except (InputError, np.linalg.LinAlgError):  # entries overflow
+            return None
+        if first is None or second is None:
+            return None
+        (X, F), (Y, L) = first, second
+        root = _root(Y)
+        values, vectors = np.linalg.eigh(root.T @ X @ root)
+        values, vectors = values[::-1] / self.scaling.gain**2, vectors[:, ::-1]
+        return _Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
+
+    def _frozen(self, theta: Array, level: Level, most: int) -> Callable[[Array, float], Array]:
+        """``tr(V_X M_X) + tr(V_Y M_Y)`` of each eigenvalue with X, Y, V fixed: its derivatives are those of rho."""
+        pair, gain = level.pair, self.scaling.gain
+        p = self._scaled(theta, level.beta)
+        A_X, A_Y = p.A + np.hstack([p.B1, p.B2]) @ pair.F, p.A.T + np.vstack([p.C1, p.C2]).T @ pair.L
+        weights = []
+        for rho, direction in zip(pair.eigenvalues[:most], pair.directions.T, strict=False):
+            # With Y = S S^T and q an eigenvector of S^T X S: u = X S q, Y u = rho S q, u^T Y u = rho^2.
+            seen = pair.X @ direction / np.sqrt(rho * gain**2)
+            weights.append((_adjoint(A_X, pair.F, direction), _adjoint(A_Y, pair.L, seen)))
+
+        def value(at: Array, log_beta: float) -> Array:
+            q = self._scaled(at, float(np.exp(log_beta)))
+            M_X, M_Y = _form(q, pair.X, gain), _form(_dual(q), pair.Y, gain)
+            return np.array([(V_X * M_X).sum() + (V_Y * M_Y).sum() for V_X, V_Y in weights]) / gain**2
+
+        return value
+
+
+def _root(Y: Array) -> Array:
+    values, vectors = np.linalg.eigh(Y)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def _dual(p: PlantMatrices) -> PlantMatrices:
+    return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
+
+
+def _quadratic(p: PlantMatrices, gamma: float) -> tuple[Array, Array, Array, Array, Array, int]:
+    """A, B, Q, R, S of the state-feedback Riccati equation at gamma, and the number of disturbances."""
+    B, row = np.hstack([p.B1, p.B2]), np.hstack([p.D11, p.D12])
+    n_w = p.B1.shape[1]
+    R = row.T @ row
+    R[:n_w, :n_w] -= gamma**2 * np.eye(n_w)
+    return p.A, B, p.C1.T @ p.C1, 0.5 * (R + R.T), p.C1.T @ row, n_w
+
+
+def _solution(A: Array, B: Array, Q: Array, R: Array, S: Array, n_w: int) -> tuple[Array, Array] | None:
+    """Stabilising positive semidefinite solution and its gain; None where R or X has the wrong signs."""
+    if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
+        return None
+    try:
+        found = care(A, B, Q, R, S, tolerance=RESIDUAL)
+    except NoTrustworthyNumber:
+        return None
+    values = np.linalg.eigvalsh(found.X)
+    if len(values) and values[0] < -PSD_TOLERANCE * max(1.0, values[-1]):
+        return None
+    return found.X, found.gain
+
+
+def _adjoint(closed: Array, gain: Array, direction: Array) -> Array:
+    """``[I; F] Lambda [I F^T]`` with ``A_X Lambda + Lambda A_X^T + d d^T = 0``."""
+    from scipy.linalg import solve_continuous_lyapunov
+
+    weight = solve_continuous_lyapunov(closed, -np.outer(direction, direction))
+    tall = np.vstack([np.eye(len(closed)), gain])
+    return tall @ weight @ tall.T
+
+
+def _form(p: PlantMatrices, X: Array, gamma: float) -> Array:
+    """``[A^T X + X A + Q, X B + S; ., R]``, symmetric."""
+    A, B, Q, R, S, _ = _quadratic(p, gamma)
+    drift, cross = X @ A, X @ B + S
+    return np.block([[drift + drift.T + Q, cross], [cross.T, R]])
+
+
+def _halved(end: tuple[float, float | None], again: bool) -> tuple[float, float | None]:
+    """Illinois: the end that was kept twice counts half."""
+    return (end[0], 0.5 * end[1]) if again and end[1] is not None else end
+
+
+def _next(low: tuple[float, float | None], high: tuple[float, float | None], rtol: float) -> float:
+    """False position between a level that is too small and one that is not; the middle where rho is not known."""
+    (a, f), (b, g) = low, high
+    if f is None or g is None or f <= 0:
+        return 0.5 * (a + b)
+    point = (a * g - b * f) / (g - f)
+    edge = 0.25 * rtol
+    return float(min(max(point, a + edge), b - edge))

@@ -1,0 +1,206 @@
+"""Controllers of a robust-performance problem: solved for given scalings, closed, and proved at all frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis.dynamic_scalings import DynamicScalings
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.riccati_level import LevelSearch
+from robustlab.synthesis.scaled_plant import proved_level, scaled_plant
+from robustlab.synthesis.scaling import equilibrated, paths_first
+
+__all__ = ["Iterate", "RobustProblem"]
+
+Array = NDArray[Any]
+
+# A central controller at the smallest level itself is ill-conditioned: the level is backed off until the proof agrees.
+BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2)
+# Shares (of a logarithm) of the slack in the level at which slower controllers are sought.
+SOFTER = (0.999, 0.8, 0.5)
+# D12, D21 below this size in scaled units need regularisation.
+REGULAR = 1e-6
+STATE_SHARE = 0.3
+ILL_POSED = 1e10
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A controller with what its scalings prove.
+
+    Attributes
+    ----------
+    K
+        In the units and the time domain of the plant as given, D22 included.
+    loop
+        The closed loop rebuilt with it, mapped to continuous time where the plant is discrete.
+    scalings
+        D, G whose scaled loop proves ``level``.
+    level
+        mu of the loop is at most this, at all frequencies.
+    """
+
+    K: StateSpaceModel
+    loop: StateSpaceModel
+    scalings: DynamicScalings
+    level: float
+
+    @property
+    def pace(self) -> float:
+        """Largest modulus of the controller's poles."""
+        return float(np.abs(self.K.poles()).max(initial=0.0))
+
+
+class RobustProblem:
+    """Plant, structure and regularisation of a robust-performance synthesis.
+
+    Parameters
+    ----------
+    plant
+        Generalised plant as given; its w and z are exactly the channels of the structure.
+    stop
+        Asked between steps; True where the time is up.
+    """
+
+    def __init__(self, plant: GeneralizedPlant, stop: Callable[[], bool]) -> None:
+        self.plant, self.stop = plant, stop
+        model = plant.model
+        mapped = bilinear_to_continuous(model) if model.is_discrete else model
+        self._continuous = GeneralizedPlant(mapped, plant.n_meas, plant.n_con)
+        self.bare = self._continuous.matrices()
+        self.matrices = self.bare
+        self.scale = paths_first(self.bare)
+        p = self.scale.apply(self.bare)
+        _, n_w, n_u, n_z, n_y = p.sizes
+        u_size = np.linalg.svd(p.D12, compute_uv=False).min() if n_z >= n_u else 0.0
+        y_size = np.linalg.svd(p.D21, compute_uv=False).min() if n_w >= n_y else 0.0
+        self._regular = bool(u_size > REGULAR and y_size > REGULAR)
+
+    def search(self, scalings: DynamicScalings, alternative: bool = False) -> LevelSearch:
+        """Search for the smallest level of scalings of this form; ``alternative``: with another numerical scaling."""
+
+        def at(theta: Array, beta: float) -> PlantMatrices:
+            return scaled_plant(self.matrices, scalings.with_parameters(theta), beta)
+
+        scaled = at(scalings.parameters(), 1.0)
+        return LevelSearch(at, equilibrated(scaled) if alternative else paths_first(scaled))
+
+    def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
+        """The controller of smallest proved level for given scalings; None where none was found."""
+        best: Iterate | None = None
+        theta = scalings.parameters()
+        for alternative in (False, True):
+            search = self.search(scalings, alternative)
+            level = search.smallest(theta, start, self.stop, 1e-5)
+            if level is None:
+                continue
+            for share in BACKOFF:
+                K = search.controller(theta, level.beta * (1 + share))
+                found = None if K is None else self.closed(K, scalings, level.beta)
+                if found is not None and (best is None or found.level < best.level):
+                    best = found
+                if best is not None and best.level <= level.beta * (1 + share) * (1 + 1e-3):
+                    return best
+        return best
+
+    def softened(self, iterate: Iterate, limit: float) -> Iterate:
+        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``.
+
+        The central controller at the smallest level has poles that run away to infinity; at a level a little higher
+        they are slower by orders of magnitude.
+        """
+        search = self.search(iterate.scalings)
+        theta = iterate.scalings.parameters()
+        best = iterate
+        for share in SOFTER:
+            K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
+            found = None if K is None or self.stop() else self.closed(K, iterate.scalings, iterate.level)
+            if found is not None and found.level <= limit and found.pace < best.pace:
+                best = found
+        return best
+
+    def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
+        """A controller for the continuous plant without D22 as an iterate; None where its loop is not stable."""
+        try:
+            full = _with_direct_term(K, self._continuous.D22)
+            if self.plant.model.is_discrete:
+                full = bilinear_to_discrete(full, self.plant.model.dt)
+        except (InputError, NoTrustworthyNumber):
+            return None
+        return self.proved(full, scalings, guess)
+
+    def proved(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
+        """A controller for the plant as given as an iterate; None where its loop is not stable or nothing is proved."""
+        try:
+            names = [f"k{i + 1}" for i in range(K.n_states)]
+            K = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt, self.plant.measurements, self.plant.controls, names)
+            loop = self.plant.close(K)
+            if not loop.is_stable():
+                return None
+            loop = bilinear_to_continuous(loop) if loop.is_discrete else loop
+            level, _ = proved_level(loop, scalings, guess)
+        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
+            return None
+        return Iterate(K, loop, scalings, level) if np.isfinite(level) else None
+
+    def regularise(self, iterate: Iterate, share: float) -> None:
+        r"""Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations.
+
+        Each channel gets about ``share`` of the gain of the present scaled loop, ``eps_u = share beta / ||T_uw||`` and
+        so on: the smallest level rises by the square of it.
+        """
+        if self._regular:
+            return
+        n, n_w, n_u, n_z, n_y = self.bare.sizes
+        into = self.scale.states * self.scale.rate
+        try:
+            open_loop = scaled_plant(
+                self.bare.with_channels(1.0, 1.0, 1 / self.scale.states, into), iterate.scalings, 1.0
+            ).model()
+            K = _without_direct_term(self._mapped(iterate.K), self._continuous.D22)
+            loop = lower_lft(open_loop, K)
+            response = frequency_response(loop, default_grid(loop, 80))
+        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
+            return
+        size = np.linalg.norm
+        # Rows [z; u; x], columns [w; noise on y; x].
+        u = size(response[:, n_z : n_z + n_u, :n_w], axis=2).max(axis=0)
+        y = size(response[:, :n_z, n_w : n_w + n_y], axis=1).max(axis=0)
+        out = float(size(response[:, n_z + n_u :, :n_w], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
+        back = float(size(response[:, :n_z, n_w + n_y :], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
+        level = share * iterate.level
+        least = level  # no channel heavier than one in these units
+        self.matrices = self.bare.with_channels(
+            level / np.maximum(u, least) / np.sqrt(n_u),
+            level / np.maximum(y, least) / np.sqrt(n_y),
+            STATE_SHARE * level / max(out, least) / self.scale.states,
+            STATE_SHARE * level / max(back, least) * into,
+        )
+
+    def _mapped(self, K: StateSpaceModel) -> StateSpaceModel:
+        return bilinear_to_continuous(K) if K.is_discrete else K
+
+
+def _with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
+    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
+    if not D22.any():
+        return K
+    loop = np.eye(K.n_outputs) + K.D @ D22
+    if np.linalg.cond(loop) > ILL_POSED:
+        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
+    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
+    return StateSpaceModel(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)
+
+
+def _without_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
+    """Inverse of `_with_direct_term`."""
+    return _with_direct_term(K, -D22)

@@ -1,0 +1,94 @@
+"""Figures of designs: what they draw is what they were given, and their spans leave nothing out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.report.design_figures import (
+    FunctionPanel,
+    TimePanel,
+    functions_figure,
+    history_figure,
+    loop_figure,
+    runs_figure,
+)
+from robustlab.report.figures import save_figure
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis import hinf, mixsyn, performance_weight
+from robustlab.synthesis.limits_of_design import limits_in_words, limits_of
+from robustlab.synthesis.loop_curves import frequencies, loop_curves
+
+OMEGA = np.geomspace(0.1, 100, 50)
+
+
+def labels(figure):
+    found = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
+    for axes in figure.axes:
+        if axes.get_legend() is not None:
+            found |= {text.get_text() for text in axes.get_legend().get_texts()}
+    return found
+
+
+def test_functions_against_what_is_asked_for_and_what_is_proved(tmp_path):
+    gain = 1 / (1 + OMEGA)
+    panels = [
+        FunctionPanel("S", {"pid": gain, "hinf": 0.5 * gain}, 2 + OMEGA, 1 + 0.5 * OMEGA, "V"),
+        FunctionPanel("T", {"pid": gain}),
+    ]
+    figure = functions_figure(OMEGA, panels, 0.5)
+    assert labels(figure) == {"pid", "hinf", "1 / |W|, what is asked for", "γ / |W|, proved, γ = 0.5"}
+    low, high = figure.axes[0].get_ylim()
+    assert low < 0.5 * gain.min()
+    assert high > 2.1  # the nearest point of what is asked for is in the picture
+    first, second = (path.read_bytes() for path in save_figure(figure, tmp_path, "f")[:1] * 2)
+    assert first == second
+
+
+def test_loop_with_its_peak_and_many_measurements_as_one_kind():
+    sigma = np.column_stack([2 / (1 + OMEGA), 1e-9 * OMEGA])
+    figure = loop_figure(OMEGA, sigma, (0.1, 1.9), (np.ones((50, 18)), [f"y{i}" for i in range(18)]), "γ, verified")
+    assert {"largest", "γ, verified: 1.9", "each of the 18 measurements"} <= labels(figure)
+    assert "others" not in labels(figure)  # far below the picture
+
+
+def test_history_marks_the_smallest_and_keeps_infinite_levels_out_of_the_span():
+    figure = history_figure([0.9, np.nan], [np.inf, 0.8], [4, 6], ["start", "D-K"])
+    low, high = figure.axes[0].get_ylim()
+    assert low < 0.8 < 1.0 < high < 10
+    assert {"start: proved", "D-K: proved", "smallest"} <= labels(figure)
+
+
+def test_a_limit_far_from_the_curves_is_named():
+    t = np.linspace(0, 1, 5)
+    figure = runs_figure(t, [TimePanel("u [V]", {"a": t, "b": -t}, 42.0), TimePanel("e", {"a": t, "b": t}, 1.0)])
+    assert "42" in figure.axes[0].get_title("left")
+    assert len(figure.axes[1].lines) == 4
+
+
+def test_curves_of_a_design_touch_gamma_at_the_peak_and_nowhere_exceed_it():
+    P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    design = hinf(P, 1, 1, gamma_rel=1.0)
+    curves = loop_curves(design)
+    assert (curves.closed_loop[:, 0] <= design.gamma * (1 + 1e-9)).all()
+    assert curves.closed_loop[:, 0].max() == pytest.approx(design.gamma, rel=1e-2)
+    assert curves.controller.shape == (len(curves.omega), 1)
+
+
+def test_frequencies_of_fast_discrete_and_static_models():
+    fast = StateSpaceModel(np.diag([-1.0, -2.0, -1e9]), np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
+    assert frequencies(fast)[-1] < 1e3
+    discrete = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.01)
+    assert frequencies(discrete)[-1] == pytest.approx(np.pi / 0.01)
+    static = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])
+    assert len(frequencies(static, 7)) == 7
+
+
+def test_limits_of_a_design_are_those_of_its_plant_and_its_weight():
+    """A zero at 1: S(1) = 1, so gamma is at least |W1(1)| = 0.6 / 1.0001; with the pole, nothing else in the way."""
+    G = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])
+    design = mixsyn(G, performance_weight(0.1), 0.1)
+    (zero,) = limits_of(design).zeros
+    assert zero.value == pytest.approx(1.0)
+    assert "gamma >= 0.5999" in limits_in_words(design)[-1]
+    assert design.gamma >= 0.6 / 1.0001 * (1 - 1e-9)

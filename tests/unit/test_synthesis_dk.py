@@ -1,0 +1,303 @@
+"""Robust-performance synthesis: closed forms, scaled loops recomputed by hand, AB13MD, and bad inputs."""
+
+import time
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.norms import bilinear_to_discrete
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis import DKSynthesis
+from robustlab.synthesis.dk_iteration import structure_with_performance
+from robustlab.synthesis.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, Factor, unit_scalings
+from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.synthesis.robust_loop import RobustProblem
+from robustlab.synthesis.scaled_plant import scaled_loop
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
+
+OMEGA = np.concatenate([[0.0], np.geomspace(1e-5, 1e5, 1500)])
+
+
+def oscillator(spread: float = 0.5) -> StateSpaceModel:
+    """x'' = -(1 + spread delta) x - 0.02 x' + u + 0.1 d, y = x + 0.1 n, z = [x; u]: the real stiffness matters."""
+    D = np.zeros((4, 4))
+    D[2, 3], D[3, 2] = 1.0, 0.1
+    return StateSpaceModel(
+        [[0, 1], [-1, -0.02]], [[0, 0, 0, 0], [-1, 0.1, 0, 1]], [[spread, 0], [1, 0], [0, 0], [1, 0]], D
+    )
+
+
+def distillation() -> StateSpaceModel:
+    """Skogestad and Postlethwaite, section 8.12: wI = (s + 0.2)/(0.5 s + 1), wP = (s/2 + 0.05)/s, y = -(G u + w)."""
+    gain, eye, zero, eps = np.array([[87.8, -86.4], [108.2, -109.6]]), np.eye(2), np.zeros((2, 2)), 1e-5
+    A = np.block([[-eye / 75, zero, zero], [zero, -2 * eye, zero], [gain, zero, -eps / 10 * eye]])
+    B = np.block([[eye / 75, zero, eye / 75], [zero, zero, 2 * eye], [zero, eye, zero]])
+    C = np.block([[zero, -1.8 * eye, zero], [0.5 * gain, zero, 0.05 * (1 - eps) * eye], [-gain, zero, zero]])
+    D = np.block([[zero, zero, 2 * eye], [zero, 0.5 * eye, zero], [zero, -eye, zero]])
+    return StateSpaceModel(A, B, C, D)
+
+
+def by_hand(design: DKSynthesis, omega: np.ndarray) -> np.ndarray:
+    """Largest singular value of the scaled loop from the numbers in to_json alone, without any realisation."""
+    M = frequency_response(design.plant.close(design.K), omega)
+    s, left, right = 1j * omega, [], []
+    for block, data in zip(design.blocks, design.to_json()["scalings"], strict=True):
+        assert not data["mixing"]
+        factors = data["factors"] or [{"log_gain": 0.0, "sections": ()}]
+        d = np.ones(len(omega), dtype=complex) * np.exp(factors[0]["log_gain"])
+        for section in factors[0]["sections"]:
+            half = len(section) // 2
+            for numbers, power in ((section[:half], 1), (section[half:], -1)):
+                w = np.exp(numbers[0])
+                d *= (s / w + 1 if half == 1 else s**2 / w**2 + np.exp(numbers[1]) * s / w + 1) ** power
+        left += [d] * block.cols
+        right += [d] * block.rows
+    scaled = np.array(left).T[:, :, None] * M / np.array(right).T[:, None, :]
+    return np.linalg.svd(scaled, compute_uv=False)[:, 0]
+
+
+@pytest.fixture(scope="module")
+def column() -> DKSynthesis:
+    """Distillation column with a controller of at most 10 states."""
+    lines: list[str] = []
+    design = rl.dk(distillation(), [[2, 2]], 2, 2, max_order=10, order_rel=0.0, progress=lines.append)
+    assert len(lines) == len(design.history)
+    assert "mu <=" in lines[0]
+    return design
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[DKSynthesis, DKSynthesis]:
+    """The oscillator with its stiffness as a complex and as a real number."""
+    complex_, real = (
+        rl.dk(oscillator(), [RealScalar("k")], 1, 1, mixed=mixed, max_order=6, order_rel=0.0) for mixed in (False, True)
+    )
+    return complex_, real
+
+
+def test_the_column_reaches_its_level_with_ten_states(column: DKSynthesis) -> None:
+    # Published: 1.0144 after several D-K iterations, with 18 states and more; 1.1792 without any.
+    assert column.status is rl.Status.CERTIFIED
+    assert column.history[0].gamma == pytest.approx(1.1799, abs=1e-3)
+    assert column.K.n_states <= 10
+    assert column.gamma <= 1.04
+    assert column.lower <= column.gamma == min(step.gamma for step in column.history if step.order <= 10)
+
+
+def test_the_scaled_loop_recomputed_by_hand(column: DKSynthesis) -> None:
+    peaks = by_hand(column, OMEGA)
+    assert peaks.max() <= column.scaled_level * (1 + 1e-9)
+    assert peaks.max() >= column.scaled_level * (1 - 2e-3)
+    assert column.closed_loop.is_stable()
+    assert column.proved_again() == pytest.approx(column.scaled_level, rel=1e-6)
+
+
+def test_the_bound_holds_for_ab13md_on_a_grid(column: DKSynthesis) -> None:
+    from slycot import ab13md
+
+    omega = np.append(np.geomspace(1e-4, 1e4, 60), column.frequency)
+    bounds = [ab13md(M, np.array([2, 2]), np.array([2, 2]))[0] for M in frequency_response(column.closed_loop, omega)]
+    assert max(bounds) <= column.gamma * (1 + 1e-6)
+    assert max(bounds) >= column.lower * (1 - 1e-6)
+
+
+def test_the_critical_delta_is_singular(column: DKSynthesis) -> None:
+    M = frequency_response(column.closed_loop, [column.frequency])[0]
+    delta = np.zeros((4, 4), dtype=complex)
+    delta[:2, :2], delta[2:, 2:] = column.delta["delta1"], column.delta["performance"]
+    assert np.linalg.norm(delta, 2) == pytest.approx(1 / column.lower, rel=1e-6)
+    assert np.linalg.svd(np.eye(4) - M @ delta, compute_uv=False)[-1] < 1e-8
+
+
+def test_a_real_stiffness_gives_a_smaller_mu(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
+    complex_, real = pair
+    assert real.gamma <= 0.85 * complex_.gamma
+    assert real.scalings.mixed
+    # The mixed mu of the complex design is no smaller: the gain comes from the synthesis.
+    for design, blocks in ((complex_, real.blocks), (real, real.blocks)):
+        margin = rl.robust_stability(rl.UncertainModel(design.closed_loop, blocks))
+        assert 1 / margin.upper <= design.gamma * (1 + 1e-4)
+        assert 1 / margin.lower >= design.lower * (1 - 1e-4)
+        assert 1 / margin.upper >= 0.95 * design.gamma
+
+
+def test_the_mixed_bound_recomputed_at_single_frequencies(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
+    real = pair[1]
+    assert real.proved_again() == pytest.approx(real.scaled_level, rel=1e-5)
+    loop = frequency_response(real.closed_loop, OMEGA)
+    levels = rl.mu(loop[::30], real.blocks).lower
+    assert max(levels) <= real.gamma * (1 + 1e-6)
+    tight = scaled_loop(real.closed_loop, real.scalings, real.scaled_level)
+    assert np.linalg.norm(frequency_response(tight, OMEGA), 2, axis=(1, 2)).max() <= 1 + 1e-9
+    loose = scaled_loop(real.closed_loop, real.scalings, 0.99 * real.scaled_level)
+    assert np.linalg.norm(frequency_response(loose, OMEGA), 2, axis=(1, 2)).max() > 1
+
+
+def test_a_singular_plant_with_a_closed_form() -> None:
+    # mu of [[0, 4], [1, 0]] is 2 for two scalars, whatever K does with its own stable mode; D12 = D21 = 0.
+    D = np.zeros((3, 3))
+    D[0, 1], D[1, 0] = 4.0, 1.0
+    plant = StateSpaceModel([[-1.0]], [[0, 0, 1]], [[0], [0], [1]], D)
+    design = rl.dk(plant, [ComplexScalar("a")], 1, 1, order_rel=0.0)
+    assert design.history[0].gamma == pytest.approx(4.0, rel=1e-3)
+    assert design.gamma == pytest.approx(2.0, rel=1e-3)
+    assert design.lower == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "block", [ComplexScalar("d", 2), RealScalar("d", 2), FullBlock("d", 2, 3), FullBlock("d", 1, 2)]
+)
+def test_repeated_and_non_square_blocks(block: ComplexScalar | RealScalar | FullBlock) -> None:
+    rng = np.random.default_rng(3)
+    n, n_w, n_z = 3, block.rows + 1, block.cols + 2
+    A = rng.standard_normal((n, n)) - 2 * np.eye(n)
+    D = np.zeros((n_z + 1, n_w + 1))
+    D[n_z - 1, n_w], D[n_z, n_w - 1] = 1.0, 0.5
+    plant = StateSpaceModel(A, rng.standard_normal((n, n_w + 1)), 0.3 * rng.standard_normal((n_z + 1, n)), D)
+    design = rl.dk(plant, [block], 1, 1, max_order=9, order_rel=0.0, time_limit=10.0)
+    assert design.blocks[-1] == FullBlock("performance", 1, 2)
+    assert design.gamma <= design.history[0].gamma
+    bounds = rl.mu(frequency_response(design.closed_loop, OMEGA[::40]), design.blocks)
+    assert max(bounds.lower) <= design.gamma * (1 + 1e-6)
+
+
+def test_a_discrete_plant_is_verified_in_discrete_time() -> None:
+    dt = 0.1
+    plant = bilinear_to_discrete(oscillator(), dt)
+    design = rl.dk(plant, [ComplexScalar("k")], 1, 1, direct=False, order_rel=0.0)
+    reference = rl.dk(oscillator(), [ComplexScalar("k")], 1, 1, direct=False, order_rel=0.0)
+    assert design.K.dt == dt
+    assert design.gamma == pytest.approx(reference.gamma, rel=1e-2)
+    assert np.abs(design.closed_loop.poles()).max() < 1
+    omega = np.geomspace(1e-3, np.pi / dt, 60)
+    bounds = rl.mu(frequency_response(design.closed_loop, omega), design.blocks)
+    assert max(bounds.upper) <= design.gamma * (1 + 1e-4)
+
+
+def test_a_warm_start_is_never_worse(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
+    real = pair[1]
+    again = rl.dk(oscillator(), [RealScalar("k")], 1, 1, K0=real, order_rel=0.0, time_limit=3.0, max_order=6)
+    assert again.history[0].gamma == pytest.approx(real.scaled_level, rel=1e-5)
+    assert again.gamma <= real.gamma * (1 + 1e-5)
+
+
+def test_slower_controllers_within_the_allowed_loss() -> None:
+    best, soft = (
+        rl.dk(oscillator(), [RealScalar("k")], 1, 1, direct=False, mixed=False, order_rel=share) for share in (0, 0.05)
+    )
+    assert soft.gamma <= best.gamma * 1.05
+    assert soft.fastest_controller_pole < 0.2 * best.fastest_controller_pole
+
+
+def test_the_time_limit_ends_the_search() -> None:
+    begin = time.monotonic()
+    design = rl.dk(distillation(), [[2, 2]], 2, 2, time_limit=1.0)
+    assert time.monotonic() - begin < 10  # a busy machine; without a limit it takes much longer
+    assert design.status is rl.Status.CERTIFIED
+    assert "time limit" in design.reason
+
+
+def test_blocks_that_cover_everything_and_those_of_an_uncertain_model() -> None:
+    whole = [ComplexScalar("k"), FullBlock("p", 2, 2)]
+    assert structure_with_performance(oscillator(), whole, 1, 1)[1] == tuple(whole)
+    uncertain = rl.UncertainModel(oscillator(), [RealScalar("k")])
+    assert structure_with_performance(uncertain, None, 1, 1)[1] == (RealScalar("k"), FullBlock("performance", 2, 2))
+
+
+def test_bad_inputs_are_named() -> None:
+    plant = oscillator()
+    cases = [
+        (dict(blocks=[]), "use hinf"),
+        (dict(blocks=None), "no uncertainty"),
+        (dict(blocks=[ComplexScalar("a", 3)]), "3 w and 3 z|cover all|blocks of"),
+        (dict(blocks=[FullBlock("a", 3, 1)]), "blocks of 3 inputs w and 1 outputs z"),
+        (dict(blocks=[ComplexScalar("performance")]), "another name"),
+        (dict(blocks=[RealScalar("k", 1, ParameterRange(1.0, 0.5, below=0.25))]), "centred"),
+        (dict(blocks=[[1, 0]], max_order=1), "max_order"),
+        (dict(blocks=[[1, 0]], order_rel=1.5), "order_rel"),
+        (dict(blocks=[[1, 0]], time_limit=0), "time_limit"),
+        (dict(blocks=[[1, 0]], K0=StateSpaceModel([], [], [], [[1.0, 2.0]])), "K0"),
+        (dict(blocks=[[1, 0]], K0=StateSpaceModel([], [], [], [[5.0]])), "not stable"),
+    ]
+    for options, text in cases:
+        if text.startswith("3 w"):
+            assert structure_with_performance(plant, options["blocks"], 1, 1)  # covers all: allowed
+            continue
+        with pytest.raises(InputError, match=text):
+            rl.dk(plant, n_meas=1, n_con=1, **options)
+
+
+def test_a_mode_that_cannot_be_stabilised_is_named() -> None:
+    plant = StateSpaceModel(
+        [[0.5, 0], [0, -1]], [[1, 1, 0], [1, 1, 1]], [[1, 1], [1, 0], [1, 1]], np.zeros((3, 3)), states=["tank", "lag"]
+    )
+    with pytest.raises(NoTrustworthyNumber, match=r"unstable mode s = 0\.5 .*tank.* cannot be moved"):
+        rl.dk(plant, [[1, 0]], 1, 1)
+
+
+# --- the parts -------------------------------------------------------------------------------------------------------
+
+
+def test_factors_their_inverses_and_their_merging() -> None:
+    factor = Factor(0.3).with_section(0.5, -1.0).with_section(1.5, 0.2).with_section(-2.0, 2.0)
+    assert factor.order == 3
+    s = 1j * OMEGA
+    expected = np.exp(0.3) * (s / np.exp(0.5) + 1) * (s / np.exp(1.5) + 1) * (s / np.exp(-2.0) + 1)
+    expected /= (s / np.exp(-1.0) + 1) * (s / np.exp(0.2) + 1) * (s / np.exp(2.0) + 1)
+    response = frequency_response(StateSpaceModel(*factor.realisation()), OMEGA)[:, 0, 0]
+    np.testing.assert_allclose(response, expected, rtol=1e-9)
+    np.testing.assert_allclose(factor.log_modulus(OMEGA), np.log(np.abs(expected)), atol=1e-9)
+
+
+@pytest.mark.parametrize("sections", [((0.3, -0.4),), ((0.3, -1.0, 0.1, 0.5), (2.0, 1.0))])
+def test_coprime_factors_are_normalised_and_their_quotient_is_imaginary(sections: tuple) -> None:
+    A, B, F, C = CoprimePair(sections).realisation()
+    g_m = frequency_response(StateSpaceModel(A, B, F, [[1.0]]), OMEGA)[:, 0, 0]
+    g_n = frequency_response(StateSpaceModel(A, B, C, [[0.0]]), OMEGA)[:, 0, 0]
+    np.testing.assert_allclose(np.abs(g_m) ** 2 + np.abs(g_n) ** 2, 1.0, rtol=1e-10)
+    np.testing.assert_allclose((g_n * g_m.conj()).real, 0.0, atol=1e-10)
+    assert np.abs(g_n).max() > 0.1
+    assert np.linalg.eigvals(A).real.max() < 0
+
+
+def test_scalings_of_a_repeated_block_invert_each_other() -> None:
+    blocks = (RealScalar("r", 2), FullBlock("p", 1, 1))
+    part = BlockScaling((Factor(0.2).with_section(0.1, 1.0), Factor(-1.0)), (0.7,), (CoprimePair(),) * 2)
+    scalings = DynamicScalings(blocks, (part, BlockScaling(())))
+    left = frequency_response(StateSpaceModel(*scalings.on_outputs()), OMEGA)
+    right = frequency_response(StateSpaceModel(*scalings.on_inputs()), OMEGA)
+    np.testing.assert_allclose(left @ right, np.broadcast_to(np.eye(3), left.shape), atol=1e-9)
+    again = scalings.with_parameters(scalings.parameters())
+    np.testing.assert_array_equal(again.parameters(), scalings.parameters())
+
+
+def test_derivatives_of_the_level_against_differences_of_levels() -> None:
+    plant, blocks = structure_with_performance(oscillator(), [RealScalar("k")], 1, 1)
+    problem = RobustProblem(plant, lambda: False)
+    part = BlockScaling((Factor(1.0).with_section(0.0, 0.5),), (), (CoprimePair().with_section(-1.0, 1.0),))
+    scalings = unit_scalings(blocks).with_part(0, part)
+    search, theta = problem.search(scalings), scalings.parameters()
+    level = search.smallest(theta, 0.5, lambda: False, 1e-10)
+    assert level is not None
+    branches = search.branches(theta, level, 0.3, 3)
+    assert branches is not None
+
+    def log_level(at: np.ndarray) -> float:
+        found = search.smallest(at, level.beta, lambda: False, 1e-10)
+        assert found is not None
+        return float(np.log(found.beta))
+
+    steps = 1e-4 * np.eye(len(theta))
+    slopes = [(log_level(theta + e) - log_level(theta - e)) / 2e-4 for e in steps]
+    np.testing.assert_allclose(branches.slopes[0], slopes, atol=2e-5)
+
+
+def test_a_different_controller_is_not_proved(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
+    plant = GeneralizedPlant(oscillator(), 1, 1)
+    problem = RobustProblem(plant, lambda: False)
+    wrong = StateSpaceModel(pair[1].K.A, pair[1].K.B, -pair[1].K.C, -pair[1].K.D)
+    found = problem.proved(wrong, pair[1].scalings, 0.4)
+    assert found is None or found.level > 1.5 * pair[1].gamma

@@ -1,0 +1,173 @@
+"""Tracking problems: the weighted loop against loop algebra at single frequencies, sets of models, sizes, faults."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.controlled_plant import actuator_cascade
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.tracking_problem import tracking_problem
+from robustlab.synthesis.weights import complementary_weight, control_weight, error_weight
+
+OMEGA = np.geomspace(1e-2, 1e3, 60)
+SIZES = {"reference": {"q": 2.0, "v": 0.5}, "disturbance": {"f": 3.0}, "noise": {"q_ref": 0.1, "v": 0.2}}
+
+
+def plant() -> StateSpaceModel:
+    rng = np.random.default_rng(11)
+    A = rng.standard_normal((4, 4)) - 2.5 * np.eye(4)
+    return StateSpaceModel(
+        A, rng.standard_normal((4, 2)), rng.standard_normal((3, 4)), 0.3 * rng.standard_normal((3, 2)),
+        inputs=[("f", "N"), ("u", "V")], outputs=[("q", "m"), ("v", "m/s"), ("x", "m")],
+    )  # fmt: skip
+
+
+def controller() -> StateSpaceModel:
+    """Small gains, so that the loop of the stable plant stays stable; four signals in, two out."""
+    rng = np.random.default_rng(12)
+    A = rng.standard_normal((3, 3)) - 3 * np.eye(3)
+    B, C, D = (0.2 * rng.standard_normal(s) for s in ((3, 4), (2, 3), (2, 4)))
+    return StateSpaceModel(A, B, C, D)
+
+
+def posed(G=None, **changes):
+    weights = {"W1": error_weight(0.04, 1.0), "W2": control_weight(4.0, 50.0), "W3": complementary_weight(20.0)}
+    return tracking_problem(
+        G or plant(), ["q", "v"], ["v", "x"], **{**weights, **SIZES, "reference_bandwidth": 3.0, **changes}
+    )
+
+
+def expected_response(G, K, omega):
+    """From (r, d, n) to (W1 e, W2 u, W3 y_c), from u = (I - K_y G)^-1 (K_r r + K_y (G d + n))."""
+    g, k = frequency_response(G, [omega])[0], frequency_response(K, [omega])[0]
+
+    def of(w):
+        return frequency_response(w, [omega])[0, 0, 0]
+
+    size, f = np.diag([2.0, 0.5]), of(StateSpaceModel([[-3.0]], [[1.0]], [[3.0]], [[0.0]]))
+    pick = np.array([[0, 1, 0], [0, 0, 1.0]])  # v and x are measured
+    k_r, k_y = k[:, :2], k[:, 2:]
+    r = size * f
+    d = np.array([[3.0], [0.0]])
+    # columns: two references, one disturbance, noise on q_ref and on v
+    loop = np.linalg.inv(np.eye(2) - k_y @ pick @ g)
+    noise = k_r @ np.array([[0.1, 0], [0, 0]]) + k_y @ np.array([[0, 0.2], [0, 0]])
+    u = loop @ np.hstack([k_r @ r, k_y @ pick @ g @ d, noise])
+    y = g @ (u + np.hstack([np.zeros((2, 2)), d, np.zeros((2, 2))]))
+    e = np.linalg.inv(size) @ (np.hstack([r, np.zeros((2, 3))]) - y[:2])
+    w = posed().weights
+    return np.vstack([of(w["W1"]) * e, of(w["W2"]) * u, of(w["W3"]) * np.linalg.inv(size) @ y[:2]])
+
+
+def test_the_weighted_loop_is_the_algebra_of_the_loop():
+    loop = posed().close(controller()).nominal
+    assert loop.is_stable()
+    found = frequency_response(loop, OMEGA)
+    for k, omega in enumerate(OMEGA):
+        np.testing.assert_allclose(found[k], expected_response(plant(), controller(), omega), rtol=1e-9, atol=1e-12)
+
+
+def test_members_of_the_set_are_those_of_the_plant():
+    other = plant()
+    signals = (other.inputs, other.outputs, other.states)
+    faster = StateSpaceModel(1.2 * other.A, other.B, other.C, other.D, 0.0, *signals)
+    set_ = rl.elementwise(other, faster, "single")
+    problem = posed(set_)
+    assert [b.name for b in problem.uncertain.blocks] == ["single"]
+    member = problem.close(controller()).evaluate({"single": 0.6})
+    again = posed(set_.evaluate({"single": 0.6})).close(controller()).nominal
+    np.testing.assert_allclose(
+        frequency_response(member, OMEGA), frequency_response(again, OMEGA), rtol=1e-8, atol=1e-12
+    )
+    on = posed().on(set_)
+    np.testing.assert_array_equal(on.uncertain.M.A, problem.uncertain.M.A)
+    np.testing.assert_array_equal(on.uncertain.M.D, problem.uncertain.M.D)
+
+
+def test_names_and_numbers_of_signals():
+    problem = posed()
+    assert problem.uncertain.M.input_names == ("q_ref", "v_ref", "f_disturbance", "q_ref_noise", "v_noise", "f", "u")
+    names = ("W1 error: q", "W1 error: v", "W2 control: f", "W2 control: u", "W3 output: q", "W3 output: v")
+    assert problem.uncertain.M.output_names == (*names, "q_ref", "v_ref", "v", "x")
+    assert (problem.n_meas, problem.n_con) == (4, 2)
+    assert problem.plant.measurements[3] == ("x", "m")
+    assert problem.nominal.blocks == ()
+
+
+def test_bounds_are_met_by_gains_where_the_weighted_gain_is_below_one():
+    """sigma(W1 S F) <= ||weighted loop||, so each function lies below gamma times its bound."""
+    problem = posed()
+    gamma = rl.hinf_norm(problem.close(controller()).nominal).upper
+    gains, bounds = problem.gains(controller(), OMEGA), problem.bounds(OMEGA)
+    assert set(bounds) == {"S", "KS", "T"}
+    # gains are of relative references; the sizes differ, so that the norm of the relative map is what is bounded
+    for name, bound in bounds.items():
+        assert (gains[name] <= gamma * bound * (1 + 1e-9)).all()
+    assert set(posed(W2=None, W3=None).bounds(OMEGA)) == {"S"}
+
+
+def test_the_thesis_cascade_has_the_thesis_error():
+    """THESIS item 20: 5 mm |1 - (p / (j pi + p))^3| = 0.1996 mm; the torque loop below adds next to nothing."""
+    actuator = rl.plant("linear-actuator")
+    problem = tracking_problem(actuator, ["phi"], ["phi", "omega", "i"], W1=25.0, reference=73.603)
+    share = problem.gains(actuator_cascade(actuator), [np.pi])["S"][0]
+    assert 5 * share == pytest.approx(5 * abs(1 - (236 / (1j * np.pi + 236)) ** 3), rel=2e-3)
+
+
+def test_static_plants_one_channel_and_discrete_time():
+    gain = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[2.0]], inputs=["u"], outputs=["q"])
+    problem = tracking_problem(gain, ["q"], ["q"], W1=2.0)
+    K = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), [[0.5, 0.0]])
+    assert rl.hinf_norm(problem.close(K).nominal).value == pytest.approx(0.0, abs=1e-12)
+    lag = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1, inputs=["u"], outputs=["q"])
+    assert tracking_problem(lag, ["q"], ["q"], W1=2.0, W2=0.5).uncertain.dt == 0.1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"W1": None, "W2": None, "W3": None}, "no weight"),
+        ({"W1": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])}, "a stable weight"),
+        ({"W2": StateSpaceModel([[-1.0]], [[1.0, 0.0]], [[1.0]], [[0.0, 0.0]])}, "one of each"),
+        ({"W1": StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)}, "dt is 0.1 s"),
+        ({"reference": {"q": 1.0}}, "none for v"),
+        ({"reference": -1.0}, "a positive number"),
+        ({"reference": float("nan")}, "a positive number"),
+        ({"disturbance": {"g": 1.0}}, "one of f, u"),
+        ({"noise": {"q": 1.0}}, "one of q_ref, v_ref, v, x"),
+        ({"reference_bandwidth": 0.0}, "a positive number in rad/s"),
+    ],
+)
+def test_bad_requirements(changes, message):
+    with pytest.raises(InputError) as caught:
+        posed(**changes)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(("controlled", "measured", "message"), [
+    ([], ["q"], "no output"), (["q"], ["qq"], "did you mean q"), (["q", "q"], ["q"], "named twice"),
+])  # fmt: skip
+def test_bad_signals(controlled, measured, message):
+    with pytest.raises(InputError) as caught:
+        tracking_problem(plant(), controlled, measured, W1=1.0)
+    assert message in str(caught.value)
+
+
+def test_a_controller_of_other_sizes_is_refused_with_the_signals_it_would_see():
+    with pytest.raises(InputError) as caught:
+        posed().close(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    assert "4 inputs (q_ref, v_ref, v, x) and 2 outputs" in str(caught.value)
+
+
+def test_error_weight_values_and_bad_numbers():
+    W = error_weight(0.04, 2.0, 1e-3)
+    gain = np.abs(frequency_response(W, [0.0, 2.0, 1e6])[:, 0, 0])
+    assert gain == pytest.approx([1000.0, 25 * np.sqrt(2) / np.sqrt(1 + 0.025**2), 25.0], rel=1e-6)
+    with pytest.raises(InputError):
+        error_weight(0.01, 1.0, 0.02)
+    with pytest.raises(InputError):
+        error_weight(0.01, float("inf"))
