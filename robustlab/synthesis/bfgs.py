@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Descent", "bfgs"]
+__all__ = ["Descent", "Function", "bfgs"]
 
 Array = NDArray[Any]
 # ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.

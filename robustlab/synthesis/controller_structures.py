@@ -225,10 +225,12 @@ class MultichannelPID(Structure):
     def _filtered(self, builder: AffineBuilder, first: int, derivative: Array, dt: float) -> Law:
         if self.tau is None:
             raise InputError(
-                f"{WHERE}: tau", "missing", "the derivative filter's time constant in s, or (low, high) to have it found"
+                f"{WHERE}: tau",
+                "missing",
+                "the derivative filter's time constant in s, or (low, high) for one to be found",
             )
-        low, high = (self.tau, self.tau) if np.isscalar(self.tau) else self.tau
-        low, high = float(low), float(high)
+        pair = (self.tau, self.tau) if np.ndim(self.tau) == 0 else tuple(self.tau)
+        low, high = (float(x) for x in pair)
         if not 0 < low <= high < np.inf:
             raise InputError(f"{WHERE}: tau", f"{self.tau}", "a positive time in s, or a pair (low, high) of them")
         tau = Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
@@ -442,9 +444,7 @@ class _Prefixed:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(
-            replace(p, name=self.prefix + p.name) for p in self.inner.parameters
-        )
+        return tuple(replace(p, name=self.prefix + p.name) for p in self.inner.parameters)
 
     @property
     def sizes(self) -> tuple[int, int, int]:
@@ -485,7 +485,9 @@ def as_structure(structure: Any, rate: float) -> Structure:
             return StaticGain()
         if structure.lower() in ("p", "i", "pi", "pd", "pid"):
             return PID(structure.upper(), (0.01 / rate, 10 / rate))
-        raise InputError(f"{WHERE}: structure", f"{structure!r}", '"static", "p", "i", "pi", "pd", "pid", an order, a mask')
+        raise InputError(
+            f"{WHERE}: structure", f"{structure!r}", '"static", "p", "i", "pi", "pd", "pid", an order, a mask'
+        )
     if isinstance(structure, (int, np.integer)) and not isinstance(structure, bool):
         return StaticGain() if structure == 0 else FixedOrder(int(structure))
     if isinstance(structure, (list, tuple)) and structure and all(isinstance(s, (Structure, Part)) for s in structure):

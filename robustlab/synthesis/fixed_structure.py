@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_continuous, h2_norm, hinf_norm
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.controller_laws import Law, Parameter, model_of
 from robustlab.synthesis.controller_structures import as_structure
@@ -63,9 +62,9 @@ def fixed_structure(
     Parameters
     ----------
     P
-        Generalised plant, or a list of them (one controller for all); see `hinf` for what counts as one. Of an uncertain
-        model the gain from w to z is made small for its worst member: scenarios are added where the worst-case gain
-        shows them, and the bound that is proved for the whole set is reported.
+        Generalised plant, or a list of them (one controller for all); see `hinf` for what counts as one. Of an
+        uncertain model the gain from w to z is made small for its worst member: scenarios are added where the
+        worst-case gain shows them, and the bound that is proved for the whole set is reported.
     structure
         A structure of `robustlab.synthesis.controller_structures`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``, an
         order, a mask of a static gain, a list of structures (one per channel).
@@ -121,12 +120,16 @@ def fixed_structure(
     with threadpool_limits(limits=1):
         until = time.monotonic() + time_limit
         first = plants[0]
-        law = as_structure(structure, common_scaling(plants)[0].rate).law(first.measurements, first.controls, first.model.dt)
+        law = as_structure(structure, common_scaling(plants)[0].rate).law(
+            first.measurements, first.controls, first.model.dt
+        )
         law = _bounded(law, bounds or {})
         task = _Task(law, objective, tuple(limits), starts, seed, say)
         if first.blocks:
             if objective != "hinf":
-                raise InputError(WHERE, f"objective {objective!r} of an uncertain plant", '"hinf", or a list of members')
+                raise InputError(
+                    WHERE, f"objective {objective!r} of an uncertain plant", '"hinf", or a list of members'
+                )
             given = _given(law, start)
             return robust_design(first, lambda members, more, end: task.run(members, [*more, *given], end), until, say)
         return task.run(plants, _given(law, start), until)
@@ -156,7 +159,9 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
             expected = f"{first.n_meas}, {first.n_con} and {first.model.dt:g} s as plant 1"
             raise InputError(WHERE, found, expected)
         if other.blocks or first.blocks:
-            raise InputError(WHERE, "an uncertain model in a list of plants", "its members (evaluate), or the set alone")
+            raise InputError(
+                WHERE, "an uncertain model in a list of plants", "its members (evaluate), or the set alone"
+            )
     for i, plant in enumerate(plants, start=1):
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
         continuous = plant
@@ -283,7 +288,8 @@ class _Task:
             return None
         worst = int(np.argmax(gammas))
         status, reason = _trust(norms)
-        peak = norms[worst].frequency if isinstance(norms[worst], HinfNorm) else np.nan
+        shown = norms[worst]
+        peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
         return FixedSynthesis(
             K=K,
             gamma=max(gammas),
@@ -343,7 +349,7 @@ def _not_found(problem: DesignProblem, found: Sequence[Start], late: bool) -> No
         poles = family.poles(theta)
         if poles is None or not len(poles):
             continue
-        pole = poles[int(np.argmax(np.abs(poles) if problem.dt else poles.real))]
+        pole = poles[int(np.argmax(np.abs(poles) if problem.dt else np.real(poles)))]
         edge = float(abs(pole) - 1 if problem.dt else pole.real)
         if edge > worst[0]:
             worst = edge, i, complex(pole) * (1.0 if problem.dt else problem.scaling.rate)
@@ -351,7 +357,9 @@ def _not_found(problem: DesignProblem, found: Sequence[Start], late: bool) -> No
     kind = "z" if problem.dt else "s"
     pole_text = f"{worst[2].real:.6g}" + (f"{worst[2].imag:+.6g}j" if worst[2].imag else "")
     if worst[0] < 0 and problem.limits:
-        broken = [limit.text for limit, (c, _) in zip(_repeated(problem), problem.limit_values(theta), strict=True) if c >= 0]
+        broken = [
+            limit.text for limit, (c, _) in zip(_repeated(problem), problem.limit_values(theta), strict=True) if c >= 0
+        ]
         text = f"no start kept every limit; in the nearest, {', '.join(dict.fromkeys(broken)) or 'the norm'} fails"
     else:
         text = f"no start stabilised {which}: nearest pole {kind} = {pole_text}"

@@ -31,9 +31,7 @@ ENOUGH = 1.01
 DESIGN_SHARE, SEARCH_SHARE = 0.5, 0.3
 
 
-def robust_design(
-    plant: GeneralizedPlant, design: Design, until: float, say: Callable[[str], None]
-) -> FixedSynthesis:
+def robust_design(plant: GeneralizedPlant, design: Design, until: float, say: Callable[[str], None]) -> FixedSynthesis:
     """Design on scenarios, find the worst Delta of the loop, add it, and repeat; the best design by its proved bound.
 
     Parameters
@@ -111,4 +109,6 @@ def _judged(design: FixedSynthesis) -> FixedSynthesis:
         reason = f"{design.reason}; worst-case gain over the whole set proved; {scenarios}"
         return replace(design, gamma=worst.upper, reason=reason)
     text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved in time"
-    return replace(design, gamma=max(design.gamma, worst.lower), status=Status.INCONCLUSIVE, reason=f"{text}; {scenarios}")
+    return replace(
+        design, gamma=max(design.gamma, worst.lower), status=Status.INCONCLUSIVE, reason=f"{text}; {scenarios}"
+    )

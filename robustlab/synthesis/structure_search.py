@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.synthesis.active_peaks import sequential_linear
-from robustlab.synthesis.bfgs import bfgs
+from robustlab.synthesis.bfgs import Function, bfgs
 from robustlab.synthesis.design_problem import DesignProblem
 
 __all__ = ["Start", "central_path", "multi_start", "polished", "stabilised"]
@@ -86,7 +86,7 @@ def stabilised(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, flo
     return _below_zero(limits, v, late)
 
 
-def _below_zero(function: Callable[[Array, float], tuple[float, Array | None]], v: Array, late: Late) -> tuple[Array, float]:
+def _below_zero(function: Function, v: Array, late: Late) -> tuple[Array, float]:
     """Descent until the function is negative, and a few steps further."""
     value = function(v, np.inf)[0]
     if value < STABLE:
