@@ -88,7 +88,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="NAME")
     parser.add_argument("--states", type=int, default=16)
     parser.add_argument("--cpu-limit", type=int, default=120)
-    parser.add_argument("--starts", type=int, default=3)
+    parser.add_argument("--starts", type=int, default=6)
     parser.add_argument("--child", action="store_true")
     options = parser.parse_args()
     if options.child:

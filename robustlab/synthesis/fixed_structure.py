@@ -45,7 +45,7 @@ def fixed_structure(
     limits: Sequence[Limit] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     start: Any = None,
-    starts: int = 3,
+    starts: int = 6,
     seed: int = 0,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,

@@ -25,7 +25,7 @@ GRID = 28
 NEAR_AXIS = 1e-3
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
-REFINEMENTS = 6
+REFINEMENTS = 8
 
 
 class LoopMatrices(NamedTuple):
@@ -132,7 +132,7 @@ class _Modal:
             g_new = self.slope(new)[1]
             low, high = (new, high) if g_new > 0 else (low, new)
             at, g_at, omega, g = omega, g, new, g_new
-            if high - low < 1e-9 * high or g == g_at or abs(omega - at) < 1e-5 * omega:
+            if high - low < 1e-9 * high or g == g_at or abs(omega - at) < 1e-6 * omega:
                 break
         return omega
 

@@ -1,5 +1,7 @@
 """Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish.
 
+The first half of the path shows which basin a start lies in; only the best starts go on.
+
 Every start goes through the same steps, with budgets in steps rather than in time, so that the same seed gives the same
 answer; the time limit only cuts.
 """
@@ -26,10 +28,12 @@ Late = Callable[[], bool]
 STABLE = -1e-6
 STABILISE_STEPS, DEEPER_STEPS = 300, 15
 # Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
-BARRIER = (3.0, 1.0, 0.3, 0.1, 0.03)
+BARRIER = (3.0, 1.0, 0.3)
+CLOSER = (0.1, 0.03)
 BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
 DESCENT_STEPS, DESCENT_RTOL = 40, 1e-6
-POLISHED, POLISH_ROUNDS, POLISH_STEPS = 2, 3, 40
+# Starts that are followed to the end of the path, and those of them that are polished.
+FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 4, 2, 3, 40
 HEADROOM = 1.5
 # Ends whose norms differ by less than this share count as the same optimum.
 SAME = 1e-4
@@ -48,8 +52,6 @@ class Start:
         Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
     gamma
         Norm at its end, in the plant's units, before verification; inf where it was never stable.
-    steps
-        Accepted steps.
     p
         Its parameters.
     values
@@ -59,13 +61,12 @@ class Start:
     kind: str
     instability: float
     gamma: float
-    steps: int
     p: Array
     values: tuple[float, ...]
 
     def to_json(self) -> dict[str, Any]:
         """All but the parameters."""
-        return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "steps", "values")}
+        return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
 
 def stabilised(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float]:
@@ -123,9 +124,9 @@ def central_path(
     return at, values
 
 
-def _descended(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float, int]:
+def _descended(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float]:
     found = bfgs(problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL, late=late)
-    return (v, problem.norm(v)[0], 0) if found is None else (found.x, found.value, found.steps)
+    return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
 
 
 def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float]:
@@ -143,7 +144,7 @@ def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float
         )
         full = p.copy()
         full[free] = q
-        v, descended, _ = _descended(problem, problem.variables(full), late)
+        v, descended = _descended(problem, problem.variables(full), late)
         if descended < reached:
             full, reached = problem.parameters(v)[0], descended
         gained = reached < value * (1 - 1e-5)
@@ -183,17 +184,30 @@ def multi_start(
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {found[-1].gamma:.6g}, {text}")
     found.sort(key=lambda s: s.gamma)
-    return _best_polished(problem, found, late, progress)
+    followed = [_followed(problem, s, late) if i < FOLLOWED else s for i, s in enumerate(found)]
+    return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), late, progress)
 
 
 def _one_start(problem: DesignProblem, kind: str, v: Array, late: Late) -> Start:
     v, instability = stabilised(problem, v, late)
     if instability >= STABLE:
-        return Start(kind, instability, np.inf, 0, problem.parameters(v)[0], ())
+        return Start(kind, instability, np.inf, problem.parameters(v)[0], ())
     v, values = central_path(problem, v, late)
-    v, value, steps = _descended(problem, v, late)
-    values = tuple(x / problem.gain for x in (*values, value))
-    return Start(kind, instability, value / problem.gain, steps, problem.parameters(v)[0], values)
+    norms = tuple(x / problem.gain for x in values)
+    return Start(kind, instability, min(norms), problem.parameters(v)[0], norms)
+
+
+def _followed(problem: DesignProblem, start: Start, late: Late) -> Start:
+    """A start taken to the end of the path and down the norm itself."""
+    if not np.isfinite(start.gamma) or start.gamma == 0 or late():
+        return start
+    v, values = central_path(problem, problem.variables(start.p), late, CLOSER)
+    v, value = _descended(problem, v, late)
+    norms = (*start.values, *(x / problem.gain for x in (*values[1:], value)))
+    gamma = value / problem.gain
+    if not gamma < start.gamma:
+        return start
+    return Start(start.kind, start.instability, gamma, problem.parameters(v)[0], norms)
 
 
 def _best_polished(
@@ -211,5 +225,5 @@ def _best_polished(
         gamma = value / problem.gain
         if gamma < start.gamma:
             progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")
-        done.append(Start(start.kind, start.instability, gamma, start.steps, p, (*start.values, gamma)))
+        done.append(Start(start.kind, start.instability, gamma, p, (*start.values, gamma)))
     return sorted(done, key=lambda s: s.gamma)

@@ -106,7 +106,7 @@ def test_the_two_layers_are_the_thesis_controller():
     rng = np.random.default_rng(3)
     low = TorqueGains(kp=2.0, kd=3.0, ki=5.0)
     gains = (rng.standard_normal((6, 6)) for _ in range(3))
-    made = TwoLayerController(236.0, 3000.0, *gains, low, Trim(np.zeros(18), np.zeros(6)))
+    made = TwoLayerController(236.0, 3000.0, *gains, low, Trim("unused", *np.zeros((3, 6)), 0.0))
     start = {"Kp": made.Kp, "Kd": made.Kd, "Ki": made.Ki, "kp": low.kp, "kd": low.kd, "ki": low.ki}
     model = made.state_space()
     law = MultichannelPID("two-layer", start=start).law(model.inputs, model.outputs, 0.0)
@@ -183,7 +183,7 @@ def test_unknown_forms_are_named(given):
 
 
 def test_the_two_layer_law_is_continuous():
-    with pytest.raises(InputError, match="dt = 0.1"):
+    with pytest.raises(InputError, match=r"dt = 0\.1"):
         law_of(MultichannelPID("two-layer"), 4, 1, 0.1)
 
 

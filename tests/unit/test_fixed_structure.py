@@ -62,9 +62,8 @@ def test_a_bound_is_kept_and_named():
 
 def test_one_gain_for_several_plants_is_neither_ones_own():
     plants = [noisy_lag(1, 1), noisy_lag(2, 0.5), noisy_lag(0.1, 2)]
-    own = [
-        rl.fixed_structure(P, "static", n_meas=1, n_con=1, starts=0).values[GAIN] for P in plants
-    ]  # each its own optimum
+    alone = [rl.fixed_structure(P, "static", n_meas=1, n_con=1, starts=0) for P in plants]
+    own = [design.values["K[u3,y3]"] for design in alone]
     design = rl.fixed_structure(plants, "static", n_meas=1, n_con=1, starts=1)
     best = minimize_scalar(lambda k: joint_norm(plants, -k), bounds=(4.01, 40), method="bounded")
     assert design.gamma == pytest.approx(best.fun, rel=1e-4)
@@ -83,7 +82,7 @@ def test_a_static_gain_reaches_the_full_order_optimum_where_that_is_static():
     C = [[1, 0], [0, 1], [0, 0], [1, 0], [0, 1]]
     P = StateSpaceModel(A, [[0, 0], [1, 1]], C, [[0, 0], [0, 0], [0, 1], [0, 0], [0, 0]])
     full = rl.hinf(P, 2, 1, gamma_rel=1.0)
-    static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=1)
+    static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=0)
     assert static.gamma <= 1.002 * full.gamma
 
 
@@ -91,21 +90,21 @@ def test_a_static_gain_reaches_the_full_order_optimum_where_that_is_static():
 def test_limits_hold_in_the_rebuilt_loop(dt):
     limits = [Damping(0.6), Bandwidth(8.0), Decay(0.3)]
     P = double_integrator(dt)
-    design = rl.fixed_structure(P, PID(tau=(0.02, 1.0)), n_meas=1, n_con=1, limits=limits, starts=1)
+    design = rl.fixed_structure(P, PID(tau=(0.02, 1.0)), n_meas=1, n_con=1, limits=limits, starts=0)
     poles = design.closed_loop.poles()
     s = np.log(poles.astype(complex)) / dt if dt else poles
     assert (-s.real / np.abs(s)).min() >= 0.6 - 1e-9
     assert np.abs(s).max() <= 8 * (1 + 1e-9)
     assert s.real.max() <= -0.3 * (1 - 1e-9)
     assert design.active
-    assert [limit.text for limit in design.limits][0] == "damping >= 0.6"
+    assert design.limits[0].text == "damping >= 0.6"
     assert design.K.dt == dt
 
 
 def test_a_stable_controller_that_rolls_off():
     limits = [StableController(), RollOff(50.0, 0.5)]
     structure = FixedOrder(2, strictly_proper=True)
-    design = rl.fixed_structure(double_integrator(), structure, n_meas=1, n_con=1, limits=limits, starts=1)
+    design = rl.fixed_structure(double_integrator(), structure, n_meas=1, n_con=1, limits=limits, starts=0)
     assert design.K.is_stable()
     omega = np.geomspace(50, 1e5, 2000)
     assert np.abs(rl.frequency_response(design.K, omega)).max() <= 0.5 * (1 + 1e-6)
@@ -113,26 +112,27 @@ def test_a_stable_controller_that_rolls_off():
 
 
 def test_the_worst_member_of_an_uncertain_plant_is_bounded():
-    """Stiffness within +-60 % with a damper: the nominal design's worst member is worse than the robust design's."""
+    """Stiffness within +-60 %: the nominal design's worst member is worse than the robust design's."""
     A, B = [[0, 1], [-1, -0.1]], [[0, 0, 0], [0.6, 1, 1]]
-    D = [[0, 0, 0], [0, 0, 0], [0, 0, 2.0], [0, 0, 0]]
-    M = StateSpaceModel(A, B, [[1, 0], [1, 0], [0, 0], [0, -1]], D)
+    D = np.zeros((5, 3))
+    D[2, 2] = 0.5
+    M = StateSpaceModel(A, B, [[1, 0], [1, 0], [0, 0], [1, 0], [0, 1]], D)
     uncertain = rl.UncertainModel(M, [rl.RealScalar("k")])
-    design = rl.fixed_structure(uncertain, "static", n_meas=1, n_con=1, starts=0, time_limit=60)
+    design = rl.fixed_structure(uncertain, "static", n_meas=2, n_con=1, starts=0)
     assert design.worst is not None
     assert design.gamma == design.worst.upper
     assert design.status is Status.CERTIFIED
     members = [lower_lft(uncertain.evaluate({"k": k}), design.K) for k in np.linspace(-1, 1, 41)]
     worst = max(hinf_norm(member).lower for member in members)
     assert worst <= design.gamma <= 1.05 * worst
-    nominal = rl.fixed_structure(uncertain.nominal, "static", n_meas=1, n_con=1, starts=0)
+    nominal = rl.fixed_structure(uncertain.nominal, "static", n_meas=2, n_con=1, starts=0)
     spoiled = max(hinf_norm(lower_lft(uncertain.evaluate({"k": k}), nominal.K)).lower for k in np.linspace(-1, 1, 41))
     assert worst < spoiled
     assert len(design.scenarios) == len(design.gammas) >= 2
 
 
 def test_the_same_seed_gives_the_same_answer():
-    calls = [rl.fixed_structure(noisy_lag(1, 1), 1, n_meas=1, n_con=1, starts=1, seed=5) for _ in range(2)]
+    calls = [rl.fixed_structure(noisy_lag(1, 1), "static", n_meas=1, n_con=1, starts=1, seed=5) for _ in range(2)]
     assert calls[0].values == calls[1].values
     assert calls[0].gamma == calls[1].gamma
 
