@@ -33,11 +33,10 @@ CLOSER = (0.1, 0.03)
 BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
 DESCENT_STEPS, DESCENT_RTOL = 40, 1e-6
 # Starts that are followed to the end of the path, and those of them that are polished.
-FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 4, 2, 3, 40
+FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 4, 2, 8, 40
 HEADROOM = 1.5
 # Ends whose norms differ by less than this share count as the same optimum.
 SAME = 1e-4
-SPREAD = 1.0
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float
         v, descended = _descended(problem, problem.variables(full), late)
         if descended < reached:
             full, reached = problem.parameters(v)[0], descended
-        gained = reached < value * (1 - 1e-5)
+        gained = reached < value * (1 - 3e-4)
         if reached < value:
             p, value = full, reached
         if not gained:
@@ -155,12 +154,14 @@ def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float
     return p, value
 
 
-def _random(problem: DesignProblem, rng: np.random.Generator) -> Array:
-    spread = SPREAD * 10 ** rng.uniform(-1.0, 1.0)
-    size = np.array([0.0 if c.logarithmic else 1.0 for c in problem.coordinates])
-    draw = rng.standard_normal(len(problem.free))
-    centred = np.array([c.parameter.centre != 0 for c in problem.coordinates])
-    return problem.centre + draw * np.where(centred, 0.5, spread * size + 0.3 * (1 - size))
+def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> Array:
+    """A random start; ``uneven`` ones spread their parameters over decades, because channels differ that much."""
+    count = len(problem.free)
+    spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
+    draw = rng.standard_normal(count)
+    centred = np.array([c.parameter.centre != 0 for c in problem.coordinates], dtype=bool)
+    bounded = np.array([c.logarithmic for c in problem.coordinates], dtype=bool)
+    return problem.centre + draw * np.select([centred, bounded], [0.5, 0.3], spread)
 
 
 def multi_start(
@@ -178,7 +179,7 @@ def multi_start(
             kind, v = "structure", problem.start
         else:
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i - len(given),)))
-            kind, v = "random", _random(problem, rng)
+            kind, v = "random", _random(problem, rng, (i - len(given)) % 2 == 0)
         found.append(_one_start(problem, kind, v, late))
         best = min(s.gamma for s in found)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
