@@ -106,6 +106,7 @@ def fixed_structure(
 
     Examples
     --------
+    >>> from robustlab.statespace import StateSpaceModel
     >>> P = StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0], [0, 1], [0, 0]])
     >>> design = fixed_structure(P, "static", n_meas=1, n_con=1, objective="h2")  # the LQR gain 1 + sqrt(2)
     >>> round(design.gamma**2, 4), round(design.values["K[u2,y3]"], 3)
