@@ -26,7 +26,7 @@ Late = Callable[[], bool]
 
 # The abscissa (in scaled time) at which a start counts as stable, and the steps that move it further inside.
 STABLE = -1e-6
-STABILISE_STEPS, DEEPER_STEPS = 300, 15
+STABILISE_STEPS, DEEPER_STEPS, DEEP = 300, 15, -0.5
 # Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
 BARRIER = (3.0, 1.0, 0.3)
 CLOSER = (0.1, 0.03)
@@ -94,7 +94,7 @@ def _below_zero(function: Function, v: Array, late: Late) -> tuple[Array, float]
     found = bfgs(function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE, late=late)
     if found is None or found.value >= STABLE:
         return (v, value) if found is None else (found.x, found.value)
-    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, late=late)
+    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP, late=late)
     return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
 
 
