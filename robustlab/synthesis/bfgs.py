@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Descent", "bfgs"]
+__all__ = ["Descent", "Function", "bfgs"]
 
 Array = NDArray[Any]
 # ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.
@@ -59,7 +59,7 @@ def bfgs(
     while steps < max_steps and value >= stop_below and stalled < STALL_STEPS and not late():
         direction = -inverse @ gradient
         slope = float(gradient @ direction)
-        found = _line_search(function, x, value, direction, slope, late) if slope < 0 else None
+        found = _line_search(function, x, value, direction, slope, stop_below, late) if slope < 0 else None
         if found is None:
             if fresh:
                 break
@@ -91,7 +91,13 @@ def _updated(inverse: Array, s: Array, y: Array, fresh: bool) -> tuple[Array, bo
 
 
 def _line_search(
-    function: Function, x: Array, value: float, direction: Array, slope: float, late: Callable[[], bool]
+    function: Function,
+    x: Array,
+    value: float,
+    direction: Array,
+    slope: float,
+    stop_below: float,
+    late: Callable[[], bool],
 ) -> tuple[Array, float, Array] | None:
     """A point of sufficient decrease, and, where one is found, of a slope that has risen; None without decrease."""
     step, low, high = 1.0, 0.0, np.inf
@@ -104,7 +110,7 @@ def _line_search(
             high = step
         else:
             best = new, new_value, gradient
-            if float(gradient @ direction) >= CURVATURE * slope:
+            if float(gradient @ direction) >= CURVATURE * slope or new_value < stop_below:
                 break
             low = step
         step = 0.5 * (low + high) if np.isfinite(high) else 2 * step

@@ -227,10 +227,10 @@ class MultichannelPID(Structure):
             raise InputError(
                 f"{WHERE}: tau",
                 "missing",
-                "the derivative filter's time constant in s, or (low, high) to have it found",
+                "the derivative filter's time constant in s, or (low, high) for one to be found",
             )
-        low, high = (self.tau, self.tau) if np.isscalar(self.tau) else self.tau
-        low, high = float(low), float(high)
+        pair = (self.tau, self.tau) if np.ndim(self.tau) == 0 else tuple(self.tau)
+        low, high = (float(x) for x in pair)
         if not 0 < low <= high < np.inf:
             raise InputError(f"{WHERE}: tau", f"{self.tau}", "a positive time in s, or a pair (low, high) of them")
         tau = Parameter("tau", "s", low, high, float(np.sqrt(low * high)))

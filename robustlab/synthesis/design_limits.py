@@ -46,11 +46,11 @@ class Limit:
         raise NotImplementedError
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """C for a finished design; negative or zero where the limit is kept."""
+        """The c of a finished design; negative or zero where the limit is kept."""
         raise NotImplementedError
 
     def evaluate(self, family: LoopFamily, theta: Array, rate: float, dt: float) -> tuple[float, Array] | None:
-        """C and its gradient with respect to the packed controller in the time unit ``1/rate``; None without a value."""
+        """The c and its gradient by the packed controller in the time unit ``1/rate``; None without a value."""
         raise NotImplementedError
 
 
@@ -59,11 +59,11 @@ class _PoleLimit(Limit):
     """A limit of every pole of the loop."""
 
     def measure(self, s: Array) -> Array:
-        """C of poles s in rad/s."""
+        """The c of poles s in rad/s."""
         raise NotImplementedError
 
     def slope(self, s: complex) -> complex:
-        """W with ``dc = Re(w ds)``."""
+        """The w with ``dc = Re(w ds)``."""
         raise NotImplementedError
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
@@ -80,7 +80,7 @@ class _PoleLimit(Limit):
     def _of(self, found: Pole, unit: float, dt: float) -> tuple[float, Array]:
         s = complex(_continuous_poles(np.array([unit * found.value]), dt)[0])
         by_pole = self.slope(s) * (1 / (found.value * dt) if dt and found.value else unit)
-        return float(self.measure(np.array([s]))[0]), (by_pole * found.G).real
+        return float(self.measure(np.array([s]))[0]), np.real(by_pole * found.G)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Decay(_PoleLimit):
 
     def measure(self, s: Array) -> Array:
         """See `_PoleLimit`."""
-        return s.real / self.rate + 1
+        return np.real(s) / self.rate + 1
 
     def slope(self, s: complex) -> complex:
         """See `_PoleLimit`."""
@@ -122,7 +122,7 @@ class Damping(_PoleLimit):
 
     def measure(self, s: Array) -> Array:
         """See `_PoleLimit`."""
-        return self.ratio + s.real / np.maximum(np.abs(s), 1e-300)
+        return self.ratio + np.real(s) / np.maximum(np.abs(s), 1e-300)
 
     def slope(self, s: complex) -> complex:
         """See `_PoleLimit`."""
@@ -176,14 +176,14 @@ class StableController(Limit):
             return -1.0, G
         if not np.isfinite(theta).all():
             return None
-        values, left, right = eig(theta[:k, :k], left=True, check_finite=False)
-        worst = int(np.argmax(np.abs(values) if dt else values.real))
+        values, left, right = (np.asarray(x) for x in eig(theta[:k, :k], left=True, check_finite=False))
+        worst = int(np.argmax(np.abs(values) if dt else np.real(values)))
         u, v = left[:, worst], right[:, worst]
         product = np.vdot(u, v)
         by = np.outer(u.conj(), v) / (product if abs(product) > 1e-14 else 1e-14)
         at = values[worst]
         size = max(abs(at), 1e-300)
-        G[:k, :k] = (by * np.conj(at) / size).real if dt else by.real
+        G[:k, :k] = np.real(by * np.conj(at) / size) if dt else np.real(by)
         return float(size - 1 if dt else at.real), G
 
 
@@ -253,4 +253,4 @@ class RollOff(Limit):
         u, v = left[:, 0], right[0].conj()
         row = np.append(np.linalg.solve(shifted.T, K.C.T @ u.conj()), u.conj())
         column = np.append(np.linalg.solve(shifted, K.B @ v), v)
-        return value / self.gain - 1, np.outer(row, column).real / self.gain
+        return value / self.gain - 1, np.real(np.outer(row, column)) / self.gain

@@ -118,8 +118,8 @@ class DesignProblem:
         for j in self.free:
             q = everything[j]
             logarithmic = bool(np.isfinite(q.high) and q.low > 0 and q.high > 10 * q.low)
-            self.coordinates.append(_Coordinate(q, q.size or sizes[j], logarithmic))
-        self.start = np.array([c.variable(start[j]) for c, j in zip(self.coordinates, self.free, strict=True)])
+            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic))
+        self.start = np.array([c.variable(float(start[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
         self.centre = self.start + np.array([everything[j].centre for j in self.free])
 
     def _natural_sizes(self, p: Array) -> Array:
@@ -144,7 +144,7 @@ class DesignProblem:
 
     def variables(self, p: Array) -> Array:
         """Search variables of given parameters."""
-        return np.array([c.variable(p[j]) for c, j in zip(self.coordinates, self.free, strict=True)])
+        return np.array([c.variable(float(p[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
 
     def theta(self, p: Array) -> Array:
         """The packed controller of the scaled plant."""
@@ -160,13 +160,13 @@ class DesignProblem:
         """Largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
         p, slopes = self.parameters(v)
         theta = self.theta(p)
-        worst: tuple[float, Array | None] = -np.inf, np.zeros_like(theta)
+        worst, at = -np.inf, np.zeros_like(theta)
         for family in self.families:
-            found = family.abscissa(theta)
-            if found[1] is None:
+            value, G = family.abscissa(theta)
+            if G is None:
                 return np.inf, None
-            worst = found if found[0] > worst[0] else worst
-        return worst[0], self.by_parameters(p, worst[1]) * slopes
+            worst, at = (value, G) if value > worst else (worst, at)
+        return worst, self.by_parameters(p, at) * slopes
 
     def violation(self, v: Array) -> tuple[float, Array | None]:
         """Largest of the limits' values with its gradient; infinite where a loop is not stable, -1 without limits."""
@@ -178,7 +178,7 @@ class DesignProblem:
         return worst, self.by_parameters(p, G) * slopes if np.isfinite(worst) else None
 
     def limit_values(self, theta: Array) -> list[tuple[float, Array]]:
-        """C and gradient of every limit and plant; an infinite c where there is no value."""
+        """The c and the gradient of every limit and plant; an infinite c where there is no value."""
         found: list[tuple[float, Array]] = []
         nothing = np.inf, np.zeros_like(theta)
         for limit in self.limits:
@@ -234,7 +234,7 @@ class DesignProblem:
         found: list[tuple[float, Array]] = []
         for family in self.families:
             if self.objective == "hinf":
-                found += family.active(theta, value, 0.1, 0.02 + 0.5 * radius, [])
+                found += family.active(theta, value, 0.1, 0.02 + 0.5 * radius)
             else:
                 norm, G = family.h2_norm(theta)
                 if G is not None and norm > 0.8 * value:

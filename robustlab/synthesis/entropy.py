@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.synthesis.lapack_door import lapack
 from robustlab.synthesis.peak_gain import LoopMatrices
 
 __all__ = ["Entropy", "entropy"]
@@ -102,18 +103,16 @@ def entropy(loop: LoopMatrices, gamma: float, s0: float = 1.0) -> Entropy | None
 
 def _stabilising(a: Array, b: Array, c: Array, d: Array, r_inv: Array) -> Array | None:
     """X from the stable invariant subspace of the Hamiltonian; None where there is none or A is not stable."""
-    from scipy.linalg.lapack import dgees, dgeev
-
     n = len(a)
     a1 = a + b @ (r_inv @ (d.T @ c)) if d.any() else a
     low = c.T @ (c + d @ (r_inv @ (d.T @ c))) if d.any() else c.T @ c
     hamiltonian = np.block([[a1, b @ r_inv @ b.T], [-low, -a1.T]])
     if not np.isfinite(hamiltonian).all():
         return None
-    real, _, _, _, info = dgeev(a, compute_vl=0, compute_vr=0)
+    real, _, _, _, info = lapack().dgeev(a, compute_vl=0, compute_vr=0)
     if info or real.max() >= 0:
         return None
-    _, stable, real, _, z, _, info = dgees(lambda re, im: re < 0, hamiltonian, sort_t=1)
+    _, stable, real, _, z, _, info = lapack().dgees(lambda re, im: re < 0, hamiltonian, sort_t=1)
     if info or stable != n or np.abs(real).min() < 1e-13 * np.abs(hamiltonian).max():
         return None
     try:
@@ -130,11 +129,9 @@ def _stabilising(a: Array, b: Array, c: Array, d: Array, r_inv: Array) -> Array 
 
 def _lyapunov(a: Array, q: Array) -> Array | None:
     """``A Y + Y A^T + Q = 0`` for a stable A."""
-    from scipy.linalg.lapack import dgees, dtrsyl
-
-    t, _, _, _, z, _, info = dgees(lambda re, im: 0, a)
+    t, _, _, _, z, _, info = lapack().dgees(lambda re, im: 0, a)
     if info:
         return None
-    y, scale, info = dtrsyl(t, t, -(z.T @ q @ z), tranb=b"T")
+    y, scale, info = lapack().dtrsyl(t, t, -(z.T @ q @ z), tranb=b"T")
     y = z @ (y * scale) @ z.T
     return y if not info and np.isfinite(y).all() else None

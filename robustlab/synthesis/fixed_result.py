@@ -27,7 +27,7 @@ class ParameterValue:
 
     @property
     def at_bound(self) -> bool:
-        """True within a thousandth of the range (of its size, with one bound) from a bound that is not the only value."""
+        """True within 0.2 % of the range (of its own size, with one bound) from a bound."""
         if self.low == self.high:
             return False
         width = self.high - self.low if abs(self.low) + abs(self.high) < float("inf") else max(abs(self.value), 1e-300)

@@ -45,7 +45,7 @@ def fixed_structure(
     limits: Sequence[Limit] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     start: Any = None,
-    starts: int = 3,
+    starts: int = 6,
     seed: int = 0,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
@@ -62,9 +62,9 @@ def fixed_structure(
     Parameters
     ----------
     P
-        Generalised plant, or a list of them (one controller for all); see `hinf` for what counts as one. Of an uncertain
-        model the gain from w to z is made small for its worst member: scenarios are added where the worst-case gain
-        shows them, and the bound that is proved for the whole set is reported.
+        Generalised plant, or a list of them (one controller for all); see `hinf` for what counts as one. Of an
+        uncertain model the gain from w to z is made small for its worst member: scenarios are added where the
+        worst-case gain shows them, and the bound that is proved for the whole set is reported.
     structure
         A structure of `robustlab.synthesis.controller_structures`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``, an
         order, a mask of a static gain, a list of structures (one per channel).
@@ -106,6 +106,7 @@ def fixed_structure(
 
     Examples
     --------
+    >>> from robustlab.statespace import StateSpaceModel
     >>> P = StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0], [0, 1], [0, 0]])
     >>> design = fixed_structure(P, "static", n_meas=1, n_con=1, objective="h2")  # the LQR gain 1 + sqrt(2)
     >>> round(design.gamma**2, 4), round(design.values["K[u2,y3]"], 3)
@@ -288,7 +289,8 @@ class _Task:
             return None
         worst = int(np.argmax(gammas))
         status, reason = _trust(norms)
-        peak = norms[worst].frequency if isinstance(norms[worst], HinfNorm) else np.nan
+        shown = norms[worst]
+        peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
         return FixedSynthesis(
             K=K,
             gamma=max(gammas),
@@ -348,7 +350,7 @@ def _not_found(problem: DesignProblem, found: Sequence[Start], late: bool) -> No
         poles = family.poles(theta)
         if poles is None or not len(poles):
             continue
-        pole = poles[int(np.argmax(np.abs(poles) if problem.dt else poles.real))]
+        pole = poles[int(np.argmax(np.abs(poles) if problem.dt else np.real(poles)))]
         edge = float(abs(pole) - 1 if problem.dt else pole.real)
         if edge > worst[0]:
             worst = edge, i, complex(pole) * (1.0 if problem.dt else problem.scaling.rate)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.synthesis.entropy import entropy
+from robustlab.synthesis.lapack_door import lapack
 from robustlab.synthesis.partition import PlantMatrices
 from robustlab.synthesis.peak_gain import LoopMatrices, PeakFinder, bilinear, bilinear_pullback, resolvent_point
 
@@ -86,7 +87,7 @@ class LoopFamily:
     # --- the loop ----------------------------------------------------------------------------------------------------
 
     def without_direct_term(self, theta: Array) -> tuple[Array, Array | None, Array | None] | None:
-        """``(Theta (I - D22 Theta)^-1, L, R)`` with the change ``L dTheta R``; None where the loop is not well posed."""
+        """``(Theta (I - D22 Theta)^-1, L, R)``, its change ``L dTheta R``; None where the loop is not well posed."""
         if self.D22 is None:
             return theta, None, None
         right = np.eye(self.D22.shape[0]) - self.D22 @ theta
@@ -126,7 +127,7 @@ class LoopFamily:
         A = self._loop(effective[0]).A
         if not np.isfinite(A).all():
             return None
-        values, left, right = eig(A, left=True, check_finite=False)
+        values, left, right = (np.asarray(x) for x in eig(A, left=True, check_finite=False))
         k = int(np.argmax(measure(values)))
         u, v = left[:, k], right[:, k]
         product = np.vdot(u, v)
@@ -143,9 +144,9 @@ class LoopFamily:
         if found is None:
             return np.inf, None
         if not self.discrete:
-            return found.value.real, found.G.real
+            return found.value.real, np.real(found.G)
         size = abs(found.value)
-        return size - 1.0, (found.G * np.conj(found.value) / max(size, 1e-300)).real
+        return size - 1.0, np.real(found.G * np.conj(found.value) / max(size, 1e-300))
 
     # --- norms -------------------------------------------------------------------------------------------------------
 
@@ -167,19 +168,14 @@ class LoopFamily:
             return np.inf, None
         return max(value, found[0][0]), found[0][1]
 
-    def active(
-        self, theta: Array, value: float, share: float, band: float, extra: list[float]
-    ) -> list[tuple[float, Array]]:
-        """Singular values near the norm ``value``, each with its gradient: all peaks above ``(1 - share) value``.
-
-        ``extra`` are frequencies (of the continuous loop) to look at besides.
-        """
+    def active(self, theta: Array, value: float, share: float, band: float) -> list[tuple[float, Array]]:
+        """Singular values near the norm ``value``, each with its gradient: all peaks above ``(1 - share) value``."""
         effective = self.without_direct_term(theta)
         loop = None if effective is None else self._loop(effective[0])
         continuous = bilinear(loop) if loop is not None and self.discrete else loop
         if effective is None or loop is None or continuous is None:
             return []
-        omegas = np.array([*self._finder.peaks(continuous, value, share, band), *extra], dtype=float)
+        omegas = np.array(self._finder.peaks(continuous, value, share, band), dtype=float)
         dynamic = np.isfinite(omegas) | self.discrete if len(loop.A) else np.zeros(len(omegas), dtype=bool)
         found = self._stacked_gradients(loop, effective, omegas[dynamic], (1 - share) * value)
         if not dynamic.all():
@@ -207,29 +203,21 @@ class LoopFamily:
         found: list[tuple[float, Array]] = []
         for i, k in np.argwhere((s > least) & (s > 0.5 * s[:, :1])):
             row, column = left[i, :, k].conj() @ rows[i], columns[i] @ right[i, k].conj()
-            found.append((float(s[i, k]), self._chained(np.outer(row, column), effective[1], effective[2]).real))
+            found.append((float(s[i, k]), np.real(self._chained(np.outer(row, column), effective[1], effective[2]))))
         return found
-
-    def peak_frequency(self, theta: Array) -> float:
-        """Frequency of the largest peak, of the continuous loop; NaN for a loop that is not stable."""
-        loop = self.loop(theta)
-        continuous = bilinear(loop) if loop is not None and self.discrete else loop
-        return np.nan if continuous is None else self._finder.largest(continuous)[1]
 
     def _gradients(
         self, loop: LoopMatrices, effective: tuple[Array, Array | None, Array | None], omega: float, least: float
     ) -> list[tuple[float, Array]] | None:
         """Singular values at one frequency above ``least`` (at least the largest one) with their gradients."""
-        from scipy.linalg.lapack import zgetrf, zgetrs
-
         a, b, c, d = loop
         direct = not np.isfinite(omega) and not self.discrete
         if direct or not len(a):
             left, s, right = np.linalg.svd(d, full_matrices=False)
             lu = piv = None
         else:
-            lu, piv, info = zgetrf(resolvent_point(omega, self.discrete) * np.eye(len(a)) - a)
-            gain = c @ zgetrs(lu, piv, b)[0] + d
+            lu, piv, info = lapack().zgetrf(resolvent_point(omega, self.discrete) * np.eye(len(a)) - a)
+            gain = c @ lapack().zgetrs(lu, piv, b)[0] + d
             if info or not np.isfinite(gain).all():
                 return None
             left, s, right = np.linalg.svd(gain, full_matrices=False)
@@ -240,9 +228,9 @@ class LoopFamily:
             u, v = left[:, k], right[k].conj()
             row, column = u.conj() @ self.D12, self.D21 @ v
             if lu is not None:
-                row = row + zgetrs(lu, piv, c.T @ u, trans=2)[0].conj() @ self.B
-                column = column + self.C @ zgetrs(lu, piv, b @ v)[0]
-            found.append((float(s[k]), self._chained(np.outer(row, column), effective[1], effective[2]).real))
+                row = row + lapack().zgetrs(lu, piv, c.T @ u, trans=2)[0].conj() @ self.B
+                column = column + self.C @ lapack().zgetrs(lu, piv, b @ v)[0]
+            found.append((float(s[k]), np.real(self._chained(np.outer(row, column), effective[1], effective[2]))))
             if least == 0.0:
                 break
         return found
@@ -251,8 +239,8 @@ class LoopFamily:
         r"""H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable.
 
         With the Gramians P and Q, :math:`d\,\|T\|_2^2 = 2\,\mathrm{tr}[Q (dA\,P + dB\,B^T) + dC\,P C^T]`; discrete,
-        :math:`2\,\mathrm{tr}[Q (dA\,P A^T + dB\,B^T) + dC\,P C^T + dD\,D^T]`. The direct term of a continuous loop is left
-        out: it must be zero.
+        :math:`2\,\mathrm{tr}[Q (dA\,P A^T + dB\,B^T) + dC\,P C^T + dD\,D^T]`. The direct term of a
+        continuous loop is left out: it must be zero.
         """
         from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
@@ -278,7 +266,7 @@ class LoopFamily:
         if not np.isfinite(square) or square < 0:
             return np.inf, None
         norm = np.sqrt(square)
-        return norm, self._chained(G / max(norm, 1e-300), effective[1], effective[2]).real
+        return norm, self._chained(G / max(norm, 1e-300), effective[1], effective[2])
 
     def entropy(self, theta: Array, gamma: float) -> tuple[float, Array, float] | None:
         """Entropy at this level with its gradients with respect to Theta and to gamma; None at or below the norm."""

@@ -31,7 +31,7 @@ def descend(
     plant: GeneralizedPlant | PlantMatrices,
     K0: StateSpaceModel,
     time_limit: float,
-    seed_weights: tuple[float, ...] = WEIGHTS,
+    weights: tuple[float, ...] = WEIGHTS,
 ) -> StateSpaceModel:
     """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
 
@@ -46,7 +46,7 @@ def descend(
         A stabilising controller, ``u = K y`` with positive feedback.
     time_limit
         Time in s.
-    seed_weights
+    weights
         Weights of the barrier, largest first: larger ones look further around.
 
     Returns
@@ -70,7 +70,7 @@ def descend(
     before = problem.norm(v)[0]
     if not np.isfinite(before) or late():
         return K0
-    v, _ = central_path(problem, v, late, seed_weights)
+    v, _ = central_path(problem, v, late, weights)
     q, after = polished(problem, problem.parameters(v)[0], late)
     if not after < before:
         return K0

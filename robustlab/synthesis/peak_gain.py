@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.synthesis.lapack_door import lapack
+
 __all__ = ["LoopMatrices", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "resolvent_point"]
 
 Array = NDArray[Any]
@@ -23,7 +25,7 @@ GRID = 28
 NEAR_AXIS = 1e-3
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
-REFINEMENTS = 6
+REFINEMENTS = 8
 
 
 class LoopMatrices(NamedTuple):
@@ -69,12 +71,10 @@ class _Modal:
     """A loop in modal coordinates: the gain at many frequencies costs little; good for searching, not for the value."""
 
     def __init__(self, loop: LoopMatrices) -> None:
-        from scipy.linalg.lapack import dgeev
-
         a, b, c, d = loop
         n = a.shape[0]
         self.loop, self.d = loop, d
-        real, imag, _, right, info = dgeev(a, compute_vl=0)
+        real, imag, _, right, info = lapack().dgeev(a, compute_vl=0)
         self.poles = real + 1j * imag
         self.stable = info == 0 and bool(real.max() < -BLUR * np.abs(a).max())
         if not self.stable:
@@ -97,7 +97,7 @@ class _Modal:
     def sigma(self, omega: Array, above: float = 0.0) -> Array:
         """Largest singular values; where the Frobenius norm shows that it is at most ``above``, that norm."""
         gain = self.response(omega)
-        size = np.sqrt((gain.real**2 + gain.imag**2).sum(axis=(1, 2)))
+        size = np.linalg.norm(gain, axis=(1, 2))
         if min(gain.shape[1:]) > 1:
             ask = size > above
             if above == 0.0:  # the largest value met bounds what is worth a decomposition
@@ -132,7 +132,7 @@ class _Modal:
             g_new = self.slope(new)[1]
             low, high = (new, high) if g_new > 0 else (low, new)
             at, g_at, omega, g = omega, g, new, g_new
-            if high - low < 1e-9 * high or g == g_at or abs(omega - at) < 1e-5 * omega:
+            if high - low < 1e-9 * high or g == g_at or abs(omega - at) < 1e-6 * omega:
                 break
         return omega
 
@@ -226,8 +226,6 @@ class PeakFinder:
 
 def crossings(loop: LoopMatrices, level: float) -> Array:
     """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
-    from scipy.linalg.lapack import dgeev
-
     a, b, c, d = loop
     root = np.sqrt(level)
     b, c = b / root, c / root
@@ -245,7 +243,7 @@ def crossings(loop: LoopMatrices, level: float) -> Array:
     hamiltonian = np.block([[a, upper], [-lower, -a.T]])
     if not np.isfinite(hamiltonian).all():
         return np.zeros(0)
-    real, imag, _, _, info = dgeev(hamiltonian, compute_vl=0, compute_vr=0)
+    real, imag, _, _, info = lapack().dgeev(hamiltonian, compute_vl=0, compute_vr=0)
     if info:
         return np.zeros(0)
     size = np.hypot(real, imag)
@@ -255,12 +253,10 @@ def crossings(loop: LoopMatrices, level: float) -> Array:
 
 def _sigma_at(loop: LoopMatrices, omega: float) -> float:
     """``sigma_max`` by a direct solve."""
-    from scipy.linalg.lapack import zgesv
-
     if not np.isfinite(omega):
         return float(np.linalg.norm(loop.D, 2))
     a, b, c, d = loop
-    _, _, x, info = zgesv(1j * omega * np.eye(a.shape[0]) - a, b)
+    _, _, x, info = lapack().zgesv(1j * omega * np.eye(a.shape[0]) - a, b)
     gain = c @ x + d
     if info or not np.isfinite(gain).all():
         return np.inf

@@ -1,5 +1,7 @@
 """Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish.
 
+The first half of the path shows which basin a start lies in; only the best starts go on.
+
 Every start goes through the same steps, with budgets in steps rather than in time, so that the same seed gives the same
 answer; the time limit only cuts.
 """
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.synthesis.active_peaks import sequential_linear
-from robustlab.synthesis.bfgs import bfgs
+from robustlab.synthesis.bfgs import Function, bfgs
 from robustlab.synthesis.design_problem import DesignProblem
 
 __all__ = ["Start", "central_path", "multi_start", "polished", "stabilised"]
@@ -24,16 +26,17 @@ Late = Callable[[], bool]
 
 # The abscissa (in scaled time) at which a start counts as stable, and the steps that move it further inside.
 STABLE = -1e-6
-STABILISE_STEPS, DEEPER_STEPS = 300, 15
+STABILISE_STEPS, DEEPER_STEPS, DEEP = 300, 15, -0.5
 # Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
-BARRIER = (3.0, 1.0, 0.3, 0.1, 0.03)
+BARRIER = (3.0, 1.0, 0.3)
+CLOSER = (0.1, 0.03)
 BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
 DESCENT_STEPS, DESCENT_RTOL = 40, 1e-6
-POLISHED, POLISH_ROUNDS, POLISH_STEPS = 2, 3, 40
+# Starts that are followed to the end of the path, and those of them that are polished.
+FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 4, 2, 8, 40
 HEADROOM = 1.5
 # Ends whose norms differ by less than this share count as the same optimum.
 SAME = 1e-4
-SPREAD = 1.0
 
 
 @dataclass(frozen=True)
@@ -48,8 +51,6 @@ class Start:
         Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
     gamma
         Norm at its end, in the plant's units, before verification; inf where it was never stable.
-    steps
-        Accepted steps.
     p
         Its parameters.
     values
@@ -59,13 +60,12 @@ class Start:
     kind: str
     instability: float
     gamma: float
-    steps: int
     p: Array
     values: tuple[float, ...]
 
     def to_json(self) -> dict[str, Any]:
         """All but the parameters."""
-        return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "steps", "values")}
+        return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
 
 def stabilised(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float]:
@@ -86,9 +86,7 @@ def stabilised(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, flo
     return _below_zero(limits, v, late)
 
 
-def _below_zero(
-    function: Callable[[Array, float], tuple[float, Array | None]], v: Array, late: Late
-) -> tuple[Array, float]:
+def _below_zero(function: Function, v: Array, late: Late) -> tuple[Array, float]:
     """Descent until the function is negative, and a few steps further."""
     value = function(v, np.inf)[0]
     if value < STABLE:
@@ -96,7 +94,7 @@ def _below_zero(
     found = bfgs(function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE, late=late)
     if found is None or found.value >= STABLE:
         return (v, value) if found is None else (found.x, found.value)
-    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, late=late)
+    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP, late=late)
     return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
 
 
@@ -125,9 +123,9 @@ def central_path(
     return at, values
 
 
-def _descended(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float, int]:
+def _descended(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float]:
     found = bfgs(problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL, late=late)
-    return (v, problem.norm(v)[0], 0) if found is None else (found.x, found.value, found.steps)
+    return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
 
 
 def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float]:
@@ -145,10 +143,10 @@ def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float
         )
         full = p.copy()
         full[free] = q
-        v, descended, _ = _descended(problem, problem.variables(full), late)
+        v, descended = _descended(problem, problem.variables(full), late)
         if descended < reached:
             full, reached = problem.parameters(v)[0], descended
-        gained = reached < value * (1 - 1e-5)
+        gained = reached < value * (1 - 3e-4)
         if reached < value:
             p, value = full, reached
         if not gained:
@@ -156,12 +154,14 @@ def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float
     return p, value
 
 
-def _random(problem: DesignProblem, rng: np.random.Generator) -> Array:
-    spread = SPREAD * 10 ** rng.uniform(-1.0, 1.0)
-    size = np.array([0.0 if c.logarithmic else 1.0 for c in problem.coordinates])
-    draw = rng.standard_normal(len(problem.free))
-    centred = np.array([c.parameter.centre != 0 for c in problem.coordinates])
-    return problem.centre + draw * np.where(centred, 0.5, spread * size + 0.3 * (1 - size))
+def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> Array:
+    """A random start; ``uneven`` ones spread their parameters over decades, because channels differ that much."""
+    count = len(problem.free)
+    spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
+    draw = rng.standard_normal(count)
+    centred = np.array([c.parameter.centre != 0 for c in problem.coordinates], dtype=bool)
+    bounded = np.array([c.logarithmic for c in problem.coordinates], dtype=bool)
+    return problem.centre + draw * np.select([centred, bounded], [0.5, 0.3], spread)
 
 
 def multi_start(
@@ -179,23 +179,36 @@ def multi_start(
             kind, v = "structure", problem.start
         else:
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i - len(given),)))
-            kind, v = "random", _random(problem, rng)
+            kind, v = "random", _random(problem, rng, (i - len(given)) % 2 == 0)
         found.append(_one_start(problem, kind, v, late))
         best = min(s.gamma for s in found)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {found[-1].gamma:.6g}, {text}")
     found.sort(key=lambda s: s.gamma)
-    return _best_polished(problem, found, late, progress)
+    followed = [_followed(problem, s, late) if i < FOLLOWED else s for i, s in enumerate(found)]
+    return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), late, progress)
 
 
 def _one_start(problem: DesignProblem, kind: str, v: Array, late: Late) -> Start:
     v, instability = stabilised(problem, v, late)
     if instability >= STABLE:
-        return Start(kind, instability, np.inf, 0, problem.parameters(v)[0], ())
+        return Start(kind, instability, np.inf, problem.parameters(v)[0], ())
     v, values = central_path(problem, v, late)
-    v, value, steps = _descended(problem, v, late)
-    values = tuple(x / problem.gain for x in (*values, value))
-    return Start(kind, instability, value / problem.gain, steps, problem.parameters(v)[0], values)
+    norms = tuple(x / problem.gain for x in values)
+    return Start(kind, instability, min(norms), problem.parameters(v)[0], norms)
+
+
+def _followed(problem: DesignProblem, start: Start, late: Late) -> Start:
+    """A start taken to the end of the path and down the norm itself."""
+    if not np.isfinite(start.gamma) or start.gamma == 0 or late():
+        return start
+    v, values = central_path(problem, problem.variables(start.p), late, CLOSER)
+    v, value = _descended(problem, v, late)
+    norms = (*start.values, *(x / problem.gain for x in (*values[1:], value)))
+    gamma = value / problem.gain
+    if not gamma < start.gamma:
+        return start
+    return Start(start.kind, start.instability, gamma, problem.parameters(v)[0], norms)
 
 
 def _best_polished(
@@ -213,5 +226,5 @@ def _best_polished(
         gamma = value / problem.gain
         if gamma < start.gamma:
             progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")
-        done.append(Start(start.kind, start.instability, gamma, start.steps, p, (*start.values, gamma)))
+        done.append(Start(start.kind, start.instability, gamma, p, (*start.values, gamma)))
     return sorted(done, key=lambda s: s.gamma)

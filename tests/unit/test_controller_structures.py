@@ -1,0 +1,194 @@
+"""Controller structures: names, units, matrices against transfer functions, derivatives, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robustlab.dynamics.controllers import TorqueGains, TwoLayerController
+from robustlab.dynamics.plant_contract import Trim
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.synthesis.controller_laws import model_of
+from robustlab.synthesis.controller_structures import (
+    PID,
+    Decentralised,
+    FixedOrder,
+    FixedPoles,
+    MultichannelPID,
+    Part,
+    Series,
+    StaticGain,
+    Sum,
+    as_structure,
+)
+
+OMEGA = np.array([0.1, 0.7, 3.0])
+
+
+def signals(prefix, count, unit):
+    return tuple(Signal(f"{prefix}{i + 1}", unit) for i in range(count))
+
+
+def law_of(structure, n_y, n_u, dt=0.0):
+    return structure.law(signals("y", n_y, "rad"), signals("u", n_u, "V"), dt)
+
+
+CASES = [
+    (StaticGain(), 3, 2, 0.0),
+    (StaticGain([[1, 0, 1], [0, 1, 0]]), 3, 2, 0.0),
+    (FixedOrder(3), 3, 2, 0.0),
+    (FixedOrder(0), 1, 2, 0.0),
+    (FixedOrder(3, strictly_proper=True, form="full"), 3, 2, 0.1),
+    (PID(tau=(0.1, 1.0)), 2, 2, 0.0),
+    (PID(tau=(0.1, 1.0)), 2, 2, 0.1),
+    (MultichannelPID(terms="PD", tau=(0.1, 2.0)), 2, 3, 0.0),
+    (MultichannelPID("ipd"), 6, 2, 0.0),
+    (MultichannelPID("two-layer", "diagonal"), 8, 2, 0.0),
+    (FixedPoles([-1, -2 + 1j, -2 - 1j]), 2, 2, 0.0),
+    (Decentralised([PID(tau=(0.1, 1.0)), FixedOrder(2)]), 2, 2, 0.0),
+    (StaticGain() + FixedPoles([-1], strictly_proper=True), 2, 2, 0.0),
+    (Series(PID(tau=(0.1, 1.0)), FixedOrder(2), ["a", "b"]), 2, 1, 0.0),
+]
+
+
+@pytest.mark.parametrize(("structure", "n_y", "n_u", "dt"), CASES)
+def test_the_pullback_is_the_derivative(structure, n_y, n_u, dt):
+    """Against complex steps, which have no cancellation."""
+    law = law_of(structure, n_y, n_u, dt)
+    rng = np.random.default_rng(0)
+    p = rng.uniform(0.2, 1.0, len(law.parameters))
+    G = rng.standard_normal(law.packed(p).shape)
+    steps = [(law.packed(p + 1e-20j * e) * G).sum().imag * 1e20 for e in np.eye(len(p))]
+    np.testing.assert_allclose(law.pullback(p, G), steps, rtol=1e-12, atol=1e-13)
+    k, n_u, n_y = law.sizes
+    assert law.packed(p).shape == (k + n_u, k + n_y)
+    names = [q.name for q in law.parameters]
+    assert len(set(names)) == len(names)
+
+
+def test_a_pid_is_its_transfer_function():
+    law = law_of(PID(tau=(0.01, 1.0)), 1, 1)
+    assert [(q.name, q.unit) for q in law.parameters] == [
+        ("Kp[1]", "V/rad"),
+        ("Ki[1]", "V/(rad s)"),
+        ("Kd[1]", "V s/rad"),
+        ("tau", "s"),
+    ]
+    s = 1j * OMEGA
+    expected = 2.0 + 3.0 / s + 0.5 * s / (0.1 * s + 1)
+    K = model_of(law, np.array([2.0, 3.0, 0.5, 0.1]), 0.0)
+    np.testing.assert_allclose(frequency_response(K, OMEGA)[:, 0, 0], expected, rtol=1e-12)
+
+
+def test_a_discrete_pid_is_its_difference_equation():
+    """Forward Euler for the integral, backward Euler for the filtered derivative."""
+    dt, tau = 0.1, 0.3
+    K = model_of(law_of(PID(tau=(0.01, 1.0)), 1, 1, dt), np.array([2.0, 3.0, 0.5, tau]), dt)
+    z = np.exp(1j * OMEGA * dt)
+    expected = 2.0 + 3.0 * dt / (z - 1) + 0.5 * (z - 1) / ((tau + dt) * z - tau)
+    np.testing.assert_allclose(frequency_response(K, OMEGA)[:, 0, 0], expected, rtol=1e-12)
+
+
+def test_fixed_poles_are_the_controllers_poles():
+    law = law_of(FixedPoles([-1.0, -2 + 1j, -2 - 1j]), 1, 1)
+    p = np.array([5.0, 2.0, 3.0, 0.25])
+    K = model_of(law, p, 0.0)
+    assert sorted(K.poles(), key=lambda x: (x.real, x.imag)) == pytest.approx([-2 - 1j, -2 + 1j, -1])
+    s = 1j * OMEGA
+    # The 2 x 2 block of a pair acts on (1, 0): residues a (s + 2) - b over ((s + 2)^2 + 1).
+    expected = 5 / (s + 1) + (2 * (s + 2) - 3) / ((s + 2) ** 2 + 1) + 0.25
+    np.testing.assert_allclose(frequency_response(K, OMEGA)[:, 0, 0], expected, rtol=1e-12)
+
+
+def test_the_two_layers_are_the_thesis_controller():
+    rng = np.random.default_rng(3)
+    low = TorqueGains(kp=2.0, kd=3.0, ki=5.0)
+    gains = (rng.standard_normal((6, 6)) for _ in range(3))
+    made = TwoLayerController(236.0, 3000.0, *gains, low, Trim("unused", *np.zeros((3, 6)), 0.0))
+    start = {"Kp": made.Kp, "Kd": made.Kd, "Ki": made.Ki, "kp": low.kp, "kd": low.kd, "ki": low.ki}
+    model = made.state_space()
+    law = MultichannelPID("two-layer", start=start).law(model.inputs, model.outputs, 0.0)
+    K = model_of(law, np.array([q.start for q in law.parameters]), 0.0)
+    for ours, theirs in ((K.A, model.A), (K.B, model.B), (K.C, model.C), (K.D, model.D)):
+        np.testing.assert_array_equal(ours, theirs)
+    units = {q.name: q.unit for q in law.parameters}
+    assert units["Kp[1,1]"] == "N m/rad"
+    assert units["kd"] == "V/N m"
+    assert len(law.parameters) == 3 * 36 + 3
+
+
+def test_sum_and_series_are_sum_and_product():
+    first, second = FixedPoles([-1.0]), FixedPoles([-3.0])
+    p = np.array([2.0, 0.5, 4.0, 0.25])
+    one, two = (model_of(law_of(s, 1, 1), q, 0.0) for s, q in ((first, p[:2]), (second, p[2:])))
+    a, b = frequency_response(one, OMEGA), frequency_response(two, OMEGA)
+    total = model_of(law_of(Sum(first, second), 1, 1), p, 0.0)
+    product = model_of(law_of(Series(first, second, ["e"]), 1, 1), p, 0.0)
+    np.testing.assert_allclose(frequency_response(total, OMEGA), a + b, rtol=1e-12)
+    np.testing.assert_allclose(frequency_response(product, OMEGA), b @ a, rtol=1e-12)
+
+
+def test_decentralised_parts_take_named_channels():
+    parts = [Part(StaticGain(), ["y3"], ["u1"]), Part(FixedPoles([-1.0]), ["y1", "y2"], ["u2"])]
+    law = law_of(Decentralised(parts), 3, 2)
+    p = np.arange(1.0, len(law.parameters) + 1)
+    K = frequency_response(model_of(law, p, 0.0), [0.5])[0]
+    assert (np.abs(K) > 0).tolist() == [[False, False, True], [True, True, False]]
+    assert [q.name for q in law.parameters][:2] == ["1.K[u1,y3]", "2.R1[u2,y1]"]
+
+
+def test_friendly_forms():
+    assert isinstance(as_structure("static", 1.0), StaticGain)
+    assert as_structure(3, 1.0) == FixedOrder(3)
+    assert isinstance(as_structure(0, 1.0), StaticGain)
+    assert isinstance(as_structure([[1, 0]], 1.0), StaticGain)
+    assert isinstance(as_structure([PID("PI"), StaticGain()], 1.0), Decentralised)
+    tau = law_of(as_structure("pid", 100.0), 1, 1).parameters[-1]
+    assert (tau.low, tau.high) == pytest.approx((1e-4, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("structure", "n_y", "n_u", "text"),
+    [
+        (StaticGain([[1, 1]]), 1, 1, r"mask: shape \(1, 2\), expected \(1, 1\)"),
+        (StaticGain([[0]]), 1, 1, "at least one of them 1"),
+        (FixedOrder(-1), 1, 1, "order: -1"),
+        (FixedOrder(0, strictly_proper=True), 1, 1, "strictly proper controller without states"),
+        (FixedOrder(1, form="companion"), 1, 1, "'companion'"),
+        (PID(), 1, 1, "tau: missing"),
+        (PID(tau=-1.0), 1, 1, "tau: -1.0"),
+        (PID("PX"), 1, 1, "terms: 'PX'"),
+        (PID("PI"), 2, 1, "1 controls for 2 measurements"),
+        (PID("P", limit=-2.0), 1, 1, "limit: -2"),
+        (MultichannelPID("ipd"), 5, 2, "5 measurements for 2 controls"),
+        (MultichannelPID("three-layer"), 5, 2, "'three-layer'"),
+        (FixedPoles([1 + 1j]), 1, 1, "without its conjugate"),
+        (FixedPoles([]), 1, 1, "at least one finite pole"),
+        (Decentralised([StaticGain()]), 2, 2, "1 parts for 2 measurements"),
+        (Decentralised([Part(StaticGain(), ["z1"], ["u1"])]), 1, 1, "'z1': no such signal"),
+        (Series(StaticGain(), StaticGain(), []), 1, 1, "no signal between"),
+    ],
+)
+def test_bad_structures_are_named(structure, n_y, n_u, text):
+    with pytest.raises(InputError, match=text):
+        law_of(structure, n_y, n_u)
+
+
+@pytest.mark.parametrize("given", ["pdd", 1.5, None, True])
+def test_unknown_forms_are_named(given):
+    with pytest.raises(InputError, match="structure"):
+        as_structure(given, 1.0)
+
+
+def test_the_two_layer_law_is_continuous():
+    with pytest.raises(InputError, match=r"dt = 0\.1"):
+        law_of(MultichannelPID("two-layer"), 4, 1, 0.1)
+
+
+def test_a_law_gives_a_model_with_names():
+    y, u = signals("y", 1, "rad"), signals("u", 1, "V")
+    K = model_of(StaticGain().law(y, u, 0.0), np.array([3.0]), 0.0, y, u)
+    assert isinstance(K, StateSpaceModel)
+    assert (K.input_names, K.output_names, K.D[0, 0]) == (("y1",), ("u1",), 3.0)

@@ -1,0 +1,255 @@
+"""Fixed-structure design: closed forms, several plants, limits, discrete time, what cannot be done."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.norms import hinf_norm
+from robustlab.result import Status, plain
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis import PID, Bandwidth, Damping, Decay, FixedOrder, RollOff, StableController
+from robustlab.synthesis.nonsmooth import descend
+
+GAIN = "K[u2,y3]"
+
+
+def lag(a, b):
+    """x' = a x + w + b u, z = (x, u), y = x."""
+    return StateSpaceModel([[a]], [[1.0, b]], [[1.0], [0.0], [1.0]], [[0, 0], [0, 1], [0, 0]])
+
+
+def noisy_lag(a, b):
+    """x' = a x + w1 + b u, z = (x, u), y = x + w2: high gains are punished by the noise."""
+    return StateSpaceModel([[a]], [[1.0, 0.0, b]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+
+
+def double_integrator(dt=0.0):
+    A, B = (np.array([[0, 1.0], [0, 0]]), np.array([[0.0], [1.0]]))
+    if dt:
+        A, B = np.array([[1, dt], [0, 1]]), np.array([[dt**2 / 2], [dt]])
+    D = [[0, 0], [0, 0.1], [0, 0]]
+    return StateSpaceModel(A, np.hstack([B, B]), [[1, 0], [0, 0], [-1, 0]], D, dt, outputs=["q", "fz", "e"])
+
+
+def joint_norm(plants, k):
+    gain = StateSpaceModel([], [], [], [[k]])
+    return max(hinf_norm(lower_lft(P, gain)).upper for P in plants)
+
+
+def test_h2_static_gain_of_a_lag_is_the_lqr_gain():
+    """(1 + k^2) / (2 (k - 1)) is smallest at k = 1 + sqrt(2), where it is k."""
+    design = rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, objective="h2", starts=0)
+    assert design.values[GAIN] == pytest.approx(-1 - np.sqrt(2), rel=1e-4)
+    assert design.gamma**2 == pytest.approx(1 + np.sqrt(2), rel=1e-7)
+    assert design.status is Status.CONVERGED
+
+
+def test_a_bound_is_kept_and_named():
+    """sqrt(1 + k^2) / (k - 1) falls with k: the best gain is the bound."""
+    design = rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, bounds={GAIN: (-3, 3)}, starts=0)
+    assert design.gamma == pytest.approx(np.sqrt(10) / 2, rel=1e-4)
+    assert -3 <= design.values[GAIN] < -2.99
+    assert design.active == (f"{GAIN} at its bound",)
+    assert design.status is Status.CERTIFIED
+
+
+def test_one_gain_for_several_plants_is_neither_ones_own():
+    plants = [noisy_lag(1, 1), noisy_lag(2, 0.5), noisy_lag(0.1, 2)]
+    alone = [rl.fixed_structure(P, "static", n_meas=1, n_con=1, starts=0) for P in plants]
+    own = [design.values["K[u3,y3]"] for design in alone]
+    design = rl.fixed_structure(plants, "static", n_meas=1, n_con=1, starts=1)
+    best = minimize_scalar(lambda k: joint_norm(plants, -k), bounds=(4.01, 40), method="bounded")
+    assert design.gamma == pytest.approx(best.fun, rel=1e-4)
+    assert design.gamma == max(design.gammas)
+    assert len(design.gammas) == 3
+    assert np.ptp(own) > 0.5
+    # The gain that is best for the last plant does not even stabilise the second one.
+    assert joint_norm(plants, own[2]) == np.inf
+    for P, gamma in zip(plants, design.gammas, strict=True):
+        assert hinf_norm(lower_lft(P, design.K)).upper == pytest.approx(gamma, rel=1e-9)
+
+
+def test_a_static_gain_reaches_the_full_order_optimum_where_that_is_static():
+    """The two Riccati equations' optimum is approached by a static gain where y is the state without noise."""
+    A = [[0.0, 1.0], [2.0, -1.0]]
+    C = [[1, 0], [0, 1], [0, 0], [1, 0], [0, 1]]
+    P = StateSpaceModel(A, [[0, 0], [1, 1]], C, [[0, 0], [0, 0], [0, 1], [0, 0], [0, 0]])
+    full = rl.hinf(P, 2, 1, gamma_rel=1.0)
+    static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=0)
+    assert static.gamma <= 1.002 * full.gamma
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_limits_hold_in_the_rebuilt_loop(dt):
+    limits = [Damping(0.6), Bandwidth(8.0), Decay(0.3)]
+    P = double_integrator(dt)
+    design = rl.fixed_structure(P, PID(tau=(0.02, 1.0)), n_meas=1, n_con=1, limits=limits, starts=1)
+    poles = design.closed_loop.poles()
+    s = np.log(poles.astype(complex)) / dt if dt else poles
+    assert (-s.real / np.abs(s)).min() >= 0.6 - 1e-9
+    assert np.abs(s).max() <= 8 * (1 + 1e-9)
+    assert s.real.max() <= -0.3 * (1 - 1e-9)
+    assert design.active
+    assert design.limits[0].text == "damping >= 0.6"
+    assert design.K.dt == dt
+
+
+def test_a_stable_controller_that_rolls_off():
+    limits = [StableController(), RollOff(50.0, 0.5)]
+    structure = FixedOrder(2, strictly_proper=True)
+    design = rl.fixed_structure(double_integrator(), structure, n_meas=1, n_con=1, limits=limits, starts=1)
+    assert design.K.is_stable()
+    omega = np.geomspace(50, 1e5, 2000)
+    assert np.abs(rl.frequency_response(design.K, omega)).max() <= 0.5 * (1 + 1e-6)
+    assert not design.K.D.any()
+
+
+def test_the_worst_member_of_an_uncertain_plant_is_bounded():
+    """Stiffness within +-60 %: the nominal design's worst member is worse than the robust design's."""
+    A, B = [[0, 1], [-1, -0.1]], [[0, 0, 0], [0.6, 1, 1]]
+    D = np.zeros((5, 3))
+    D[2, 2] = 0.5
+    M = StateSpaceModel(A, B, [[1, 0], [1, 0], [0, 0], [1, 0], [0, 1]], D)
+    uncertain = rl.UncertainModel(M, [rl.RealScalar("k")])
+    design = rl.fixed_structure(uncertain, "static", n_meas=2, n_con=1, starts=0)
+    assert design.worst is not None
+    assert design.gamma == design.worst.upper
+    assert design.status is Status.CERTIFIED
+    members = [lower_lft(uncertain.evaluate({"k": k}), design.K) for k in np.linspace(-1, 1, 41)]
+    worst = max(hinf_norm(member).lower for member in members)
+    assert worst <= design.gamma <= 1.05 * worst
+    nominal = rl.fixed_structure(uncertain.nominal, "static", n_meas=2, n_con=1, starts=0)
+    spoiled = max(hinf_norm(lower_lft(uncertain.evaluate({"k": k}), nominal.K)).lower for k in np.linspace(-1, 1, 41))
+    assert worst < spoiled
+    assert len(design.scenarios) == len(design.gammas) >= 2
+
+
+def test_the_same_seed_gives_the_same_answer():
+    calls = [rl.fixed_structure(noisy_lag(1, 1), "static", n_meas=1, n_con=1, starts=1, seed=5) for _ in range(2)]
+    assert calls[0].values == calls[1].values
+    assert calls[0].gamma == calls[1].gamma
+
+
+def test_an_earlier_result_is_a_start_and_is_not_lost():
+    P = noisy_lag(1, 1)
+    first = rl.fixed_structure(P, "static", n_meas=1, n_con=1, starts=0)
+    again = rl.fixed_structure(P, "static", n_meas=1, n_con=1, starts=0, start=first)
+    assert again.gamma <= first.gamma * (1 + 1e-9)
+    assert {s.kind for s in again.starts} == {"given", "structure"}
+
+
+def test_the_time_limit_is_kept_and_said():
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((20, 20)) - 8 * np.eye(20)
+    B, C = rng.standard_normal((20, 8)), rng.standard_normal((8, 20))
+    P = StateSpaceModel(A, B, C, np.zeros((8, 8)))
+    rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, objective="h2", starts=0)  # imports
+    begin, cpu = time.monotonic(), time.process_time()
+    design = rl.fixed_structure(P, 3, n_meas=3, n_con=3, starts=1000, time_limit=1.0)
+    used, cpu = time.monotonic() - begin, time.process_time() - cpu
+    assert cpu < 2.5, f"{cpu:.1f} s of CPU, {used:.1f} s in all"
+    assert "time limit reached" in design.reason
+    assert len(design.starts) < 1000
+
+
+def test_progress_says_the_norm():
+    lines: list[str] = []
+    rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, objective="h2", starts=0, progress=lines.append)
+    assert lines[0].startswith("start 1 of 1: norm 1.55")
+
+
+def test_the_result_is_readable_and_plain():
+    design = rl.fixed_structure(noisy_lag(1, 1), "pi", n_meas=1, n_con=1, starts=0)
+    rows = dict(design.summary())
+    assert "verified upper bound" in rows["gamma"]
+    assert rows["starts"].startswith("1, of which 1 stabilised")
+    assert "Kp[1]" in rows
+    data = json.loads(json.dumps(plain(design.to_json())))
+    assert data["method"] == "fixed"
+    assert [p["name"] for p in data["parameters"]] == ["Kp[1]", "Ki[1]"]
+
+
+# --- what cannot be done ---------------------------------------------------------------------------------------------
+
+
+def test_plants_that_need_opposite_gains_are_not_found():
+    with pytest.raises(NoTrustworthyNumber, match=r"no start stabilised plant [12]: nearest pole s = ") as error:
+        rl.fixed_structure([lag(1, 1), lag(1, -1)], "static", n_meas=1, n_con=1, starts=2)
+    assert "no proof that there is none" in str(error.value)
+
+
+def test_a_double_integrator_has_no_stabilising_static_gain():
+    with pytest.raises(NoTrustworthyNumber, match="no start stabilised the plant"):
+        rl.fixed_structure(double_integrator(), "static", n_meas=1, n_con=1, starts=1)
+
+
+def test_an_unreachable_mode_is_named_with_its_plant():
+    with pytest.raises(NoTrustworthyNumber, match=r"plant 2: no stabilising controller exists: unstable mode s = 1 "):
+        rl.fixed_structure([lag(1, 1), lag(1, 0)], "static", n_meas=1, n_con=1)
+
+
+def test_limits_that_nothing_keeps_are_named():
+    with pytest.raises(NoTrustworthyNumber, match=r"decay rate >= 5 1/s"):
+        rl.fixed_structure(
+            lag(-1, 1), "static", n_meas=1, n_con=1, limits=[Decay(5.0)], bounds={GAIN: (-1, 1)}, starts=1
+        )
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"objective": "h1"}, "objective is 'h1'"),
+        ({"starts": -1}, "starts is -1"),
+        ({"time_limit": 0.0}, "time_limit is 0"),
+        ({"time_limit": float("nan")}, "time_limit is nan"),
+        ({"limits": ["fast"]}, "limits: 'fast'"),
+        ({"bounds": {"K": (0, 1)}}, "parameter 'K': no such parameter"),
+        ({"bounds": {GAIN: (1, 0)}}, r"bounds of K\[u2,y3\]: \(1, 0\)"),
+        ({"bounds": {GAIN: 3}}, "expected \\(low, high\\)"),
+        ({"start": {"K": 1.0}}, "parameter 'K'"),
+        ({"start": [3.0]}, "start: float"),
+        ({"n_meas": 5}, "n_meas"),
+    ],
+)
+def test_bad_arguments_are_named(options, text):
+    with pytest.raises(InputError, match=text):
+        rl.fixed_structure(lag(1, 1), "static", **({"n_meas": 1, "n_con": 1} | options))
+
+
+def test_plants_that_do_not_fit_together_are_named():
+    with pytest.raises(InputError, match=r"plant 2 has 1 measurements, 1 controls, dt = 0.1 s"):
+        rl.fixed_structure([lag(1, 1), double_integrator(0.1)], "static", n_meas=1, n_con=1)
+    with pytest.raises(InputError, match="empty list"):
+        rl.fixed_structure([], "static", n_meas=1, n_con=1)
+
+
+def test_an_infinite_h2_norm_is_refused_before_the_search():
+    with pytest.raises(InputError, match="H2 norm is infinite"):
+        rl.fixed_structure(noisy_lag(1, 1), "static", n_meas=1, n_con=1, objective="h2")
+
+
+# --- descent from a known controller ----------------------------------------------------------------------------------
+
+
+def test_descend_improves_a_detuned_controller_and_never_spoils_one():
+    plant = rl.generalized_plant(
+        StateSpaceModel([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]]),
+        measurements=["y3"], controls=["u3"], performance=["y1", "y2"],
+    )  # fmt: skip
+    soft = rl.hinf(plant, gamma_rel=1.3)
+    best = rl.hinf(plant, gamma_rel=1.0)
+    better = descend(plant, soft.K, 20.0)
+    assert hinf_norm(plant.close(better)).upper <= soft.gamma
+    assert hinf_norm(plant.close(better)).upper <= 1.01 * best.gamma
+    assert better.n_states == soft.K.n_states
+    unstable = StateSpaceModel([[-1.0]], [[0.0]], [[0.0]], [[0.0]])
+    assert descend(plant, unstable, 1.0) is unstable
+    with pytest.raises(InputError, match="descend"):
+        descend(plant, StateSpaceModel([], [], [], [[1.0, 2.0]]), 1.0)
