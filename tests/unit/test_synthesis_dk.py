@@ -210,17 +210,17 @@ def test_blocks_that_cover_everything_and_those_of_an_uncertain_model() -> None:
 def test_bad_inputs_are_named() -> None:
     plant = oscillator()
     cases = [
-        (dict(blocks=[]), "use hinf"),
-        (dict(blocks=None), "no uncertainty"),
-        (dict(blocks=[ComplexScalar("a", 3)]), "3 w and 3 z|cover all|blocks of"),
-        (dict(blocks=[FullBlock("a", 3, 1)]), "blocks of 3 inputs w and 1 outputs z"),
-        (dict(blocks=[ComplexScalar("performance")]), "another name"),
-        (dict(blocks=[RealScalar("k", 1, ParameterRange(1.0, 0.5, below=0.25))]), "centred"),
-        (dict(blocks=[[1, 0]], max_order=1), "max_order"),
-        (dict(blocks=[[1, 0]], order_rel=1.5), "order_rel"),
-        (dict(blocks=[[1, 0]], time_limit=0), "time_limit"),
-        (dict(blocks=[[1, 0]], K0=StateSpaceModel([], [], [], [[1.0, 2.0]])), "K0"),
-        (dict(blocks=[[1, 0]], K0=StateSpaceModel([], [], [], [[5.0]])), "not stable"),
+        ({"blocks": []}, "use hinf"),
+        ({"blocks": None}, "no uncertainty"),
+        ({"blocks": [ComplexScalar("a", 3)]}, "3 w and 3 z|cover all|blocks of"),
+        ({"blocks": [FullBlock("a", 3, 1)]}, "blocks of 3 inputs w and 1 outputs z"),
+        ({"blocks": [ComplexScalar("performance")]}, "another name"),
+        ({"blocks": [RealScalar("k", 1, ParameterRange(1.0, 0.5, below=0.25))]}, "centred"),
+        ({"blocks": [[1, 0]], "max_order": 1}, "max_order"),
+        ({"blocks": [[1, 0]], "order_rel": 1.5}, "order_rel"),
+        ({"blocks": [[1, 0]], "time_limit": 0}, "time_limit"),
+        ({"blocks": [[1, 0]], "K0": StateSpaceModel([], [], [], [[1.0, 2.0]])}, "K0"),
+        ({"blocks": [[1, 0]], "K0": StateSpaceModel([], [], [], [[5.0]])}, "not stable"),
     ]
     for options, text in cases:
         if text.startswith("3 w"):
