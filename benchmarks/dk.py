@@ -4,7 +4,7 @@
 
 Problem 1 is the distillation column of Skogestad and Postlethwaite, section 8.12. Published: 1.0144 after D-K
 iteration, "optimal" 0.974. dkpy (https://github.com/decargroup/dkpy, when installed) runs its documented example on it:
-fit orders 4, 4, 4 on its 61 frequencies, H-infinity steps and mu by LMIs. Its controller is then judged like ours: mu
+fit orders 4, 4, 4 on its 61 frequencies, H-infinity steps by slycot and mu by LMIs. Its controller is then judged like ours: mu
 on the whole axis, by rl.robust_stability.
 
 Problem 2 is an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n, z = [x; u] and a real
@@ -91,7 +91,7 @@ def peer() -> None:
         return
     plant, blocks = distillation(), [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]
     iteration = dkpy.DkIterListOrder(
-        controller_synthesis=dkpy.HinfSynLmi(lmi_strictness=1e-7, solver_params={"solver": "CLARABEL"}),
+        controller_synthesis=dkpy.HinfSynSlicot(),
         structured_singular_value=dkpy.SsvLmiBisection(
             bisection_atol=1e-5, bisection_rtol=1e-5, max_iterations=1000, lmi_strictness=1e-7, n_jobs=1,
             solver_params={"solver": "CLARABEL"},
