@@ -3,9 +3,9 @@
     python benchmarks/dk.py [--no-peer]
 
 Problem 1 is the distillation column of Skogestad and Postlethwaite, section 8.12. Published: 1.0144 after D-K
-iteration, "optimal" 0.974. dkpy (https://github.com/decargroup/dkpy, when installed) runs its documented example on it:
-fit orders 4, 4, 4 on its 61 frequencies, H-infinity steps by slycot and mu by LMIs. Its controller is then judged like ours: mu
-on the whole axis, by rl.robust_stability.
+iteration, "optimal" 0.974. dkpy (https://github.com/decargroup/dkpy, when installed) is run on it with fit orders 4, 4,
+4 on 61 frequencies, H-infinity steps by slycot and mu by LMIs. Its controller is then judged like ours: mu on the whole
+axis, by rl.robust_stability.
 
 Problem 2 is an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n, z = [x; u] and a real
 delta; problem 3 two unit masses with a spring 1 + 0.5 delta and a damper 0.02 between them, u on the first, 0.05 d on
@@ -82,7 +82,7 @@ def column() -> None:
 
 
 def peer() -> None:
-    """dkpy's documented example on the column."""
+    """D-K iteration of dkpy on the column."""
     try:
         import control
         import dkpy

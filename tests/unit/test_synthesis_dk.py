@@ -147,9 +147,7 @@ def test_a_singular_plant_with_a_closed_form() -> None:
     assert design.lower == pytest.approx(2.0, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    "block", [ComplexScalar("d", 2), RealScalar("d", 2), FullBlock("d", 2, 3), FullBlock("d", 1, 2)]
-)
+@pytest.mark.parametrize("block", [ComplexScalar("d", 2), RealScalar("d", 2), FullBlock("d", 2, 3)])
 def test_repeated_and_non_square_blocks(block: ComplexScalar | RealScalar | FullBlock) -> None:
     rng = np.random.default_rng(3)
     n, n_w, n_z = 3, block.rows + 1, block.cols + 2
@@ -157,7 +155,7 @@ def test_repeated_and_non_square_blocks(block: ComplexScalar | RealScalar | Full
     D = np.zeros((n_z + 1, n_w + 1))
     D[n_z - 1, n_w], D[n_z, n_w - 1] = 1.0, 0.5
     plant = StateSpaceModel(A, rng.standard_normal((n, n_w + 1)), 0.3 * rng.standard_normal((n_z + 1, n)), D)
-    design = rl.dk(plant, [block], 1, 1, max_order=5, order_rel=0.0, time_limit=6.0)
+    design = rl.dk(plant, [block], 1, 1, max_order=5, order_rel=0.0, time_limit=4.0)
     assert design.blocks[-1] == FullBlock("performance", 1, 2)
     assert design.gamma <= design.history[0].gamma
     bounds = rl.mu(frequency_response(design.closed_loop, OMEGA[::40]), design.blocks)
