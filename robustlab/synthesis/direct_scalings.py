@@ -40,8 +40,8 @@ PROGRESS, PATIENCE = 2e-5, 5
 LARGEST_MOVE = 1.0  # of a logarithmic parameter in one step
 # Logarithmic parameters outside the range are refused: scalings shall not run away.
 RANGE = 16.0
-PLACES = 7  # places of a new section over frequency
-SHORT, PURSUED = 6, 3
+PLACES = 9  # places of a new section over frequency
+SHORT, PURSUED = 10, 4
 
 
 class _Objective:

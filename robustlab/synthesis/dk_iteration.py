@@ -45,7 +45,7 @@ ROUGH, FINE = 0.1, 0.03
 # Numbers of blocks: above the one D starts at constants fitted, above the other less is computed on the side.
 FEW, MANY = 6, 30
 CURVES = 1.5  # time to keep for the end, in computations of mu over frequency
-BAND_LEVEL, BEYOND = 0.3, 3.0
+BAND_LEVEL, BEYOND = 0.3, 30.0
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
 PROOF_ACCURACY = 1e-3
 

@@ -36,6 +36,7 @@ RESIDUAL = 1e-3
 PSD_TOLERANCE = 1e-6
 # Step of the logarithmic parameters in the derivative of the frozen quadratic forms, which are smooth.
 STEP = 1e-5
+STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
 RTOL = 1e-7
 MAX_TESTS = 40
 
@@ -161,8 +162,11 @@ class LevelSearch:
             e = np.zeros(len(theta))
             e[i] = STEP
             slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * STEP)
-        found = Branches(log_beta + below[kept] - below[0], slopes[kept] / -slope[kept, None])
-        return found if np.isfinite(found.slopes).all() else None
+        relative = slopes[kept] / -slope[kept, None]
+        # An eigenvalue at the level of rounding has no derivative worth the name.
+        sound = np.abs(relative).max(axis=1, initial=0.0) < STEEPEST
+        found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
+        return found if len(sound) and sound[0] else None
 
     def controller(self, theta: Array, beta: float) -> StateSpaceModel | None:
         """The central controller at this level, for the plant without D22; None where there is none."""

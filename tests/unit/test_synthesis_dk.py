@@ -73,12 +73,12 @@ def column() -> DKSynthesis:
 def pair() -> tuple[DKSynthesis, DKSynthesis]:
     """The oscillator with its stiffness as a complex and as a real number."""
     complex_, real = (
-        rl.dk(oscillator(), [RealScalar("k")], 1, 1, mixed=mixed, max_order=6, order_rel=0.0) for mixed in (False, True)
+        rl.dk(oscillator(), [RealScalar("k")], 1, 1, mixed=mixed, max_order=4, order_rel=0.0) for mixed in (False, True)
     )
     return complex_, real
 
 
-def test_the_column_reaches_its_level_with_ten_states(column: DKSynthesis) -> None:
+def test_the_column_reaches_its_level_with_few_states(column: DKSynthesis) -> None:
     # Published: 1.0144 after several D-K iterations, with 18 states and more; 1.1792 without any.
     assert column.status is rl.Status.CERTIFIED
     assert column.history[0].gamma == pytest.approx(1.1799, abs=1e-3)
@@ -147,9 +147,7 @@ def test_a_singular_plant_with_a_closed_form() -> None:
     assert design.lower == pytest.approx(2.0, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    "block", [ComplexScalar("d", 2), RealScalar("d", 2), FullBlock("d", 2, 3), FullBlock("d", 1, 2)]
-)
+@pytest.mark.parametrize("block", [ComplexScalar("d", 2), RealScalar("d", 2), FullBlock("d", 2, 3)])
 def test_repeated_and_non_square_blocks(block: ComplexScalar | RealScalar | FullBlock) -> None:
     rng = np.random.default_rng(3)
     n, n_w, n_z = 3, block.rows + 1, block.cols + 2
@@ -157,7 +155,7 @@ def test_repeated_and_non_square_blocks(block: ComplexScalar | RealScalar | Full
     D = np.zeros((n_z + 1, n_w + 1))
     D[n_z - 1, n_w], D[n_z, n_w - 1] = 1.0, 0.5
     plant = StateSpaceModel(A, rng.standard_normal((n, n_w + 1)), 0.3 * rng.standard_normal((n_z + 1, n)), D)
-    design = rl.dk(plant, [block], 1, 1, max_order=9, order_rel=0.0, time_limit=10.0)
+    design = rl.dk(plant, [block], 1, 1, max_order=5, order_rel=0.0, time_limit=4.0)
     assert design.blocks[-1] == FullBlock("performance", 1, 2)
     assert design.gamma <= design.history[0].gamma
     bounds = rl.mu(frequency_response(design.closed_loop, OMEGA[::40]), design.blocks)
@@ -179,7 +177,7 @@ def test_a_discrete_plant_is_verified_in_discrete_time() -> None:
 
 def test_a_warm_start_is_never_worse(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
     real = pair[1]
-    again = rl.dk(oscillator(), [RealScalar("k")], 1, 1, K0=real, order_rel=0.0, time_limit=3.0, max_order=6)
+    again = rl.dk(oscillator(), [RealScalar("k")], 1, 1, K0=real, order_rel=0.0, time_limit=3.0, max_order=4)
     assert again.history[0].gamma == pytest.approx(real.scaled_level, rel=1e-5)
     assert again.gamma <= real.gamma * (1 + 1e-5)
 
@@ -210,17 +208,17 @@ def test_blocks_that_cover_everything_and_those_of_an_uncertain_model() -> None:
 def test_bad_inputs_are_named() -> None:
     plant = oscillator()
     cases = [
-        (dict(blocks=[]), "use hinf"),
-        (dict(blocks=None), "no uncertainty"),
-        (dict(blocks=[ComplexScalar("a", 3)]), "3 w and 3 z|cover all|blocks of"),
-        (dict(blocks=[FullBlock("a", 3, 1)]), "blocks of 3 inputs w and 1 outputs z"),
-        (dict(blocks=[ComplexScalar("performance")]), "another name"),
-        (dict(blocks=[RealScalar("k", 1, ParameterRange(1.0, 0.5, below=0.25))]), "centred"),
-        (dict(blocks=[[1, 0]], max_order=1), "max_order"),
-        (dict(blocks=[[1, 0]], order_rel=1.5), "order_rel"),
-        (dict(blocks=[[1, 0]], time_limit=0), "time_limit"),
-        (dict(blocks=[[1, 0]], K0=StateSpaceModel([], [], [], [[1.0, 2.0]])), "K0"),
-        (dict(blocks=[[1, 0]], K0=StateSpaceModel([], [], [], [[5.0]])), "not stable"),
+        ({"blocks": []}, "use hinf"),
+        ({"blocks": None}, "no uncertainty"),
+        ({"blocks": [ComplexScalar("a", 3)]}, "3 w and 3 z|cover all|blocks of"),
+        ({"blocks": [FullBlock("a", 3, 1)]}, "blocks of 3 inputs w and 1 outputs z"),
+        ({"blocks": [ComplexScalar("performance")]}, "another name"),
+        ({"blocks": [RealScalar("k", 1, ParameterRange(1.0, 0.5, below=0.25))]}, "centred"),
+        ({"blocks": [[1, 0]], "max_order": 1}, "max_order"),
+        ({"blocks": [[1, 0]], "order_rel": 1.5}, "order_rel"),
+        ({"blocks": [[1, 0]], "time_limit": 0}, "time_limit"),
+        ({"blocks": [[1, 0]], "K0": StateSpaceModel([], [], [], [[1.0, 2.0]])}, "K0"),
+        ({"blocks": [[1, 0]], "K0": StateSpaceModel([], [], [], [[5.0]])}, "not stable"),
     ]
     for options, text in cases:
         if text.startswith("3 w"):
