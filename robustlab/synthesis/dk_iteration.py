@@ -27,6 +27,7 @@ from robustlab.synthesis.pointwise_scalings import MuCurve, as_complex, mu_curve
 from robustlab.synthesis.robust_loop import Iterate, RobustProblem
 from robustlab.synthesis.scaled_plant import proved_level
 from robustlab.synthesis.scalings_fit import fitted_scalings
+from robustlab.synthesis.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, as_blocks, delta_values, structure_size
 
 __all__ = ["dk", "structure_with_performance"]
@@ -361,12 +362,13 @@ class _Search:
         loop = self.plant.close(chosen.K)
         if loop.is_discrete:
             frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
+        doubts = _doubts(chosen, proved, loop)
         return DKSynthesis(
             K=chosen.K,
             gamma=gamma,
             closed_loop=loop,
-            status=Status.CERTIFIED,
-            reason=self._reason(chosen, proved, order_rel),
+            status=Status.INACCURATE if doubts else Status.CERTIFIED,
+            reason="; ".join([*doubts, self._reason(chosen, proved, order_rel)]),
             limit=limiting_channels(loop, frequency),
             plant=self.plant,
             method="dk",
@@ -401,6 +403,17 @@ class _Search:
         if time.monotonic() >= self.until:
             parts.append("time limit reached: a smaller mu may be possible")
         return "; ".join(parts)
+
+
+def _doubts(chosen: Iterate, by_intervals: bool, loop: StateSpaceModel) -> list[str]:
+    """What lost digits on the way to the bound; nothing where it is proved."""
+    doubts: list[str] = []
+    if not proved_stable(loop.A, loop.is_discrete):
+        doubts.append("eigenvalues are so ill-conditioned that stability of the loop was not proved beyond rounding")
+    norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
+    if not by_intervals and norm.status is not Status.CERTIFIED:
+        doubts.append(f"norm of the scaled loop: {norm.reason}")
+    return doubts
 
 
 def _with_g(scalings: DynamicScalings, real: tuple[Block, ...]) -> DynamicScalings:

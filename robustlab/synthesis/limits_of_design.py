@@ -1,4 +1,4 @@
-"""What limits a finished design, whatever its controller: zeros, poles and integrals of the plant inside its problem."""
+"""What limits a finished design, whatever its controller: zeros, poles, integrals of the plant in its problem."""
 
 from __future__ import annotations
 

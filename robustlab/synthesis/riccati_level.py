@@ -173,7 +173,9 @@ class LevelSearch:
         try:
             problem = TwoRiccatiProblem(self._scaled(theta, beta))
             pair = problem.solve(self.scaling.gain)
-            return None if pair is None else self.scaling.controller_to_plant(problem.central_controller(pair))
+            if pair is None:
+                return None
+            return StateSpaceModel(*self.scaling.controller_to_plant(problem.central_controller(pair)))
         except (NoTrustworthyNumber, InputError, np.linalg.LinAlgError):
             return None
 

@@ -18,6 +18,7 @@ from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
 from robustlab.synthesis.riccati_level import LevelSearch
 from robustlab.synthesis.scaled_plant import proved_level, scaled_plant
 from robustlab.synthesis.scaling import equilibrated, paths_first
+from robustlab.synthesis.verified_loop import named_controller, with_direct_term
 
 __all__ = ["Iterate", "RobustProblem"]
 
@@ -30,7 +31,6 @@ SOFTER = (0.999, 0.8, 0.5)
 # D12, D21 below this size in scaled units need regularisation.
 REGULAR = 1e-6
 STATE_SHARE = 0.3
-ILL_POSED = 1e10
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ class RobustProblem:
     def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
         """A controller for the continuous plant without D22 as an iterate; None where its loop is not stable."""
         try:
-            full = _with_direct_term(K, self._continuous.D22)
+            full = with_direct_term(K, self._continuous.D22)
             if self.plant.model.is_discrete:
                 full = bilinear_to_discrete(full, self.plant.model.dt)
         except (InputError, NoTrustworthyNumber):
@@ -141,8 +141,7 @@ class RobustProblem:
     def proved(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
         """A controller for the plant as given as an iterate; None where its loop is not stable or nothing is proved."""
         try:
-            names = [f"k{i + 1}" for i in range(K.n_states)]
-            K = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt, self.plant.measurements, self.plant.controls, names)
+            K = named_controller(K, self.plant.measurements, self.plant.controls, K.dt)
             loop = self.plant.close(K)
             if not loop.is_stable():
                 return None
@@ -166,7 +165,7 @@ class RobustProblem:
             open_loop = scaled_plant(
                 self.bare.with_channels(1.0, 1.0, 1 / self.scale.states, into), iterate.scalings, 1.0
             ).model()
-            K = _without_direct_term(self._mapped(iterate.K), self._continuous.D22)
+            K = with_direct_term(self._mapped(iterate.K), -self._continuous.D22)  # taken out again
             loop = lower_lft(open_loop, K)
             response = frequency_response(loop, default_grid(loop, 80))
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
@@ -188,19 +187,3 @@ class RobustProblem:
 
     def _mapped(self, K: StateSpaceModel) -> StateSpaceModel:
         return bilinear_to_continuous(K) if K.is_discrete else K
-
-
-def _with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
-    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
-    if not D22.any():
-        return K
-    loop = np.eye(K.n_outputs) + K.D @ D22
-    if np.linalg.cond(loop) > ILL_POSED:
-        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
-    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
-    return StateSpaceModel(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D)
-
-
-def _without_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
-    """Inverse of `_with_direct_term`."""
-    return _with_direct_term(K, -D22)

@@ -4,8 +4,8 @@ With E the differences of one matrix and :math:`|\delta_{ij}| \le 1` for each en
 
 .. math:: \|E \circ \delta\| \le \| |E| \| = s, \qquad \text{so } E \circ \delta = s\, \Delta, \quad \|\Delta\| \le 1
 
-on the rows and columns in which the models differ: the norm of a matrix is at most that of its entries' magnitudes. What
-is proved for this set holds for ``elementwise(..., "elements")``; it costs two scalings in place of dozens. The price is
+on the rows and columns in which the models differ: the norm of a matrix is at most that of its entries' magnitudes.
+What is proved for this set holds for ``elementwise(..., "elements")``; it costs two scalings, not dozens. The price is
 that members come in which no entries can make, complex and dynamic ones among them: it is small where the models are
 close to each other.
 
