@@ -36,6 +36,7 @@ RESIDUAL = 1e-3
 PSD_TOLERANCE = 1e-6
 # Step of the logarithmic parameters in the derivative of the frozen quadratic forms, which are smooth.
 STEP = 1e-5
+NEGLIGIBLE = 1e-6
 STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
 RTOL = 1e-7
 MAX_TESTS = 40
@@ -156,7 +157,8 @@ class LevelSearch:
         below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
         if not below[0] > -np.inf:
             return None
-        kept = np.flatnonzero((below - below[0] > -within) & np.isfinite(below))
+        # Of an eigenvalue at the level of rounding both the logarithm and the slope are noise.
+        kept = np.flatnonzero((below - below[0] > -within) & np.isfinite(below) & (size > NEGLIGIBLE * size[0]))
         slopes = np.zeros((len(slope), len(theta)))
         for i in range(len(theta)):
             e = np.zeros(len(theta))
