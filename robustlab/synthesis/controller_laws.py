@@ -222,7 +222,7 @@ class DiagonalLaw:
         for part, u, y in zip(self.parts, self.controls, self.measurements, strict=True):
             own = list(range(state, state + part.sizes[0]))
             count = len(part.parameters)
-            rows, columns = np.array([*own, *(k + i for i in u)]), np.array([*own, *(k + i for i in y)])
+            rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
             found.append((part, slice(first, first + count), rows, columns))
             state, first = state + part.sizes[0], first + count
         return found
