@@ -135,7 +135,7 @@ def _synthesize(
     require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
     lower = pointwise_bound(matrices, scalings, place_in_z(dt) if dt else place_in_s)
     verifier = Verifier(plant, continuous.D22, deadline)
-    found = portfolio(matrices, scalings, deadline, lower.value)
+    found = portfolio(matrices, scalings, deadline, lower.value, continuous.D22)
     best, by = verifier.smallest(found.candidates), "two Riccati equations"
     if best is None:
         note = _by_lmi(matrices, found.leader, deadline)
