@@ -194,7 +194,9 @@ def test_no_controller_at_all_is_an_error_with_both_reasons(monkeypatch):
 
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
     monkeypatch.setattr(hinf_synthesis, "lmi_controllers", lambda *_: ([], "the LMI solver says infeasible"))
-    with pytest.raises(NoTrustworthyNumber, match=r"Riccati equations gave none|\(0 were found"):
+    monkeypatch.setattr(hinf_synthesis, "stabilise", lambda *_: "a nonsmooth search found none")
+    match = r"\(0 were found; two Riccati equations gave none; the LMI solver says infeasible; a nonsmooth search found"
+    with pytest.raises(NoTrustworthyNumber, match=match):
         hinf(output_feedback_problem(0.5), 1, 1)
 
 
