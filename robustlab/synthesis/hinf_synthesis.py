@@ -201,7 +201,8 @@ def _best_of_all_methods(
         found.leader.polish(found.leader.best)
         best, by = verifier.smallest(found.candidates), f"{by}; {note}"
         say(_line(note, best))
-    if best is None or found.leader.negligible(best.candidate) or not is_poor(best.gamma, optimum, lower, disagree):
+    scale = found.leader.scaling.gain
+    if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale):
         return best, by
     descended = descend_from(matrices, found.leader, best.candidate, deadline)
     again = None if descended is None else verifier.smallest(found.candidates)

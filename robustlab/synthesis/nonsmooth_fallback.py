@@ -25,13 +25,15 @@ __all__ = ["descend_from", "is_poor", "stabilise"]
 # A gamma this far above the estimated optimum, or above the proved lower bound where that is unknown and the two
 # scalings do not agree, is worth a descent.
 POOR = 1.02
+# In a plant scaled to order one, a gain below this says that the infimum is zero: ratios mean nothing there.
+NEAR_ZERO = 1e-4
 # Descents get this share of the time left, and at most so many seconds: beyond that they creep.
 SHARE_OF_TIME, SECONDS = 0.25, 15.0
 # Random starts for each order; larger weights of the barrier where the start may be far from an optimum.
 STARTS, SEED, FAR = 3, 0, (3.0, 1.0, *WEIGHTS)
 
 
-def is_poor(gamma: float, optimum: float, lower: float, disagree: float) -> bool:
+def is_poor(gamma: float, optimum: float, lower: float, disagree: float, scale: float = 1.0) -> bool:
     """Whether a verified gamma is so far above what is possible that a descent is worth its time.
 
     Parameters
@@ -44,8 +46,10 @@ def is_poor(gamma: float, optimum: float, lower: float, disagree: float) -> bool
         Proved lower bound, often far below the optimum.
     disagree
         Relative difference of what two scalings reached; NaN where one of them gave none.
+    scale
+        Factor from gamma to the gain of the plant scaled to order one.
     """
-    if gamma <= POOR * lower:
+    if gamma <= POOR * lower or gamma * scale <= NEAR_ZERO:
         return False
     return gamma > POOR * optimum if np.isfinite(optimum) else not disagree <= POOR - 1
 
