@@ -7,7 +7,7 @@ import pytest
 
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import hinf, hinf_synthesis, mixsyn
+from robustlab.synthesis import hinf, hinf_synthesis, mixsyn, nonsmooth_fallback
 from robustlab.synthesis.nonsmooth_fallback import descend_from, is_poor, stabilise
 from robustlab.synthesis.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.portfolio import Portfolio
@@ -27,6 +27,7 @@ def without_equations(monkeypatch):
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
     monkeypatch.setattr(hinf_synthesis, "lmi_controllers", lambda *_: ([], "no LMI"))
     monkeypatch.setattr(Search, "polish", lambda *_: None)
+    monkeypatch.setattr(nonsmooth_fallback, "STARTS", 0)
 
 
 def search_of(model: StateSpaceModel) -> tuple[GeneralizedPlant, Search]:
