@@ -50,6 +50,7 @@ def hinf(
     time_limit: TimeLimitOption = 60.0,
     out: OutOption = None,
     figure: FigureOption = None,
+    verbose: VerboseOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
@@ -64,7 +65,8 @@ def hinf(
     from robustlab.synthesis import hinf as design
 
     plant = channels.plant(file, nominal)
-    found = design(plant, gamma_rel=gamma_rel, time_limit=time_limit)
+    with status_line("H-infinity", verbose) as report:
+        found = design(plant, gamma_rel=gamma_rel, time_limit=time_limit, progress=report)
     finish("synth hinf", found, file, out, figure, as_json)
 
 
@@ -241,6 +243,7 @@ def mixsyn(
     time_limit: TimeLimitOption = 60.0,
     out: OutOption = None,
     figure: FigureOption = None,
+    verbose: VerboseOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Mixed-sensitivity controller u = K (r - y) of a plant, verified in the loop rebuilt from K.
@@ -269,7 +272,8 @@ def mixsyn(
     left_out = [name for name in model.state_names if name not in kept.state_names]
     if left_out:
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
-    found = design(kept, *weights, gamma_rel=gamma_rel, time_limit=time_limit)
+    with status_line("mixed sensitivity", verbose) as report:
+        found = design(kept, *weights, gamma_rel=gamma_rel, time_limit=time_limit, progress=report)
     finish("synth mixsyn", found, file, out, figure, as_json)
 
 

@@ -14,6 +14,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller_candidates import CandidateFamily, candidate_families
 from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.nonsmooth import descend
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.performance_measure import (
     Evidence,
@@ -134,7 +135,7 @@ def reduce_controller(
     scalings: Any = None,
     n_meas: int | None = None,
     n_con: int | None = None,
-    improve: Improvement | None = None,
+    improve: Improvement | None = descend,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
 ) -> ReducedController:
@@ -161,16 +162,19 @@ def reduce_controller(
         left out: ``"mu"`` where scalings are given or the design brings them, ``"h2"`` for an H2 design, else
         ``"hinf"``.
     blocks
-        Perturbation blocks of the plant's first channels, for ``"mu"``; those of the plant where left out.
+        Perturbation blocks of the plant's first channels, for ``"mu"``; those of the design or the plant where left
+        out.
     scalings
         For ``"mu"``: the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm
-        then is J (quick); where left out the mu analysis finds its own scalings for every candidate (slow).
+        then is J (quick); where left out the mu analysis finds its own scalings for every candidate (slow), also for
+        a design whose scalings hold G for real blocks.
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
     improve
         Called as ``improve(plant, K_r, seconds)`` with the (scaled) plant and the best controller of an order that
         loses too much, but less than ten times the loss allowed; what comes back, a controller of that order with a
-        smaller H-infinity norm, is verified like any other. For nonsmooth descent.
+        smaller H-infinity norm, is verified like any other. Nonsmooth descent where left out; None for nothing. Not
+        called for H2, nor for ``"mu"`` without scalings.
     time_limit
         Time in s, asked between candidates; the lowest order verified by then is returned.
     progress
@@ -210,7 +214,8 @@ def reduce_controller(
         isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
     ):
         raise InputError(WHERE, f"order is {order!r}", f"a whole number from 0 to {full.n_states}")
-    scalings = getattr(design_or_plant, "scalings", None) if scalings is None and measure in (None, "mu") else scalings
+    if scalings is None and measure in (None, "mu"):
+        scalings, blocks = _of_design(design_or_plant, blocks)
     name = measure or _default_measure(design_or_plant, scalings, blocks)
     judge = make_measure(plant, name, blocks, scalings, WHERE)
     from threadpoolctl import threadpool_limits
@@ -236,6 +241,14 @@ def _plant_and_controller(
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
     return plant, full
+
+
+def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequence[Block] | None]:
+    """The scalings that a design brings, or its blocks where they hold G and so bound no norm."""
+    scalings = getattr(given, "scalings", None)
+    if not getattr(scalings, "mixed", False):
+        return scalings, blocks
+    return None, given.blocks if blocks is None else blocks
 
 
 def _default_measure(given: Any, scalings: Any, blocks: Sequence[Block] | None) -> MeasureName:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from robustlab.synthesis.assumptions import broken_assumptions, require_stabilis
 from robustlab.synthesis.design import HinfSynthesis, limiting_channels
 from robustlab.synthesis.gamma_bounds import GammaBound, place_in_s, place_in_z, pointwise_bound
 from robustlab.synthesis.lmi_synthesis import lmi_controllers
+from robustlab.synthesis.nonsmooth_fallback import descend_from, is_poor, stabilise
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant
-from robustlab.synthesis.portfolio import portfolio
+from robustlab.synthesis.portfolio import Portfolio, portfolio
 from robustlab.synthesis.scaling import equilibrated, paths_first
 from robustlab.synthesis.search import Deadline, Search
 from robustlab.synthesis.softening import soften
@@ -36,14 +37,16 @@ def hinf(
     gamma_rel: float = 1.05,
     bandwidth: float | None = None,
     time_limit: float = 60.0,
+    progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
     r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
     Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant; linear matrix
-    inequalities where they give nothing. Nothing is assumed about the ranks of D12 and D21 or about zeros on the axis;
-    every controller is verified on P as given, and gamma is the verified norm of the loop rebuilt from the returned K.
+    inequalities where they give nothing; nonsmooth descent where what was found is poor. Nothing is assumed about the
+    ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the
+    verified norm of the loop rebuilt from the returned K.
     A discrete P is mapped by the bilinear rule and verified in discrete time.
 
     Parameters
@@ -63,6 +66,8 @@ def hinf(
     time_limit
         Time in s, asked between trials. A controller verified by then is returned, and ``reason`` says that time was
         up.
+    progress
+        Called with one short line after every stage.
 
     Returns
     -------
@@ -90,7 +95,7 @@ def hinf(
     ('certified', 0.732)
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
-    return synthesize(plant, "hinf", gamma_rel, time_limit, bandwidth=bandwidth)
+    return synthesize(plant, "hinf", gamma_rel, time_limit, bandwidth=bandwidth, progress=progress)
 
 
 def synthesize(
@@ -100,6 +105,7 @@ def synthesize(
     time_limit: float,
     weights: Mapping[str, StateSpaceModel] | None = None,
     bandwidth: float | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
@@ -113,7 +119,8 @@ def synthesize(
 
     # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
     with threadpool_limits(limits=1):
-        return _synthesize(plant, method, gamma_rel, time_limit, weights or {}, bandwidth)
+        say = progress or (lambda _: None)
+        return _synthesize(plant, method, gamma_rel, time_limit, weights or {}, bandwidth, say)
 
 
 def _synthesize(
@@ -123,6 +130,7 @@ def _synthesize(
     time_limit: float,
     weights: Mapping[str, StateSpaceModel],
     bandwidth: float | None,
+    say: Callable[[str], None],
 ) -> HinfSynthesis:
     deadline = Deadline(time_limit)
     dt = plant.model.dt
@@ -135,11 +143,8 @@ def _synthesize(
     require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
     lower = pointwise_bound(matrices, scalings, place_in_z(dt) if dt else place_in_s)
     verifier = Verifier(plant, continuous.D22, deadline)
-    found = portfolio(matrices, scalings, deadline, lower.value)
-    best, by = verifier.smallest(found.candidates), "two Riccati equations"
-    if best is None:
-        note = _by_lmi(matrices, found.leader, deadline)
-        best, by = verifier.smallest(found.candidates), f"two Riccati equations gave none; {note}"
+    found = portfolio(matrices, scalings, deadline, lower.value, continuous.D22)
+    best, by = _best_of_all_methods(matrices, found, verifier, lower.value, deadline, say)
     if best is None:
         late = f" in the time limit of {time_limit:g} s" if deadline.passed() else ""
         raise NoTrustworthyNumber(
@@ -155,6 +160,7 @@ def _synthesize(
     if gamma_rel > 1:
         soften(found.leader, best.candidate, gamma_rel * best.gamma)
         chosen = verifier.sanest(found.candidates, best, gamma_rel)
+        say(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
     if bandwidth is not None and chosen.candidate.pace > bandwidth:
         chosen = verifier.within(found.candidates, best, gamma_rel, bandwidth)
     return _finished(
@@ -163,7 +169,7 @@ def _synthesize(
         best=best,
         disagree=found.disagree,
         lower=lower,
-        optimum=found.estimated_optimum(),
+        optimum=min(found.estimated_optimum(), best.gamma),
         assumptions=broken_assumptions(scaled, plant, rate),
         gamma_rel=gamma_rel,
         late=deadline.passed(),
@@ -171,6 +177,43 @@ def _synthesize(
         method=method,
         weights=weights,
     )
+
+
+def _best_of_all_methods(
+    matrices: PlantMatrices,
+    found: Portfolio,
+    verifier: Verifier,
+    lower: float,
+    deadline: Deadline,
+    say: Callable[[str], None],
+) -> tuple[Verified | None, str]:
+    """The best verified controller, by Riccati equations, then LMIs, then nonsmooth search; and what gave it."""
+    best, by = verifier.smallest(found.candidates), "two Riccati equations"
+    say(_line("two Riccati equations", best))
+    optimum, disagree = found.estimated_optimum(), found.disagree
+    if best is None:
+        note = _by_lmi(matrices, found.leader, deadline)
+        best, by = verifier.smallest(found.candidates), f"two Riccati equations gave none; {note}"
+        optimum = disagree = float("nan")
+        say(_line(note, best))
+    if best is None:
+        note = stabilise(matrices, found.leader, deadline, say)
+        found.leader.polish(found.leader.best)
+        best, by = verifier.smallest(found.candidates), f"{by}; {note}"
+        say(_line(note, best))
+    scale = found.leader.scaling.gain
+    if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale):
+        return best, by
+    descended = descend_from(matrices, found.leader, best.candidate, deadline)
+    again = None if descended is None else verifier.smallest(found.candidates)
+    if again is not None and again.certified >= best.certified and again.gamma < best.gamma:
+        best, by = again, f"{by}; nonsmooth descent"
+    say(_line("nonsmooth descent", best))
+    return best, by
+
+
+def _line(stage: str, best: Verified | None) -> str:
+    return f"{stage}: none verified yet" if best is None else f"{stage}: gamma {best.gamma:.6g}"
 
 
 def _by_lmi(matrices: PlantMatrices, search: Search, deadline: Deadline) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,14 @@ __all__ = ["mixed_sensitivity_plant", "mixsyn"]
 
 
 def mixsyn(
-    G: Any, W1: Any = None, W2: Any = None, W3: Any = None, *, gamma_rel: float = 1.05, time_limit: float = 60.0
+    G: Any,
+    W1: Any = None,
+    W2: Any = None,
+    W3: Any = None,
+    *,
+    gamma_rel: float = 1.05,
+    time_limit: float = 60.0,
+    progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
     r"""H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
 
@@ -36,7 +44,7 @@ def mixsyn(
         Weights on e (n_y channels), u (n_u channels) and G u (n_y channels). None leaves the term out; a number or a
         model with one input and one output is used on every channel; else a model or a constant matrix with as many
         inputs as channels. Weights must be stable and proper. See `robustlab.synthesis.weights`.
-    gamma_rel, time_limit
+    gamma_rel, time_limit, progress
         As for `robustlab.hinf`.
 
     Returns
@@ -64,7 +72,7 @@ def mixsyn(
     ('certified', True)
     """
     plant, weights = mixed_sensitivity_plant(G, W1, W2, W3)
-    return synthesize(plant, "mixsyn", gamma_rel, time_limit, weights)
+    return synthesize(plant, "mixsyn", gamma_rel, time_limit, weights, progress=progress)
 
 
 def mixed_sensitivity_plant(

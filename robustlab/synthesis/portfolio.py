@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from robustlab.synthesis.partition import PlantMatrices
 from robustlab.synthesis.scaling import Scaling
 from robustlab.synthesis.search import IMPROVEMENT, SHARES, Candidate, Deadline, Search, smallest
@@ -55,13 +58,18 @@ class Portfolio:
 
 
 def portfolio(
-    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], deadline: Deadline, floor: float = 0.0
+    matrices: PlantMatrices,
+    scalings: tuple[Scaling, Scaling],
+    deadline: Deadline,
+    floor: float = 0.0,
+    D22: NDArray[np.float64] | None = None,
 ) -> Portfolio:
     """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
 
-    ``floor`` is a proved lower bound of gamma: a search that meets it is done.
+    ``floor`` is a proved lower bound of gamma: a search that meets it is done. ``D22`` is the direct term that was left
+    out of the plant.
     """
-    one, two = (Search(matrices, scaling, deadline, floor) for scaling in scalings)
+    one, two = (Search(matrices, scaling, deadline, floor, D22) for scaling in scalings)
     for search in (one, two):
         search.ladder()
         if search.best is not None and search.proved(search.best):

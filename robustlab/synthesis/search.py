@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.synthesis.direct_term import well_posed_neighbours
 from robustlab.synthesis.loop_gain import closed, loop_gain, responses, trial_frequencies
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 from robustlab.synthesis.scaling import Scaling
@@ -108,9 +109,19 @@ class Search:
         Asked between trials and between gamma tests.
     floor
         Proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
+    D22
+        The direct term that was left out of the plant: what is found must be able to take it back in.
     """
 
-    def __init__(self, plant: PlantMatrices, scaling: Scaling, deadline: Deadline, floor: float = 0.0) -> None:
+    def __init__(
+        self,
+        plant: PlantMatrices,
+        scaling: Scaling,
+        deadline: Deadline,
+        floor: float = 0.0,
+        D22: Array | None = None,
+    ) -> None:
+        self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
         self.scaling, self.plant = scaling, scaling.apply(plant)
         self.deadline, self.floor, self.careful, self.probes = deadline, floor, False, PROBES[:1]
         self.candidates: list[Candidate] = []
@@ -205,10 +216,9 @@ class Search:
         """Added channels that each carry about ``share`` of the gain of this loop."""
         if self._gains is None or self._gains[0] is not loop:
             self._gains = (loop, self._channel_gains(loop))
-        gains = self._gains[1]
-        if gains is None:
+        gains, gamma = self._gains[1], loop.gamma * self.scaling.gain
+        if gains is None or gamma <= 0:  # a loop without gain (T with K = 0) sets no scale
             return None
-        gamma = loop.gamma * self.scaling.gain
         u, y, x_out, x_in = (gamma / np.maximum(g, gamma * share / cap) for g in gains)
         return Regularisation(
             share * u / np.sqrt(len(u)),
@@ -271,7 +281,17 @@ class Search:
         return self._kept(self.scaling.controller_from_plant(K), np.inf)
 
     def _kept(self, K: Realisation, limit: float) -> Candidate | None:
-        """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units)."""
+        """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units).
+
+        One that cannot take D22 back in gives way to the best of its neighbours that can.
+        """
+        if self.D22 is None:
+            return self._entered(K, limit)
+        found = [self._entered(near, limit) for near in well_posed_neighbours(K, self.D22)]
+        return smallest([candidate for candidate in found if candidate is not None])
+
+    def _entered(self, K: Realisation, limit: float) -> Candidate | None:
+        """The same for a controller that can take D22 back in."""
         scale = self.scaling
         loop = closed(self.plant, K)
         gain = loop_gain(loop, limit * scale.gain)

@@ -299,3 +299,16 @@ def test_a_different_controller_is_not_proved(pair: tuple[DKSynthesis, DKSynthes
     wrong = StateSpaceModel(pair[1].K.A, pair[1].K.B, -pair[1].K.C, -pair[1].K.D)
     found = problem.proved(wrong, pair[1].scalings, 0.4)
     assert found is None or found.level > 1.5 * pair[1].gamma
+
+
+def test_a_design_with_g_scalings_is_reduced_by_mu_without_them(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
+    """No norm of a scaled loop bounds mixed mu: the mu analysis judges, with the blocks of the design."""
+    design = pair[1]
+    assert design.scalings.mixed
+    small = rl.reduce_controller(design, order=design.K.n_states - 1)
+    assert small.measure == "mu of robust performance, at all frequencies"
+    assert small.K.n_states == design.K.n_states - 1
+    assert small.original_gamma == pytest.approx(design.gamma, rel=2e-3)
+    assert small.loss < 0.05
+    with pytest.raises(InputError, match="scalings with G"):
+        rl.reduce_controller(design, scalings=design.scalings)
