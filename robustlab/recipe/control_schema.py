@@ -128,6 +128,9 @@ class DkStep(DesignStep):
     direct: bool = Field(True, description="Go on with direct minimisation.")
     mixed: bool = Field(True, description="Use that real blocks are real.")
     max_order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="Largest order of the controller.")
+    order_rel: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.01, description="Loss of level allowed for a controller of lower order, then for one with slower poles."
+    )
     time_limit: TimeLimit = Field(120.0, description="s")
 
 

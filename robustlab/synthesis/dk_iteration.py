@@ -27,6 +27,7 @@ from robustlab.synthesis.pointwise_scalings import MuCurve, as_complex, mu_curve
 from robustlab.synthesis.robust_loop import Iterate, RobustProblem
 from robustlab.synthesis.scaled_plant import proved_level
 from robustlab.synthesis.scalings_fit import fitted_scalings
+from robustlab.synthesis.search import Deadline
 from robustlab.synthesis.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, as_blocks, delta_values, structure_size
 
@@ -343,7 +344,8 @@ class _Search:
         """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
         self.until = self.begin + SOFTENING * self.time_limit
         chosen = self._chosen(order_rel)
-        chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel))
+        left = Deadline(self.until - time.monotonic())
+        chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel), left)
         blocks = self.real if self.mixed else self.blocks
         curve = self._last_curve(chosen, blocks)
         cover = AxisCover()

@@ -14,10 +14,12 @@ from robustlab.frequency import default_grid, frequency_response
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.dynamic_scalings import DynamicScalings
-from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.riccati_level import LevelSearch
 from robustlab.synthesis.scaled_plant import proved_level, scaled_plant
 from robustlab.synthesis.scaling import equilibrated, paths_first
+from robustlab.synthesis.search import Deadline, Search
+from robustlab.synthesis.softening import soften
 from robustlab.synthesis.verified_loop import named_controller, with_direct_term
 
 __all__ = ["Iterate", "RobustProblem"]
@@ -25,9 +27,12 @@ __all__ = ["Iterate", "RobustProblem"]
 Array = NDArray[Any]
 
 # A central controller at the smallest level itself is ill-conditioned: the level is backed off until the proof agrees.
-BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2)
+# The last ones are for plants of such spread that the Riccati test itself passes far below the true level.
+BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
 # Shares (of a logarithm) of the slack in the level at which slower controllers are sought.
 SOFTER = (0.999, 0.8, 0.5)
+# So many of the slowest controllers found are tried.
+CALMEST = 4
 # D12, D21 below this size in scaled units need regularisation.
 REGULAR = 1e-6
 STATE_SHARE = 0.3
@@ -104,6 +109,8 @@ class RobustProblem:
             if level is None:
                 continue
             for share in BACKOFF:
+                if best is not None and best.level <= level.beta * (1 + share):
+                    break  # a higher level promises nothing better
                 K = search.controller(theta, level.beta * (1 + share))
                 found = None if K is None else self.closed(K, scalings, level.beta)
                 if found is not None and (best is None or found.level < best.level):
@@ -112,21 +119,35 @@ class RobustProblem:
                     return best
         return best
 
-    def softened(self, iterate: Iterate, limit: float) -> Iterate:
+    def softened(self, iterate: Iterate, limit: float, deadline: Deadline) -> Iterate:
         """The same scalings with the controller of slowest poles whose proved level is at most ``limit``.
 
         The central controller at the smallest level has poles that run away to infinity; at a level a little higher
-        they are slower by orders of magnitude.
+        they are slower by orders of magnitude, and slower once more with penalties on u and noises on y as large as
+        the limit allows.
         """
         search = self.search(iterate.scalings)
         theta = iterate.scalings.parameters()
-        best = iterate
+        best, middle = iterate, None
         for share in SOFTER:
             K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
-            found = None if K is None or self.stop() else self.closed(K, iterate.scalings, iterate.level)
-            if found is not None and found.level <= limit and found.pace < best.pace:
-                best = found
+            middle = K if K is not None else middle
+            best = self._slower(K, best, limit)
+        if middle is None or deadline.passed():
+            return best
+        plant = scaled_plant(self.bare, iterate.scalings, limit)  # a gain of at most one proves the limit
+        trials = Search(plant, paths_first(plant), deadline)
+        start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
+        if start is not None:
+            soften(trials, start, 1.0)
+        for candidate in sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)[:CALMEST]:
+            best = self._slower(StateSpaceModel(*candidate.K), best, limit)
         return best
+
+    def _slower(self, K: StateSpaceModel | None, best: Iterate, limit: float) -> Iterate:
+        """The controller in place of the best one where it is slower and proves the limit."""
+        found = None if K is None or self.stop() else self.closed(K, best.scalings, best.level)
+        return found if found is not None and found.level <= limit and found.pace < best.pace else best
 
     def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
         """A controller for the continuous plant without D22 as an iterate; None where its loop is not stable."""

@@ -45,7 +45,7 @@ def numbers(result, step):
 def actuator(tmp_path_factory):
     steps = ["actuator", "six", "task", "pid", "hinf", "performance", "runs"]
     all_four = 'controllers = ["pid", "hinf", "dk", "static"]'
-    changes = {all_four: 'controllers = ["pid", "hinf"]', "under all four": "under both"}
+    changes = {all_four: 'controllers = ["pid", "hinf"]', "under all four": "under both", "t_end = 4.0": "t_end = 3.0"}
     text = part_of_recipe(steps, changes).replace('of = "task"\ncontrollers', 'of = "task"\npoints = 8\ncontrollers')
     return run_text(tmp_path_factory.mktemp("actuator"), text)
 
@@ -102,7 +102,7 @@ def test_the_platform_under_the_thesis_upper_layer(tmp_path):
     changes = {
         all_three: 'controllers = ["platform_pid"]',
         "points = 60": "points = 4",
-        "rise_time = 1.0": "t_end = 2.2\nafter = 0.0",
+        "rise_time = 1.0": "t_end = 2.2\nafter = 0.0\npoints = 301",
     }
     shutil.copytree(ROOT / "models", tmp_path / "models")
     result = run_text(tmp_path, part_of_recipe(steps, changes))
@@ -145,9 +145,9 @@ def test_every_design_step_on_a_small_problem(tmp_path):
     text = (
         MOTOR
         + '[step.hinf]\ndo = "hinf"\nof = "task"\n'
-        + '[step.dk]\ndo = "dk"\nof = "task"\nstart = "hinf"\ntime_limit = 10.0\n'
+        + '[step.dk]\ndo = "dk"\nof = "task"\nstart = "hinf"\ntime_limit = 3.0\n'
         + '[step.gain]\ndo = "fixed"\nof = "task"\nnominal = true\n'
-        + 'structure = "static"\nstarts = 1\ntime_limit = 10.0\n'
+        + 'structure = "static"\nstarts = 0\ntime_limit = 3.0\n'
         + '[step.speed]\ndo = "linearise"\nof = "motor"\noutputs = ["omega"]\n'
         + '[step.shape]\ndo = "ncf"\nof = "speed"\nW1 = 5.0\n'
         + '[step.small]\ndo = "reduce-controller"\nof = "task"\ncontroller = "hinf"\nloss = 0.05\n'

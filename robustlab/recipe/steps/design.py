@@ -73,7 +73,7 @@ def dk(step: DkStep, work: Workspace) -> Outcome:
 
     P, *channels = generalised(step, work)
     start = None if step.start is None else work.values[step.start]
-    options = {"direct": step.direct, "mixed": step.mixed, "max_order": step.max_order, "time_limit": step.time_limit}
+    options: dict[str, Any] = step.model_dump(include={"direct", "mixed", "max_order", "order_rel", "time_limit"})
     found = rl.dk(P, None, *channels, K0=start, **options)
     _draw_loop(found, work)
     work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
