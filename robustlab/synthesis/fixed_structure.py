@@ -45,7 +45,7 @@ def fixed_structure(
     limits: Sequence[Limit] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     start: Any = None,
-    starts: int = 6,
+    starts: int = 16,
     seed: int = 0,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
@@ -54,9 +54,11 @@ def fixed_structure(
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits; minimisers
-    of :math:`\ln\gamma + \mu \sum \varphi` for falling mu, with the entropy of the loops as a smooth barrier of their
-    norms; BFGS on the norm itself; and, from the best, linear programs over all active peaks. Gradients are analytic.
+    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then a few
+    steps of BFGS on the norm; the better starts take more. The best go on along minimisers of :math:`\ln\gamma + \mu
+    \sum \varphi` for falling mu, with the entropy of the loops as a smooth barrier of their norms (the structure's own
+    start and all starts with limits do so from the beginning), and end with linear programs over all active peaks.
+    Gradients are analytic.
     The problem is not convex: what is returned is a local optimum, verified on the loops rebuilt from K.
 
     Parameters
@@ -263,7 +265,7 @@ class _Task:
         problem = DesignProblem(plants, self.law, self.objective, self.limits)
         if self.objective == "h2":
             _require_finite_h2(problem)
-        found = multi_start(problem, given, self.starts, self.seed, late, self.say)
+        found = multi_start(problem, [("given", p) for p in given], self.starts, self.seed, late, self.say)
         verified = [self._verified(plants, start) for start in found[:VERIFIED] if np.isfinite(start.gamma)]
         kept = [design for design in verified if design is not None]
         if not kept:
