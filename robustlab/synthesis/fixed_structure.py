@@ -23,6 +23,7 @@ from robustlab.synthesis.fixed_result import FixedSynthesis, LimitValue, Paramet
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.robust_structure import robust_design
 from robustlab.synthesis.structure_search import Start, multi_start
+from robustlab.synthesis.structure_starts import informed_starts
 
 __all__ = ["fixed_structure"]
 
@@ -81,7 +82,8 @@ def fixed_structure(
     start
         Parameters by name to start from as well (or a list of such mappings, or an earlier result).
     starts
-        Number of random starts, after the given ones and the structure's own.
+        Number of random starts, after the given ones, for a `FixedOrder` the best static gain and the full-order
+        H-infinity design reduced to the order, and the structure's own.
     seed
         Seed of the random starts.
     time_limit
@@ -134,8 +136,15 @@ def fixed_structure(
                     WHERE, f"objective {objective!r} of an uncertain plant", '"hinf", or a list of members'
                 )
             given = _given(law, start)
-            return robust_design(first, lambda members, more, end: task.run(members, [*more, *given], end), until, say)
-        return task.run(plants, _given(law, start), until)
+
+            def robust_run(members: Sequence[GeneralizedPlant], more: Sequence[Array], end: float) -> FixedSynthesis:
+                return task.run(members, [("given", p) for p in (*more, *given)], end)
+
+            return robust_design(first, robust_run, until, say)
+        own = [("given", p) for p in _given(law, start)]
+        if objective == "h2":
+            _require_finite_h2(DesignProblem(plants, law, objective, limits))
+        return task.run(plants, [*own, *informed_starts(plants, law, objective, limits, seed, until, say)], until)
 
 
 def _check(objective: str, limits: Sequence[Limit], starts: int, time_limit: float) -> None:
@@ -256,16 +265,16 @@ class _Task:
     seed: int
     say: Callable[[str], None]
 
-    def run(self, plants: Sequence[GeneralizedPlant], given: Sequence[Array], until: float) -> FixedSynthesis:
+    def run(
+        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, Array]], until: float
+    ) -> FixedSynthesis:
         """Search and verification for these plants."""
 
         def late() -> bool:
             return time.monotonic() >= until
 
         problem = DesignProblem(plants, self.law, self.objective, self.limits)
-        if self.objective == "h2":
-            _require_finite_h2(problem)
-        found = multi_start(problem, [("given", p) for p in given], self.starts, self.seed, late, self.say)
+        found = multi_start(problem, given, self.starts, self.seed, late, self.say)
         verified = [self._verified(plants, start) for start in found[:VERIFIED] if np.isfinite(start.gamma)]
         kept = [design for design in verified if design is not None]
         if not kept:

@@ -1,8 +1,7 @@
 """Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish.
 
-Many starts take a few steps down the norm, the better ones more, the best are followed: along a part of the central path
-and down the norm itself, whichever leads lower. Structures with limits take the whole path: at the edge of what is
-feasible a descent would stop.
+Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
+and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
 
 Every start goes through the same steps, with budgets in steps rather than in time, so that the same seed gives the same
 answer; the time limit only cuts.

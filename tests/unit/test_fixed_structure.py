@@ -176,6 +176,33 @@ def test_the_result_is_readable_and_plain():
     assert [p["name"] for p in data["parameters"]] == ["Kp[1]", "Ki[1]"]
 
 
+def position_loop():
+    """Two masses on a spring, the first is driven and its position and velocity are measured with noise."""
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.array([[-1, 1], [1, -1]]), -0.05 * np.eye(2)]])
+    B = np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0]], dtype=float)
+    C = np.array([[0, 1, 0, 0], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0]], dtype=float)
+    D = np.array([[0, 0, 0, 0], [0, 0, 0, 1], [0, 0.3, 0, 0], [0, 0, 0.3, 0]])
+    return StateSpaceModel(A, B, C, D)
+
+
+def test_a_given_order_starts_from_the_static_gain_and_from_the_reduced_full_order_design():
+    P = position_loop()
+    static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=2)
+    second = rl.fixed_structure(P, 2, n_meas=2, n_con=1, starts=0)
+    full = rl.hinf(P, 2, 1, gamma_rel=1.0)
+    assert {s.kind for s in second.starts} == {"static", "reduced", "structure"}
+    assert full.gamma * (1 - 1e-3) <= second.gamma
+    assert second.gamma <= 0.95 * static.gamma
+    strict = rl.fixed_structure(P, FixedOrder(2, strictly_proper=True), n_meas=2, n_con=1, starts=0)
+    assert {s.kind for s in strict.starts} == {"reduced", "structure"}
+    assert not strict.K.D.any()
+
+
+def test_no_time_at_all_is_said():
+    with pytest.raises(NoTrustworthyNumber, match=r"1 starts, time limit reached"):
+        rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, time_limit=1e-9)
+
+
 # --- what cannot be done ---------------------------------------------------------------------------------------------
 
 
