@@ -1,6 +1,6 @@
 """Static output feedback on COMPleib plants, beside HIFOO 3.501 and the best that is known: norm reached, and CPU time.
 
-    python benchmarks/fixed.py [--states 16] [--cpu-limit 120] [--starts 3] [NAME ...]
+    python benchmarks/fixed.py [--states 16] [--cpu-limit 120] [--starts 16] [NAME ...]
 
 Every plant is designed in a child process with a limit on its CPU time. A plant counts as solved to 1 % where the
 certified norm of the loop rebuilt from the returned K is at most 1.01 times the best static norm that is known (or at
@@ -88,7 +88,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="NAME")
     parser.add_argument("--states", type=int, default=16)
     parser.add_argument("--cpu-limit", type=int, default=120)
-    parser.add_argument("--starts", type=int, default=6)
+    parser.add_argument("--starts", type=int, default=16)
     parser.add_argument("--child", action="store_true")
     options = parser.parse_args()
     if options.child:
@@ -112,7 +112,7 @@ def main() -> None:
         line = f"{name:10s} n={about['n']:3d}  {about['nu'] * about['ny']:3d} gains  norm {found['gamma']:12.6g}"
         line += f"  / best {ratio:9.5f}  HIFOO / best {theirs:9.5f}  {found['cpu']:6.2f} s  {found['why']}"
         print(line.rstrip(), flush=True)
-    print(f"\n{len(names)} plants, n <= {options.states}; {options.starts} random starts besides zero")
+    print(f"\n{len(names)} plants, n <= {options.states}; {options.starts} random starts besides the own one")
     for title, values in (("robustlab", ratios), ("HIFOO 3.501", hifoo)):
         shares = "  ".join(
             f"<= {most:g}: {np.mean(np.array(values) <= most):.1%}" for most in (0.99, 1.001, 1.01, 1.05)

@@ -23,13 +23,14 @@ STALL_STEPS = 8
 
 @dataclass(frozen=True)
 class Descent:
-    """Where a descent ended: point, value, gradient there, number of steps, and the values on the way."""
+    """Where a descent ended: point, value, gradient there, steps, values on the way, inverse Hessian to go on with."""
 
     x: Array
     value: float
     gradient: Array
     steps: int
     values: tuple[float, ...]
+    inverse: Array
 
 
 def bfgs(
@@ -39,13 +40,15 @@ def bfgs(
     max_steps: int = 500,
     rtol: float = 1e-9,
     stop_below: float = -np.inf,
+    inverse: Array | None = None,
     late: Callable[[], bool] = lambda: False,
 ) -> Descent | None:
     """Descent from x; None where the function has no finite value there.
 
     The weak Wolfe conditions are met by bisection and expansion, without a gradient at points of too high a value. The
     inverse Hessian starts anew where a direction fails; the descent ends where the steepest one fails too, after
-    `STALL_STEPS` steps that gain less than ``rtol``, below ``stop_below``, or when ``late``.
+    `STALL_STEPS` steps that gain less than ``rtol``, below ``stop_below``, or when ``late``. An earlier descent goes on
+    with its ``inverse``.
 
     References
     ----------
@@ -55,7 +58,8 @@ def bfgs(
     if gradient is None or not np.isfinite(value) or not np.isfinite(gradient).all():
         return None
     values = [value]
-    inverse, fresh, stalled, steps = _steepest(gradient, 1.0), True, 0, 0
+    fresh, stalled, steps = inverse is None, 0, 0
+    inverse = _steepest(gradient, 1.0) if inverse is None else inverse
     while steps < max_steps and value >= stop_below and stalled < STALL_STEPS and not late():
         direction = -inverse @ gradient
         slope = float(gradient @ direction)
@@ -71,7 +75,7 @@ def bfgs(
         stalled = stalled + 1 if value - new_value < rtol * abs(value) else 0
         x, value, gradient, steps = new, new_value, new_gradient, steps + 1
         values.append(value)
-    return Descent(x, value, gradient, steps, tuple(values))
+    return Descent(x, value, gradient, steps, tuple(values), inverse)
 
 
 def _steepest(gradient: Array, length: float) -> Array:

@@ -23,6 +23,7 @@ from robustlab.synthesis.fixed_result import FixedSynthesis, LimitValue, Paramet
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.robust_structure import robust_design
 from robustlab.synthesis.structure_search import Start, multi_start
+from robustlab.synthesis.structure_starts import informed_starts
 
 __all__ = ["fixed_structure"]
 
@@ -45,7 +46,7 @@ def fixed_structure(
     limits: Sequence[Limit] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     start: Any = None,
-    starts: int = 6,
+    starts: int = 16,
     seed: int = 0,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
@@ -54,9 +55,11 @@ def fixed_structure(
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits; minimisers
-    of :math:`\ln\gamma + \mu \sum \varphi` for falling mu, with the entropy of the loops as a smooth barrier of their
-    norms; BFGS on the norm itself; and, from the best, linear programs over all active peaks. Gradients are analytic.
+    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then a few
+    steps of BFGS on the norm; the better starts take more. The best go on along minimisers of :math:`\ln\gamma + \mu
+    \sum \varphi` for falling mu, with the entropy of the loops as a smooth barrier of their norms (the structure's own
+    start and all starts with limits do so from the beginning), and end with linear programs over all active peaks.
+    Gradients are analytic.
     The problem is not convex: what is returned is a local optimum, verified on the loops rebuilt from K.
 
     Parameters
@@ -79,7 +82,8 @@ def fixed_structure(
     start
         Parameters by name to start from as well (or a list of such mappings, or an earlier result).
     starts
-        Number of random starts, after the given ones and the structure's own.
+        Number of random starts, after the given ones, for a `FixedOrder` the best static gain and the full-order
+        H-infinity design reduced to the order, and the structure's own.
     seed
         Seed of the random starts.
     time_limit
@@ -132,8 +136,15 @@ def fixed_structure(
                     WHERE, f"objective {objective!r} of an uncertain plant", '"hinf", or a list of members'
                 )
             given = _given(law, start)
-            return robust_design(first, lambda members, more, end: task.run(members, [*more, *given], end), until, say)
-        return task.run(plants, _given(law, start), until)
+
+            def robust_run(members: Sequence[GeneralizedPlant], more: Sequence[Array], end: float) -> FixedSynthesis:
+                return task.run(members, [("given", p) for p in (*more, *given)], end)
+
+            return robust_design(first, robust_run, until, say)
+        own = [("given", p) for p in _given(law, start)]
+        if objective == "h2":
+            _require_finite_h2(DesignProblem(plants, law, objective, limits))
+        return task.run(plants, [*own, *informed_starts(plants, law, objective, limits, seed, until, say)], until)
 
 
 def _check(objective: str, limits: Sequence[Limit], starts: int, time_limit: float) -> None:
@@ -254,15 +265,15 @@ class _Task:
     seed: int
     say: Callable[[str], None]
 
-    def run(self, plants: Sequence[GeneralizedPlant], given: Sequence[Array], until: float) -> FixedSynthesis:
+    def run(
+        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, Array]], until: float
+    ) -> FixedSynthesis:
         """Search and verification for these plants."""
 
         def late() -> bool:
             return time.monotonic() >= until
 
         problem = DesignProblem(plants, self.law, self.objective, self.limits)
-        if self.objective == "h2":
-            _require_finite_h2(problem)
         found = multi_start(problem, given, self.starts, self.seed, late, self.say)
         verified = [self._verified(plants, start) for start in found[:VERIFIED] if np.isfinite(start.gamma)]
         kept = [design for design in verified if design is not None]

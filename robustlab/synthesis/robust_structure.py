@@ -50,15 +50,18 @@ def robust_design(plant: GeneralizedPlant, design: Design, until: float, say: Ca
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
     best: FixedSynthesis | None = None
     known: list[Array] = []
+    cut = False
     for number in range(ROUNDS):
         now = time.monotonic()
         if best is not None and now >= until:
+            cut = True
             break
         try:
             found = design(members, known, now + DESIGN_SHARE * (until - now))
         except NoTrustworthyNumber:
             if best is None:
                 raise
+            cut = time.monotonic() >= until
             break
         known = [np.array([p.value for p in found.parameters])]
         worst = _worst(uncertain, found.K, SEARCH_SHARE * max(until - time.monotonic(), 1.0))
@@ -74,7 +77,7 @@ def robust_design(plant: GeneralizedPlant, design: Design, until: float, say: Ca
         deltas.append(dict(worst.delta))
         members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
     assert best is not None
-    return _judged(best)
+    return _judged(best, cut)
 
 
 def _worst(uncertain: UncertainModel, K: StateSpaceModel, seconds: float) -> WorstCaseGain:
@@ -100,11 +103,13 @@ def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel 
         return None
 
 
-def _judged(design: FixedSynthesis) -> FixedSynthesis:
-    """With gamma, status and reason as the worst-case gain has them."""
+def _judged(design: FixedSynthesis, cut: bool) -> FixedSynthesis:
+    """With gamma, status and reason as the worst-case gain has them; ``cut``: time was up before the search was."""
     worst = design.worst
     assert worst is not None
     scenarios = f"{len(design.scenarios)} scenarios"
+    if cut and "time limit" not in design.reason:
+        scenarios += "; time limit reached: a smaller gamma may exist"
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
         reason = f"{design.reason}; worst-case gain over the whole set proved; {scenarios}"
         return replace(design, gamma=worst.upper, reason=reason)

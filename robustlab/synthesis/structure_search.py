@@ -1,6 +1,7 @@
 """Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish.
 
-The first half of the path shows which basin a start lies in; only the best starts go on.
+Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
+and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
 
 Every start goes through the same steps, with budgets in steps rather than in time, so that the same seed gives the same
 answer; the time limit only cuts.
@@ -9,7 +10,7 @@ answer; the time limit only cuts.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,11 @@ BARRIER = (3.0, 1.0, 0.3)
 CLOSER = (0.1, 0.03)
 BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
 DESCENT_STEPS, DESCENT_RTOL = 40, 1e-6
+# Steps down the norm that a round gives every start, and how many starts go on to the next round.
+ROUNDS = ((12, 8), (30, 4), (90, 3))
+ROUND_RTOL = 1e-5
 # Starts that are followed to the end of the path, and those of them that are polished.
-FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 4, 2, 8, 40
+FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 3, 2, 8, 40
 HEADROOM = 1.5
 # Ends whose norms differ by less than this share count as the same optimum.
 SAME = 1e-4
@@ -46,7 +50,7 @@ class Start:
     Attributes
     ----------
     kind
-        ``"given"``, ``"structure"`` (its own start) or ``"random"``.
+        ``"given"``, ``"static"``, ``"reduced"``, ``"structure"`` (its own start) or ``"random"``.
     instability
         Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
     gamma
@@ -164,42 +168,92 @@ def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> A
     return problem.centre + draw * np.select([centred, bounded], [0.5, 0.3], spread)
 
 
+@dataclass(frozen=True)
+class _Runner:
+    """A start on its way down: its variables, scaled norm, and the descent's inverse Hessian to go on with."""
+
+    start: Start
+    v: Array
+    value: float
+    inverse: Array | None = None
+    stands: bool = False
+
+
 def multi_start(
-    problem: DesignProblem, given: Sequence[Array], starts: int, seed: int, late: Late, progress: Callable[[str], None]
+    problem: DesignProblem,
+    given: Sequence[tuple[str, Array]],
+    starts: int,
+    seed: int,
+    late: Late,
+    progress: Callable[[str], None],
 ) -> list[Start]:
-    """All starts, the best ones polished; best first. Those that were never stable come last."""
-    found: list[Start] = []
+    """All starts, the best ones polished; best first. Those that were never stable come last.
+
+    ``given`` are pairs of a kind and parameters; they, and the structure's own start, also take the whole central path.
+    """
+    field: list[_Runner] = []
     total = len(given) + 1 + starts
     for i in range(total):
-        if late() and found:
+        if late() and field:
             break
         if i < len(given):
-            kind, v = "given", problem.variables(given[i])
+            kind, v = given[i][0], problem.variables(given[i][1])
         elif i == len(given):
             kind, v = "structure", problem.start
         else:
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i - len(given),)))
             kind, v = "random", _random(problem, rng, (i - len(given)) % 2 == 0)
-        found.append(_one_start(problem, kind, v, late))
-        best = min(s.gamma for s in found)
+        field.append(_entered(problem, kind, v, late))
+        best = min(runner.start.gamma for runner in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
-        progress(f"start {i + 1} of {total}: norm {found[-1].gamma:.6g}, {text}")
-    found.sort(key=lambda s: s.gamma)
+        progress(f"start {i + 1} of {total}: norm {field[-1].start.gamma:.6g}, {text}")
+    for steps, keep in ROUNDS:
+        field = _distinct_first(field)
+        field = [_further(problem, r, steps, late) if i < keep else r for i, r in enumerate(field)]
+    found = [r.start for r in _distinct_first(field)]
     followed = [_followed(problem, s, late) if i < FOLLOWED else s for i, s in enumerate(found)]
     return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), late, progress)
 
 
-def _one_start(problem: DesignProblem, kind: str, v: Array, late: Late) -> Start:
+def _entered(problem: DesignProblem, kind: str, v: Array, late: Late) -> _Runner:
+    """A start made stable; with limits, or where it is not a random one, taken along the central path."""
     v, instability = stabilised(problem, v, late)
     if instability >= STABLE:
-        return Start(kind, instability, np.inf, problem.parameters(v)[0], ())
-    v, values = central_path(problem, v, late)
-    norms = tuple(x / problem.gain for x in values)
-    return Start(kind, instability, min(norms), problem.parameters(v)[0], norms)
+        return _Runner(Start(kind, instability, np.inf, problem.parameters(v)[0], ()), v, np.inf, stands=True)
+    value = problem.norm(v)[0]
+    values = [value]
+    if kind != "random" or problem.limits:
+        v, values = central_path(problem, v, late)
+        value = min(values)
+    gammas = tuple(x / problem.gain for x in values)
+    start = Start(kind, instability, value / problem.gain, problem.parameters(v)[0], gammas)
+    return _further(problem, _Runner(start, v, value), ROUNDS[0][0], late)
+
+
+def _further(problem: DesignProblem, runner: _Runner, steps: int, late: Late) -> _Runner:
+    """A start some steps further down the norm."""
+    if runner.stands or not np.isfinite(runner.value) or runner.value == 0 or late():
+        return runner
+    found = bfgs(problem.norm, runner.v, max_steps=steps, rtol=ROUND_RTOL, inverse=runner.inverse, late=late)
+    if found is None or not found.value < runner.value:
+        return replace(runner, stands=True)
+    p, gamma = problem.parameters(found.x)[0], found.value / problem.gain
+    start = replace(runner.start, gamma=gamma, p=p, values=(*runner.start.values, gamma))
+    return _Runner(start, found.x, found.value, found.inverse, found.steps < steps)
+
+
+def _distinct_first(field: list[_Runner]) -> list[_Runner]:
+    """By norm, but those that ended where a better one has ended come last."""
+    first: list[_Runner] = []
+    again: list[_Runner] = []
+    for runner in sorted(field, key=lambda r: r.value):
+        same = any(abs(r.value - runner.value) <= SAME * runner.value for r in first if np.isfinite(runner.value))
+        (again if same else first).append(runner)
+    return first + again
 
 
 def _followed(problem: DesignProblem, start: Start, late: Late) -> Start:
-    """A start taken to the end of the path and down the norm itself."""
+    """A start taken along the path from where it is, and down the norm itself."""
     if not np.isfinite(start.gamma) or start.gamma == 0 or late():
         return start
     v, values = central_path(problem, problem.variables(start.p), late, CLOSER)

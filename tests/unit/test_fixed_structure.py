@@ -15,7 +15,11 @@ from robustlab.norms import hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import PID, Bandwidth, Damping, Decay, FixedOrder, RollOff, StableController
+from robustlab.synthesis.controller_laws import model_of
+from robustlab.synthesis.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth import descend
+from robustlab.synthesis.partition import as_generalized_plant
+from robustlab.synthesis.structure_starts import informed_starts
 
 GAIN = "K[u2,y3]"
 
@@ -174,6 +178,52 @@ def test_the_result_is_readable_and_plain():
     data = json.loads(json.dumps(plain(design.to_json())))
     assert data["method"] == "fixed"
     assert [p["name"] for p in data["parameters"]] == ["Kp[1]", "Ki[1]"]
+
+
+def position_loop():
+    """Two masses on a spring, the first is driven and its position and velocity are measured with noise."""
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.array([[-1, 1], [1, -1]]), -0.05 * np.eye(2)]])
+    B = np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0]], dtype=float)
+    C = np.array([[0, 1, 0, 0], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0]], dtype=float)
+    D = np.array([[0, 0, 0, 0], [0, 0, 0, 1], [0, 0.3, 0, 0], [0, 0, 0.3, 0]])
+    return StateSpaceModel(A, B, C, D)
+
+
+def test_a_given_order_starts_from_the_static_gain_and_from_the_reduced_full_order_design():
+    P = position_loop()
+    static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=0)
+    second = rl.fixed_structure(P, 2, n_meas=2, n_con=1, starts=0)
+    full = rl.hinf(P, 2, 1, gamma_rel=1.0)
+    assert {s.kind for s in second.starts} == {"static", "reduced", "structure"}
+    assert full.gamma * (1 - 1e-3) <= second.gamma
+    assert second.gamma <= 0.95 * static.gamma
+
+
+def test_starts_of_a_given_order_are_stabilising_and_not_stationary():
+    plant = as_generalized_plant(position_loop(), 2, 1, "test")
+    for structure, kinds in (
+        (FixedOrder(2), ["static", "reduced"]),
+        (FixedOrder(2, strictly_proper=True), ["reduced"]),
+        (PID(tau=0.1), []),
+    ):
+        n_y = 1 if not kinds else 2
+        law = structure.law(plant.measurements[:n_y], plant.controls, 0.0)
+        found = informed_starts([plant], law, "hinf", (), 0, time.monotonic() + 20, lambda _: None)
+        assert [kind for kind, _ in found] == kinds
+        for kind, p in found:
+            K = model_of(law, p, 0.0, plant.measurements, plant.controls)
+            assert K.n_states == 2
+            assert plant.close(K).is_stable()
+            problem = DesignProblem([plant], law, "hinf", ())
+            slope = problem.norm(problem.variables(p))[1]
+            outputs = [q.name.startswith("C[") for q in law.parameters]
+            assert slope is not None
+            assert np.abs(slope[outputs]).max() > 1e-6, kind
+
+
+def test_no_time_at_all_is_said():
+    with pytest.raises(NoTrustworthyNumber, match=r"1 starts, time limit reached"):
+        rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, time_limit=1e-9)
 
 
 # --- what cannot be done ---------------------------------------------------------------------------------------------
