@@ -37,6 +37,9 @@ Array = NDArray[np.float64]
 MARGIN = 1e-7
 SLACK = 1e-9
 ROUNDS = 25
+AHEAD = 3.0
+# Shares of the record at whose beginning a weaker problem leaves out the conditions on the energies.
+LATE = (0.004, 0.02, 0.1)
 # An energy of z below this share of its final one forces w to zero: no finite gain would let it move.
 NO_ENERGY = 1e-18
 
@@ -79,49 +82,80 @@ def smallest_contractions(
     problem: SampledProblem, scaled: NDArray[np.bool_], precision: float, deadline: float
 ) -> Contractions:
     """Bounds of the smallest gamma over the blocks that ``scaled`` names; the others keep the size 1."""
-    convex = problem.z_is_known()
     first = _Programme(problem, scaled)
-    if convex:
-        z = problem.z0
-    else:
-        start = first.least_effort()
+    convex = first.convex
+    z = problem.z0
+    if not convex:
+        # As if the nominal z acted, with some energy ahead so that no early sample decides.
+        guess = first.smallest(z, known=True, ahead=AHEAD)
+        start = first.least_effort() if guess is None else guess.x
         if start is None:
             return _unexplained(problem, first)
         z = problem.respond(*first.signals(start))[0]
-    best: tuple[float, Array, Mapping[int, Array]] | None = None
-    solution: _Solved | None = None
-    for _ in range(1 if convex else ROUNDS):
-        found = first.smallest(z)
-        if found is None:
-            break
-        solution = found
-        w, states = first.signals(found.x)
-        z, noise = problem.respond(w, states)
-        gamma = _gamma(problem.sizes(w, z), scaled)
-        if problem.excess(noise) > 1 + SLACK:
-            break
-        settled = best is not None and gamma > best[0] * (1 - 0.02 * precision)
-        if best is None or gamma < best[0]:
-            best = gamma, w, states
-        if settled or time.monotonic() > deadline:
-            break
+    best, solution = _descend(first, z, 0, precision, deadline)
     if solution is None:
         if first.least_effort() is None:
             return _unexplained(problem, first)
         fixed = not scaled.all()
         return _bounded_only(problem, convex and fixed and first.status == "infeasible", convex)
-    multipliers = first.multipliers(solution)
-    start_at = best[0] if best is not None else float(np.sqrt(max(solution.x[first.at_g], 0.0)))
 
     def gammas(gamma: float) -> Array:
         return np.where(scaled, gamma, 1.0)
 
-    lower = largest_disproved(problem, multipliers, gammas, start_at, precision) if start_at > 0 else 0.0
+    def disproved(by: _Solved, at: float) -> tuple[float, Multipliers]:
+        multipliers = first.multipliers(by)
+        return largest_disproved(problem, multipliers, gammas, at, precision) if at > 0 else 0.0, multipliers
+
+    top = best.gamma if best is not None else float(np.sqrt(max(solution.x[first.at_g], 0.0)))
+    lower, multipliers = disproved(solution, top)
+    # With a free state the first samples of z may have either sign: two valleys, and no concave Lagrangian over both.
+    # Without the conditions at the first samples there is a weaker problem whose bound holds all the same.
+    for share in () if convex else LATE:
+        if lower >= (1 - precision) * top or time.monotonic() > deadline:
+            break
+        _, weaker = _descend(first, z, 1 + int(share * problem.n), precision, deadline, rounds=4)
+        if weaker is not None:
+            found, others = disproved(weaker, min(top, float(np.sqrt(max(weaker.x[first.at_g], 0.0)))))
+            lower, multipliers = (found, others) if found > lower else (lower, multipliers)
     if best is None:
         return _bounded_only(problem, False, convex, lower, multipliers)
-    gamma, w, states = best
-    z, noise = problem.respond(w, states)
-    return Contractions(lower, gamma, w, z, noise, states, problem.sizes(w, z), multipliers, 1.0, convex)
+    z, noise = problem.respond(best.w, best.states)
+    sizes = problem.sizes(best.w, z)
+    return Contractions(lower, best.gamma, best.w, z, noise, best.states, sizes, multipliers, 1.0, convex)
+
+
+@dataclass(frozen=True)
+class _Point:
+    gamma: float
+    w: Array
+    states: Mapping[int, Array]
+
+
+def _descend(
+    programme: _Programme, z: Array, late: int, precision: float, deadline: float, rounds: int = ROUNDS
+) -> tuple[_Point | None, _Solved | None]:
+    """Best point that its replay confirms, and the last solution; conditions before the sample ``late`` are left out."""
+    problem, convex = programme.problem, programme.convex
+    best: _Point | None = None
+    solution: _Solved | None = None
+    before = np.inf
+    for _ in range(1 if convex else rounds):
+        found = programme.smallest(z, known=convex, late=late)
+        if found is None:
+            break
+        solution = found
+        w, states = programme.signals(found.x)
+        z, noise = problem.respond(w, states)
+        if problem.excess(noise) > 1 + SLACK:
+            break
+        gamma = _gamma(problem.sizes(w, z), programme.scaled)
+        reached = float(np.sqrt(max(found.x[programme.at_g], 0.0)))
+        if best is None or gamma < best.gamma:
+            best = _Point(gamma, w, states)
+        if reached > before * (1 - 0.02 * precision) or time.monotonic() > deadline:
+            break
+        before = reached
+    return best, solution
 
 
 def _gamma(sizes: Array, scaled: NDArray[np.bool_]) -> float:
@@ -180,6 +214,7 @@ class _Programme:
         self.at_e = self.at_c + n * m
         self.at_g = self.at_e + n * m
         self.size = self.at_g + 1
+        self.convex = problem.z_is_known()
         self.status = ""
         self._dynamics = self._motion()
 
@@ -244,19 +279,25 @@ class _Programme:
             cones.append(clarabel.SecondOrderConeT(1 + len(e)))
         return blocks, offsets, cones
 
-    def _energies(self, z: Array) -> tuple[list[Any], list[Array], list[Any], list[int]]:
-        """Cumulative energies of w / g below those of z (or below their tangents at z)."""
+    def _energies(
+        self, z: Array, known: bool, ahead: float, late: int
+    ) -> tuple[list[Any], list[Array], list[Any], list[int]]:
+        """Cumulative energies of w / g below those of z (or below their tangents at z, where z is not known).
+
+        With ``ahead`` that many mean samples of energy are there before the first one: for a first guess.
+        """
         import clarabel
         from scipy import sparse
 
         p = self.problem
         n, q = p.n, p.B.shape[1]
-        convex = p.z_is_known()
         lower_sum = sparse.csr_matrix(sparse.identity(n) - sparse.eye(n, k=-1))
         blocks, offsets, cones, heads = [], [], [], []
         zero_rows, zero_off = [], []
         for k, (rows, cols, _) in enumerate(p.blocks):
-            energy = np.cumsum((z[:, cols] ** 2).sum(axis=1))
+            each = (z[:, cols] ** 2).sum(axis=1)
+            each[0] += ahead * each.mean()
+            energy = np.cumsum(each)
             silent = energy <= NO_ENERGY * max(energy[-1], 1e-300)
             at_c, at_e = self.at_c + k * n, self.at_e + k * n
             take = sparse.csr_matrix((np.ones(n), (np.arange(n), at_c + np.arange(n))), (n, self.size))
@@ -267,9 +308,9 @@ class _Programme:
                 for i in inner
             ]
             # e_T - e_{T-1} = 2 z'z(w, x) - z'z, which is the energy itself where z is known.
-            if convex:
+            if known:
                 zero_rows.append(lower_sum @ bound)
-                zero_off.append((z[:, cols] ** 2).sum(axis=1))
+                zero_off.append(each)
             else:
                 to_z = sparse.hstack(
                     [
@@ -286,9 +327,10 @@ class _Programme:
                     zero_rows.append(part[still])
                     zero_off.append(np.zeros(len(still)))
             moving = np.flatnonzero(~silent)
-            blocks.append((take - bound)[moving])
-            offsets.append(np.zeros(len(moving)))
-            cones.append(clarabel.NonnegativeConeT(len(moving)))
+            judged = moving[moving >= min(late, n - 1)]
+            blocks.append((take - bound)[judged])
+            offsets.append(np.zeros(len(judged)))
+            cones.append(clarabel.NonnegativeConeT(len(judged)))
             heads.append(k)
             # (s + g, s - g, 2 w) in the cone: s g >= |w|^2, with g = 1 for blocks that keep their size
             more = (lower_sum @ take)[moving]
@@ -317,10 +359,10 @@ class _Programme:
 
     # --- problems -----------------------------------------------------------------------------------------------------
 
-    def smallest(self, z: Array) -> _Solved | None:
+    def smallest(self, z: Array, known: bool, ahead: float = 0.0, late: int = 0) -> _Solved | None:
         """Smallest g = gamma^2 with the energies of z, or their tangents at z; None where there is none."""
         noise = self._noise(1 - MARGIN)
-        blocks, offsets, cones, heads = self._energies(z)
+        blocks, offsets, cones, heads = self._energies(z, known, ahead, late)
         cost = np.zeros(self.size)
         cost[self.at_g] = 1.0
         parts = {"noise": len(noise[0]), "heads": heads, "z": z}
