@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "toeplitz", "trace_norm_bound"]
+__all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "pull_after", "toeplitz", "trace_norm_bound"]
 
 Array = NDArray[np.float64]
 
@@ -96,12 +96,15 @@ class Barrier:
 
 def barrier(h: Array, gamma: float) -> Barrier:
     """Derivatives of the barrier at a point inside."""
-    from scipy.linalg import cho_solve, cholesky
+    from scipy.linalg import lapack
 
     n, r, c = h.shape
     T = toeplitz(h)
-    left = cholesky(gamma**2 * np.eye(r * n) - T @ T.T, lower=True)
-    Q = cho_solve((left, True), np.eye(r * n))  # (gamma^2 I - T T')^-1
+    left, info = lapack.dpotrf(gamma**2 * np.eye(r * n) - T @ T.T, lower=1, overwrite_a=1)
+    half, info_inverse = lapack.dpotri(left, lower=1, overwrite_c=1)
+    if info or info_inverse:
+        raise np.linalg.LinAlgError("outside of the barrier's domain")
+    Q = np.tril(half) + np.tril(half, -1).T  # (gamma^2 I - T T')^-1
     S12 = -Q @ T
     S11 = gamma * Q
     if r == c == 1:  # T' is T turned upside down in both directions
@@ -109,7 +112,7 @@ def barrier(h: Array, gamma: float) -> Barrier:
     else:  # (gamma^2 I - T'T)^-1 = (I + T' Q T) / gamma^2
         S22 = (np.eye(c * n) - T.T @ S12) / gamma
     pull = -2 * S12
-    squared = S11 @ S12 + S12 @ S22
+    squared = 2 * (S11 @ S12)  # S11 S12 + S12 S22, and T commutes its way through
     return Barrier(
         diagonal_sums(pull, n, r, c).ravel(),
         _curvature(S11, S12, S22, n, r, c),
@@ -156,6 +159,17 @@ def _curvature(S11: Array, S12: Array, S22: Array, n: int, r: int, c: int) -> Ar
                     found[:, a, b, :, a2, b2] = both
                     found[:, a2, b2, :, a, b] = both.T
     return found.reshape(n * r * c, n * r * c)
+
+
+def pull_after(h: Array, step: Array, gamma: float, more: float) -> Array:
+    """``2 (gamma^2 I - T T')^-1 T`` after a step of h and gamma, to first order: (r n, c n)."""
+    T, E = toeplitz(h), toeplitz(step)
+    Q = np.linalg.inv(gamma**2 * np.eye(len(T)) - T @ T.T)
+    right = Q @ T  # -S12
+    # The (1, 2) block of S dF S with dF = [more I, E; E', more I].
+    straight = Q @ (E + (E @ T.T) @ right)  # S11 E S22 = gamma Q E (I + T'Q T) / gamma
+    crossed = right @ E.T @ right
+    return 2 * right + 2 * (straight + crossed) - 4 * gamma * more * (Q @ right)
 
 
 def trace_norm_bound(X: Array, c_wanted: Array) -> float:

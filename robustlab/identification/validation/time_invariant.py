@@ -32,6 +32,7 @@ from robustlab.identification.validation.contraction_kernel import (
     barrier,
     barrier_value,
     gain,
+    pull_after,
     trace_norm_bound,
 )
 from robustlab.identification.validation.sampled_problem import SampledProblem
@@ -42,11 +43,13 @@ Array = NDArray[np.float64]
 
 STEPS = 120
 ROUNDS = 8
-FASTER = 12.0
+FASTER = 10.0
+# A point counts as centred where the Newton decrement is below this share of the barrier's parameter.
+CENTRED, WELL_CENTRED = 0.01, 0.3
 # What the linearised problem leaves of the noise bound to the error of the linearisation.
 RESERVE = 1e-4
 SLACK = 1e-9
-PENALTIES = (10.0, 1e3, 1e5)
+PENALTIES = (3.0, 1e2, 1e4)
 
 
 @dataclass(frozen=True)
@@ -236,53 +239,77 @@ class _Path:
         # Peak bounds: each sample for itself; rms: the samples of an output together.
         self.groups = None if p.norm == "peak" else [output == j for j in range(p.e.shape[1])]
         self.radius = share * (np.ones(len(e)) if self.groups is None else p.radius)
-        self.count = sum(n * (r + c) for n, r, c in maps.shapes) + 2 * len(self.radius)
+        # The barrier of a group counts as often as it has samples: else it is far stiffer than those of the blocks.
+        self.weight = np.ones(len(e)) if self.groups is None else np.array([float(g.sum()) for g in self.groups])
+        self.count = sum(n * (r + c) for n, r, c in maps.shapes) + 2 * float(self.weight.sum())
         self.lower, self.dual = 0.0, np.zeros(p.e.shape)
+        self.last = np.zeros(0), 1.0, np.zeros(0)
 
     def follow(
         self, theta: Array, guess: float, precision: float, deadline: float, dual: bool = True
     ) -> Array | None:
         """A point near the optimum; None where no point within the noise bound was reached."""
+        if not theta.any():
+            theta = self._regularised()
         h, _ = self.maps.split(theta)
-        n_h = sum(self.maps.counts)
-        if theta.size > n_h and not theta.any():
-            theta = theta.copy()
-            theta[n_h:] = np.linalg.lstsq(self.J[:, n_h:], self.e, rcond=None)[0]
         sizes = np.array([gain(part) for part in h])
         if (sizes[~self.scaled] >= 1).any():
-            return None
-        gamma = max(1.3 * float(sizes[self.scaled].max(initial=0.0)), 2 * guess, 1e-12)
+            theta = np.concatenate([np.zeros(sum(self.maps.counts)), theta[sum(self.maps.counts) :]])
+            sizes = np.zeros(len(h))
+        gamma = max(1.3 * float(sizes[self.scaled].max(initial=0.0)), 1.5 * guess, 1e-12)
         unit = gamma
-        sigma = 1.2 * self._excess(self.e - self.J @ theta)
-        inside = sigma < 1.15
+        sigma = 1.1 * self._excess(self.e - self.J @ theta)
+        inside = sigma < 1.1 * 0.995
         sigma = 1.0 if inside else sigma
-        t, penalty = self.count / 3.0, 0
+        t, penalty = 8.0 * self.count, 0
         for _ in range(STEPS):
             if time.monotonic() > deadline and not inside:
                 return None
-            step = self._newton(theta, gamma, sigma, t / unit, None if inside else t * PENALTIES[penalty])
-            theta, gamma, sigma, decrement = step
+            weight = None if inside else max(t, self.count / sigma) * PENALTIES[penalty]
+            theta, gamma, sigma, decrement = self._newton(theta, gamma, sigma, t / unit, weight)
             if not inside and sigma < 0.995:
                 inside, sigma = True, 1.0
                 continue
-            if decrement > 1.0:
+            if decrement > CENTRED * self.count:
                 continue
-            close = self.count / t * unit < 0.3 * precision * gamma
-            if not inside and self.count / t < 1e-5 * sigma:
+            if not inside:
+                if decrement > 1.0:
+                    continue
                 penalty += 1
                 if penalty == len(PENALTIES):
                     return None
                 continue
-            if inside and (close or time.monotonic() > deadline):
-                if not dual:
+            left = self.count / t * unit
+            late = time.monotonic() > deadline
+            if left < 8 * precision * gamma or late:
+                if not dual and (left < 0.3 * precision * gamma or late):
                     return theta
-                self._bound(theta, gamma)
-                if gamma - self.lower < precision * gamma or self.count / t * unit < 0.01 * precision * gamma:
-                    return theta
-                t *= 3.0
-                continue
+                if dual:
+                    self._bound()
+                    if gamma - self.lower < 0.7 * precision * gamma or left < 1e-3 * precision * gamma or late:
+                        return theta
+                    if decrement > WELL_CENTRED:  # the bound may be poor for want of centring alone
+                        continue
             t *= FASTER
         return theta if inside else None
+
+    def _regularised(self) -> Array:
+        """Least squares, held back as far as the noise bound allows: a start within it where there is one."""
+        from scipy.linalg import cho_factor, cho_solve
+
+        n_h = sum(self.maps.counts)
+        scale = np.ones(self.J.shape[1])
+        scale[n_h:] = 1e3 * np.sqrt((self.J[:, :n_h] ** 2).sum(axis=0).max() / np.maximum((self.J[:, n_h:] ** 2).sum(axis=0), 1e-300))
+        scaled = self.J * scale
+        gram = scaled @ scaled.T
+        size = float(np.trace(gram)) / len(gram) + 1e-300
+        theta = np.zeros(self.J.shape[1])
+        for held in 10.0 ** -np.arange(0.0, 11.0):
+            factor = cho_factor(gram + held * size * np.eye(len(gram)), check_finite=False)
+            theta = scale * (scaled.T @ cho_solve(factor, self.e, check_finite=False))
+            if self._excess(self.e - self.J @ theta) < 0.9:
+                break
+        return theta
 
     def _excess(self, noise: Array) -> float:
         if self.groups is None:
@@ -291,7 +318,7 @@ class _Path:
 
     def _noise_value(self, noise: Array, sigma: float) -> float:
         room = self._room(noise, sigma)
-        return np.inf if (room <= 0).any() else -float(np.log(room).sum())
+        return np.inf if (room <= 0).any() else -float(self.weight @ np.log(room))
 
     def _room(self, noise: Array, sigma: float) -> Array:
         squares = noise**2 if self.groups is None else np.array([noise[g] @ noise[g] for g in self.groups])
@@ -303,8 +330,8 @@ class _Path:
         if self.groups is None:
             return 2 * noise / room
         slope = np.zeros_like(noise)
-        for g, r in zip(self.groups, room, strict=True):
-            slope[g] = 2 * noise[g] / r
+        for g, r, k in zip(self.groups, room, self.weight, strict=True):
+            slope[g] = 2 * k * noise[g] / r
         return slope
 
     def _value(self, theta: Array, gamma: float, sigma: float, t: float, penalty: float | None) -> float:
@@ -354,6 +381,7 @@ class _Path:
                     return theta, gamma, sigma, 0.0
         move = -weight * cho_solve(factor, weight * slope, check_finite=False)
         decrement = float(-slope @ move)
+        self.last = theta, gamma, move
         length = 1.0
         here = self._value(theta, gamma, sigma, t, penalty)
         while length > 1e-8:
@@ -380,50 +408,54 @@ class _Path:
         else:
             each = np.zeros_like(noise)
             mixed = np.zeros(size)
-            for g, r in zip(self.groups, room, strict=True):
-                each[g] = np.sqrt(2 / r)
+            for g, r, k in zip(self.groups, room, self.weight, strict=True):
+                each[g] = np.sqrt(2 * k / r)
             leaned = self.J * each[:, None]
             curve[:size, :size] = leaned.T @ leaned
-            for g, r, w in zip(self.groups, room, wide, strict=True):
+            for g, r, w, k in zip(self.groups, room, wide, self.weight, strict=True):
                 pull = self.J[g].T @ noise[g]
-                curve[:size, :size] += (4 / r**2) * np.outer(pull, pull)
-                mixed += (4 * w / sigma / r**2) * pull
+                curve[:size, :size] += (4 * k / r**2) * np.outer(pull, pull)
+                mixed += (4 * k * w / sigma / r**2) * pull
         if penalty is not None:
             if self.groups is None:
                 second = float((2 * self.radius**2 * (wide + noise**2) / room**2).sum())
             else:
                 squares = wide - room
-                second = float((2 * self.radius**2 * (wide + squares) / room**2).sum())
-            slope[size + 1] = penalty - float((2 * wide / sigma / room).sum())
+                second = float((self.weight * 2 * self.radius**2 * (wide + squares) / room**2).sum())
+            slope[size + 1] = penalty - float((self.weight * 2 * wide / sigma / room).sum())
             curve[size + 1, size + 1] = second
             curve[:size, size + 1] = mixed
             curve[size + 1, :size] = mixed
 
-    def _bound(self, theta: Array, gamma: float) -> None:
-        """Lower bound from the present slope of the noise barrier; kept where it is the best so far."""
+    def _bound(self) -> None:
+        """Lower bound from the last Newton step; kept where it is the best so far.
+
+        The slopes of the barriers after the step, to first order, balance each other exactly: the diagonal sums of X
+        are J' lambda without any correction.
+        """
+        theta, gamma, move = self.last
         maps = self.maps
         n_h = sum(maps.counts)
-        multipliers = self._slope(self.e - self.J @ theta, 1.0)
+        noise, change = self.e - self.J @ theta, -self.J @ move[: len(theta)]
+        room = self._room(noise, 1.0)
+        multipliers = self._slope(noise, 1.0)
+        if self.groups is None:
+            multipliers = multipliers + 2 * (self.radius**2 + noise**2) / room**2 * change
+        else:
+            for g, r, k in zip(self.groups, room, self.weight, strict=True):
+                multipliers[g] += k * (2 / r * change[g] + 4 / r**2 * noise[g] * (noise[g] @ change[g]))
         if maps.n_free:
             free = self.J[:, n_h:]
             multipliers = multipliers - free @ np.linalg.lstsq(free, multipliers, rcond=None)[0]
-        pulls = [
-            barrier_pull(part, gamma if s else 1.0)
-            for part, s in zip(maps.split(theta)[0], self.scaled, strict=True)
-        ]
-        found = dual_bound(maps.shapes, self.J[:, :n_h], self.e, multipliers, pulls, self.scaled, self.radius, self.groups)
+        pulls = []
+        for part, step, s in zip(*(maps.split(x)[0] for x in (theta, move[: len(theta)])), self.scaled, strict=True):
+            pulls.append(pull_after(part, step, gamma if s else 1.0, float(move[len(theta)]) if s else 0.0))
+        pairs = self.J[:, :n_h]
+        found = dual_bound(maps.shapes, pairs, self.e, multipliers, pulls, self.scaled, self.radius, self.groups)
         if found > self.lower:
             self.lower = found
             self.dual = np.zeros(maps.problem.e.shape)
             self.dual[maps.problem.used] = multipliers
-
-
-def barrier_pull(h: Array, gamma: float) -> Array:
-    """``2 (gamma^2 I - T T')^-1 T``: near the optimum its trace norm is the dual norm of its diagonal sums."""
-    from robustlab.identification.validation.contraction_kernel import toeplitz
-
-    T = toeplitz(h)
-    return 2 * np.linalg.solve(gamma**2 * np.eye(len(T)) - T @ T.T, T)
 
 
 def dual_bound(
