@@ -256,7 +256,7 @@ def _spanned(free: Array) -> Array:
 def _branch(fit: _Fit, best: tuple[float, Array], least: float, precision: float, deadline: float) -> Parameters:
     """Branch and bound over delta, boxes nearest to nominal first."""
     m, scaled = len(fit.blocks), fit.scaled
-    points = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=m)))
+    points = np.array([q for q in itertools.product((-1.0, 1.0, 0.0), repeat=m) if any(q)])
     counter = itertools.count()
     outer = np.where(scaled, WIDEST if not np.isfinite(best[0]) else best[0], 1.0)
     outer = np.where(scaled & (outer > 4.0) & (not np.isfinite(best[0])), 4.0, outer)
@@ -280,9 +280,12 @@ def _branch(fit: _Fit, best: tuple[float, Array], least: float, precision: float
             size = _size(centre, scaled)
             best = min(best, (size, centre), key=lambda pair: pair[0])
         else:
-            values = np.array([fit.witness(weights, centre + half * q) for q in points])
-            spread = float(values.max() - values.min())
-            if values.min() - SPARE * spread > 1:
+            values = [fit.witness(weights, centre)]
+            for q in points:  # a box that holds a point without witness is not worth the others
+                values.append(fit.witness(weights, centre + half * q))
+                if values[-1] <= 1:
+                    break
+            if min(values) - SPARE * (max(values) - min(values)) > 1:
                 continue
         k = int(np.argmax(half))
         for side in (-0.5, 0.5):

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.identification.envelope import deviations
 from robustlab.identification.response import response_of
+from robustlab.identification.validation.recursion import powers, states
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, block_slices
@@ -187,39 +188,31 @@ class SampledProblem:
         """Samples at which the state is free."""
         return self.starts[1:] if self.at_rest else self.starts
 
-    def respond(self, w: Array, states: Mapping[int, Array]) -> tuple[Array, Array]:
+    def respond(self, w: Array, states_at: Mapping[int, Array]) -> tuple[Array, Array]:
         """z (n, p) and noise (n, n_y) for w (n, q) and a jump (k,) of the state at free starts; 0 where left out."""
-        x = np.empty((self.n, len(self.A)))
-        now = np.zeros(len(self.A))
         drive = w @ self.B.T
-        for t in range(self.n):
-            if t in states:
-                now = now + self.free @ states[t]
-            x[t] = now
-            now = self.A @ now + drive[t]
+        first = np.zeros(len(self.A))
+        for t, jump in states_at.items():
+            if t:
+                drive[t - 1] += self.free @ jump
+            else:
+                first = self.free @ jump
+        x = states(self.A, drive, first)
         return self.z0 + x @ self.C1.T + w @ self.D11.T, self.e - x @ self.C2.T - w @ self.D21.T
 
     def markov(self) -> tuple[Array, Array]:
         """Pulse responses from w to z (n, p, q) and to -noise (n, n_y, q), and thereby all that w does."""
-        k1, k2 = [self.D11], [self.D21]
-        state = self.B
-        for _ in range(1, self.n):
-            k1.append(self.C1 @ state)
-            k2.append(self.C2 @ state)
-            state = self.A @ state
-        return np.array(k1), np.array(k2)
+        moved = powers(self.A, self.B, self.n)[: self.n - 1]
+        return np.concatenate([self.D11[None], self.C1 @ moved]), np.concatenate([self.D21[None], self.C2 @ moved])
 
     def free_response(self) -> tuple[Array, Array]:
         """What the jumps add to z (n, p, k m) and to -noise (n, n_y, k m), for the m free starts one after the other."""
         k, starts = self.free.shape[1], self.free_starts
         to_z, to_y = (np.zeros((self.n, len(c), k * len(starts))) for c in (self.C1, self.C2))
-        state = self.free
-        for t in range(self.n if starts else 0):
-            for i, start in enumerate(starts):
-                if start + t < self.n:
-                    to_z[start + t, :, i * k : (i + 1) * k] = self.C1 @ state
-                    to_y[start + t, :, i * k : (i + 1) * k] = self.C2 @ state
-            state = self.A @ state
+        moved = powers(self.A, self.free, self.n) if starts else np.zeros((0, *self.free.shape))
+        for i, start in enumerate(starts):
+            to_z[start:, :, i * k : (i + 1) * k] = self.C1 @ moved[: self.n - start]
+            to_y[start:, :, i * k : (i + 1) * k] = self.C2 @ moved[: self.n - start]
         return to_z, to_y
 
     def z_is_known(self) -> bool:
@@ -357,12 +350,7 @@ def _shown(A: Array, C: Array) -> Array:
 
 def _forced(A: Array, B: Array, C: Array, D: Array, u: Array) -> Array:
     """Response from rest, shape (n, rows of C)."""
-    x = np.zeros((len(u), len(A)))
-    now = np.zeros(len(A))
-    drive = u @ B.T
-    for t in range(len(u)):
-        x[t] = now
-        now = A @ now + drive[t]
+    x = states(A, u @ B.T, np.zeros(len(A)))
     found = x @ C.T + u @ D.T
     if not np.isfinite(found).all():
         raise NoTrustworthyNumber("validate", "the nominal response outgrows every number", None, "use windows")

@@ -21,8 +21,8 @@ Poolla et al. (1994), theorem 3.1; Smith and Doyle (1992) for the role of the st
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,8 @@ class PulseResponses:
         Gain of each block.
     dual
         Multipliers of the noise (n, n_y).
+    recheck
+        Derives the lower bound again from the dual point.
     """
 
     lower: float
@@ -83,6 +85,7 @@ class PulseResponses:
     noise: Array
     sizes: Array
     dual: Array
+    recheck: Callable[[], float] | None = None
 
 
 class _Maps:
@@ -199,7 +202,7 @@ def smallest_pulse_responses(
         theta = path.follow(np.zeros(sum(maps.counts) + maps.n_free), guess, precision, deadline)
         if theta is None:
             return None
-        return _answer(maps, theta, scaled, path.lower, path.dual)
+        return replace(_answer(maps, theta, scaled, path.lower, path.dual), recheck=path.recheck)
     # First as if the z of the other explanation were given; then Gauss-Newton.
     z = problem.z0 if z_guess is None else z_guess
     path = _Path(maps, maps.jacobian(None, z), problem.e[problem.used], scaled, 1 - RESERVE)
@@ -244,6 +247,7 @@ class _Path:
         self.count = sum(n * (r + c) for n, r, c in maps.shapes) + 2 * float(self.weight.sum())
         self.lower, self.dual = 0.0, np.zeros(p.e.shape)
         self.last = np.zeros(0), 1.0, np.zeros(0)
+        self.recheck: Callable[[], float] | None = None
 
     def follow(
         self, theta: Array, guess: float, precision: float, deadline: float, dual: bool = True
@@ -451,9 +455,13 @@ class _Path:
         for part, step, s in zip(*(maps.split(x)[0] for x in (theta, move[: len(theta)])), self.scaled, strict=True):
             pulls.append(pull_after(part, step, gamma if s else 1.0, float(move[len(theta)]) if s else 0.0))
         pairs = self.J[:, :n_h]
-        found = dual_bound(maps.shapes, pairs, self.e, multipliers, pulls, self.scaled, self.radius, self.groups)
+
+        def value() -> float:
+            return dual_bound(maps.shapes, pairs, self.e, multipliers, pulls, self.scaled, self.radius, self.groups)
+
+        found = value()
         if found > self.lower:
-            self.lower = found
+            self.lower, self.recheck = found, value
             self.dual = np.zeros(maps.problem.e.shape)
             self.dual[maps.problem.used] = multipliers
 
