@@ -49,6 +49,8 @@ CENTRED, WELL_CENTRED = 0.01, 0.3
 # What the linearised problem leaves of the noise bound to the error of the linearisation.
 RESERVE = 1e-4
 SLACK = 1e-9
+# Sizes below this count as zero.
+SMALLEST, HUGE = 1e-6, 1e100
 PENALTIES = (3.0, 1e2, 1e4)
 
 
@@ -219,7 +221,8 @@ def smallest_pulse_responses(
                 break
         J = maps.jacobian(theta, answer.z)
         path = _Path(maps, J, answer.noise[problem.used] + J @ theta, scaled, 1 - RESERVE)
-        theta = path.follow(theta, max(answer.upper, 1e-12), precision, deadline, dual=False)
+        size = float(answer.sizes[scaled].max(initial=0.0))
+        theta = path.follow(theta, size, precision, deadline, dual=False)
     return best
 
 
@@ -259,7 +262,7 @@ class _Path:
         sizes = np.array([gain(part) for part in h])
         if (sizes[~self.scaled] >= 1).any():
             theta = np.concatenate([np.zeros(sum(self.maps.counts)), theta[sum(self.maps.counts) :]])
-            sizes = np.zeros(len(h))
+            sizes = np.ones(len(h))
         gamma = max(1.3 * float(sizes[self.scaled].max(initial=0.0)), 1.5 * guess, 1e-12)
         unit = gamma
         sigma = 1.1 * self._excess(self.e - self.J @ theta)
@@ -284,13 +287,14 @@ class _Path:
                     return None
                 continue
             left = self.count / t * unit
+            wanted = precision * max(gamma, SMALLEST)
             late = time.monotonic() > deadline
-            if left < 8 * precision * gamma or late:
-                if not dual and (left < 0.3 * precision * gamma or late):
+            if left < 8 * wanted or late:
+                if not dual and (left < 0.3 * wanted or late):
                     return theta
                 if dual:
                     self._bound()
-                    if gamma - self.lower < 0.7 * precision * gamma or left < 1e-3 * precision * gamma or late:
+                    if gamma - self.lower < 0.7 * wanted or left < 1e-3 * wanted or late:
                         return theta
                     if decrement > WELL_CENTRED:  # the bound may be poor for want of centring alone
                         continue
@@ -340,7 +344,7 @@ class _Path:
 
     def _value(self, theta: Array, gamma: float, sigma: float, t: float, penalty: float | None) -> float:
         noise = self._noise_value(self.e - self.J @ theta, sigma)
-        if not np.isfinite(noise) or gamma <= 0:
+        if not np.isfinite(noise) or not 0 < gamma < HUGE:
             return np.inf
         value = t * gamma + (0.0 if penalty is None else penalty * sigma) + noise
         for part, free in zip(self.maps.split(theta)[0], self.scaled, strict=True):

@@ -145,6 +145,8 @@ def _descend(
             break
         solution = found
         w, states = programme.signals(found.x)
+        for rows, cols, _ in problem.blocks:  # the solver's zeros are small numbers, for which no gain is enough
+            w[_silent(problem, z, cols), rows] = 0.0
         z, noise = problem.respond(w, states)
         if problem.excess(noise) > 1 + SLACK:
             break
@@ -156,6 +158,19 @@ def _descend(
             break
         before = reached
     return best, solution
+
+
+def _silent(problem: SampledProblem, z: Array, cols: slice) -> NDArray[np.bool_]:
+    """First samples at which z has had no energy: there w must be zero, no finite gain would let it move.
+
+    From rest that is so until the nominal z moves, although a w of its own could make z move.
+    """
+    energy = np.cumsum((z[:, cols] ** 2).sum(axis=1))
+    silent = energy <= NO_ENERGY * max(energy[-1], 1e-300)
+    if problem.at_rest:
+        nominal = np.cumsum((problem.z0[:, cols] ** 2).sum(axis=1))
+        silent |= nominal <= NO_ENERGY * nominal[-1]
+    return silent
 
 
 def _gamma(sizes: Array, scaled: NDArray[np.bool_]) -> float:
@@ -297,8 +312,7 @@ class _Programme:
         for k, (rows, cols, _) in enumerate(p.blocks):
             each = (z[:, cols] ** 2).sum(axis=1)
             each[0] += ahead * each.mean()
-            energy = np.cumsum(each)
-            silent = energy <= NO_ENERGY * max(energy[-1], 1e-300)
+            silent = _silent(p, z, cols) if ahead == 0 else np.zeros(n, dtype=bool)
             at_c, at_e = self.at_c + k * n, self.at_e + k * n
             take = sparse.csr_matrix((np.ones(n), (np.arange(n), at_c + np.arange(n))), (n, self.size))
             bound = sparse.csr_matrix((np.ones(n), (np.arange(n), at_e + np.arange(n))), (n, self.size))
@@ -420,7 +434,7 @@ class _Programme:
         """w (n, q), and the jumps at the free starts."""
         p = self.problem
         n_x, q = p.B.shape
-        w = x[self.at_w : self.at_c].reshape(p.n, q)
+        w = x[self.at_w : self.at_c].reshape(p.n, q).copy()
         state = x[: self.at_w].reshape(p.n, n_x)
         jumps = {}
         for t in p.free_starts:

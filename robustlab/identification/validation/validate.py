@@ -49,6 +49,8 @@ MOST_UNKNOWNS = 2000
 LONGEST = 700
 # Confidence that a noise bound taken from repeats is not exceeded by noise of that standard deviation.
 CONFIDENCE = 0.99
+# Sizes below this count as zero.
+SMALLEST = 1e-6
 
 
 def validate(
@@ -360,8 +362,7 @@ def _result(
 def _status(found: _Found, precision: float, late: bool) -> Status:
     if np.isinf(found.lower):
         return Status.INFEASIBLE
-    close = found.upper - found.lower <= 1.01 * precision * max(found.upper, 1e-12)
-    if close:
+    if np.isfinite(found.upper) and found.upper - found.lower <= 1.01 * precision * max(found.upper, SMALLEST):
         return Status.CERTIFIED if found.certified else Status.CONVERGED
     if found.lower > 1 or found.upper <= 1:
         return Status.CONVERGED
@@ -488,7 +489,7 @@ def _assumptions(recorded: Recorded, delta: DeltaKind, estimated: bool) -> tuple
         said.append(f"complex and full blocks are causal {delta} systems at rest before the record")
     if recorded.uncertain.dt == 0:
         held = "u and w" if dynamic else "u"
-        said.append(f"{held} are held between samples of {recorded.dt:.6g} s")
+        said.append(f"{held} {'are' if dynamic else 'is'} held between samples of {recorded.dt:.6g} s")
     if recorded.at_rest:
         said.append("the model is at rest before the record")
     else:
