@@ -42,6 +42,8 @@ __all__ = ["PulseResponses", "smallest_pulse_responses"]
 Array = NDArray[np.float64]
 
 STEPS = 120
+# A step keeps at least this share of the way to the boundary before it.
+KEPT = 0.85
 ROUNDS = 8
 FASTER = 10.0
 # A point counts as centred where the Newton decrement is below this share of the barrier's parameter.
@@ -392,12 +394,19 @@ class _Path:
         self.last = theta, gamma, move
         length = 1.0
         here = self._value(theta, gamma, sigma, t, penalty)
+
+        def at(share: float) -> tuple[Array, float, float]:
+            width = sigma + share * float(move[size + 1]) if penalty is not None else sigma
+            return theta + share * move[:size], float(gamma + share * move[size]), width
+
         while length > 1e-8:
-            new = theta + length * move[:size], gamma + length * move[size]
-            width = sigma + length * move[size + 1] if penalty is not None else sigma
-            if width > 0 and self._value(*new, width, t, penalty) <= here - 1e-2 * length * decrement:
-                return new[0], float(new[1]), float(width), decrement
-            length *= 0.6
+            new = at(length)
+            if new[2] > 0 and self._value(*new, t, penalty) <= here - 1e-2 * length * decrement:
+                # Not up against the boundary: from there the way back takes a step for each factor of two.
+                ahead = at(length / KEPT)
+                if decrement < 0.3 or (ahead[2] > 0 and np.isfinite(self._value(*ahead, t, penalty))):
+                    return *new, decrement
+            length *= 0.7
         return theta, gamma, sigma, 0.0
 
     def _add_noise(self, slope: Array, curve: Array, noise: Array, sigma: float, penalty: float | None) -> None:
