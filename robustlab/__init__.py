@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.frequency import frequency_response as frequency_response
     from robustlab.identification import compare as compare
     from robustlab.identification.discovery import discover as discover
+    from robustlab.identification.validation import validate as validate
     from robustlab.mu_analysis import mu as mu
     from robustlab.mu_analysis import robust_performance as robust_performance
     from robustlab.mu_analysis import robust_stability as robust_stability
@@ -132,6 +133,7 @@ _PUBLIC = {
     # measurements
     "compare": "identification",
     "discover": "identification.discovery",
+    "validate": "identification.validation",
     # trust
     "Status": "result",
     "RobustlabError": "errors",

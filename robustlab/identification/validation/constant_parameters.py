@@ -74,7 +74,7 @@ class _Fit:
         self.count = 0
 
     def terms(self, delta: Array) -> tuple[Array, Array]:
-        """e and the free responses at the used samples, output after output; +inf where delta is ill-posed."""
+        """E and the free responses at the used samples, output after output; +inf where delta is ill-posed."""
         self.count += 1
         values = {b.name: float(d) for b, d in zip(self.blocks, delta, strict=True)}
         try:

@@ -23,7 +23,7 @@ from robustlab.identification.validation.time_varying import smallest_contractio
 from robustlab.uncertainty.blocks import RealScalar
 
 if TYPE_CHECKING:
-    from robustlab.identification.validation.validate import _Found, _Job
+    from robustlab.identification.validation.smallest_delta import _Found, _Job
 
 __all__ = ["smallest_mixed"]
 
@@ -71,11 +71,9 @@ def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
     upper = max(found.upper, float(np.abs(delta[free]).max(initial=0.0)))
     label = "constants and systems; lower bound with all blocks time-varying (relaxation), upper bound by search"
     evidence = {"energy": relaxed.multipliers.D, "noise": relaxed.multipliers.noise}
-    return replace(
-        found, lower=min(relaxed.lower, upper), upper=upper, label=label, multipliers=evidence, recheck=None
-    )
+    return replace(found, lower=min(relaxed.lower, upper), upper=upper, label=label, multipliers=evidence, recheck=None)
 
 
 def _unexplained(job: _Job, relaxed: Any, problem: Any) -> _Found:
-    found = job._varying(problem, relaxed, np.ones(len(problem.blocks), dtype=bool), {})  # noqa: SLF001
+    found = job._varying(problem, relaxed, np.ones(len(problem.blocks), dtype=bool), {})
     return replace(found, sizes={})

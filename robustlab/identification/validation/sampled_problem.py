@@ -189,7 +189,7 @@ class SampledProblem:
         return self.starts[1:] if self.at_rest else self.starts
 
     def respond(self, w: Array, states_at: Mapping[int, Array]) -> tuple[Array, Array]:
-        """z (n, p) and noise (n, n_y) for w (n, q) and a jump (k,) of the state at free starts; 0 where left out."""
+        """Z (n, p) and noise (n, n_y) for w (n, q) and a jump (k,) of the state at free starts; 0 where left out."""
         drive = w @ self.B.T
         first = np.zeros(len(self.A))
         for t, jump in states_at.items():
@@ -390,7 +390,9 @@ def _used(missing: Mapping[str, Sequence[int]], names: tuple[str, ...], n: int, 
     for name, samples in missing.items():
         if name not in names:
             raise InputError(
-                f"{where}: missing {name!r}", "no such compared output", f"one of {', '.join(names)}",
+                f"{where}: missing {name!r}",
+                "no such compared output",
+                f"one of {', '.join(names)}",
                 did_you_mean(name, names),
             )
         index = np.asarray(samples)

@@ -161,9 +161,9 @@ class _Maps:
         columns = []
         for (_, r, c), (rows, cols, repeated) in zip(self.shapes, p.blocks, strict=True):
             size = rows.stop - rows.start
-            response = _convolved(
-                to_y[:, :, rows].reshape(n, -1, 1), z[:, None, cols]
-            ).reshape(n, n_y, size, cols.stop - cols.start)
+            response = _convolved(to_y[:, :, rows].reshape(n, -1, 1), z[:, None, cols]).reshape(
+                n, n_y, size, cols.stop - cols.start
+            )
             if repeated:
                 response = np.trace(response, axis1=2, axis2=3)[:, :, None, None]
             padded = np.concatenate([np.zeros_like(response), response])
@@ -254,9 +254,7 @@ class _Path:
         self.last = np.zeros(0), 1.0, np.zeros(0)
         self.recheck: Callable[[], float] | None = None
 
-    def follow(
-        self, theta: Array, guess: float, precision: float, deadline: float, dual: bool = True
-    ) -> Array | None:
+    def follow(self, theta: Array, guess: float, precision: float, deadline: float, dual: bool = True) -> Array | None:
         """A point near the optimum; None where no point within the noise bound was reached."""
         if not theta.any():
             theta = self._regularised()
@@ -309,7 +307,9 @@ class _Path:
 
         n_h = sum(self.maps.counts)
         scale = np.ones(self.J.shape[1])
-        scale[n_h:] = 1e3 * np.sqrt((self.J[:, :n_h] ** 2).sum(axis=0).max() / np.maximum((self.J[:, n_h:] ** 2).sum(axis=0), 1e-300))
+        scale[n_h:] = 1e3 * np.sqrt(
+            (self.J[:, :n_h] ** 2).sum(axis=0).max() / np.maximum((self.J[:, n_h:] ** 2).sum(axis=0), 1e-300)
+        )
         scaled = self.J * scale
         gram = scaled @ scaled.T
         size = float(np.trace(gram)) / len(gram) + 1e-300

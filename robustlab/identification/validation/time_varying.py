@@ -411,8 +411,10 @@ class _Programme:
         settings.max_threads = 1
         square = sparse.csc_matrix((self.size, self.size)) if P is None else P
         try:
-            found = clarabel.DefaultSolver(square, cost, A, b, [clarabel.ZeroConeT(len(still)), *cones], settings).solve()
-        except BaseException as error:  # noqa: BLE001  the solver's own panic is no Exception
+            found = clarabel.DefaultSolver(
+                square, cost, A, b, [clarabel.ZeroConeT(len(still)), *cones], settings
+            ).solve()
+        except BaseException as error:
             if isinstance(error, (KeyboardInterrupt, SystemExit)):
                 raise
             raise NoTrustworthyNumber("validate", f"the solver broke down ({type(error).__name__})") from None
@@ -431,7 +433,7 @@ class _Programme:
     # --- answers ------------------------------------------------------------------------------------------------------
 
     def signals(self, x: Array) -> tuple[Array, dict[int, Array]]:
-        """w (n, q), and the jumps at the free starts."""
+        """W (n, q), and the jumps at the free starts."""
         p = self.problem
         n_x, q = p.B.shape
         w = x[self.at_w : self.at_c].reshape(p.n, q).copy()

@@ -142,9 +142,7 @@ def validate(
     if not 1e-4 <= precision <= 0.2:
         raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
     bounds = dict(noise) if noise is not None else _estimated(uncertain, record, noise_norm)
-    recorded = prepared(
-        uncertain, record, bounds, norm=noise_norm, window=window, at_rest=at_rest, missing=missing
-    )
+    recorded = prepared(uncertain, record, bounds, norm=noise_norm, window=window, at_rest=at_rest, missing=missing)
     job = _Job(recorded, delta, precision, begun + time_limit, progress or (lambda _line: None))
     found = job.bounds(np.ones(len(recorded.uncertain.blocks), dtype=bool))
     alone: dict[str, tuple[float, float]] = {}
@@ -274,7 +272,9 @@ class _Job:
 
     def _pulses(self, problem: SampledProblem, c: Contractions, found: PulseResponses, relaxed: _Found) -> _Found:
         convex = found.lower > c.lower
-        label = "time-invariant systems (exact)" if c.convex else "time-invariant; lower bound from time-varying systems"
+        label = (
+            "time-invariant systems (exact)" if c.convex else "time-invariant; lower bound from time-varying systems"
+        )
         k = problem.free.shape[1]
         states = {t: found.states[i * k : (i + 1) * k] for i, t in enumerate(problem.free_starts)}
         return replace(
@@ -397,7 +397,7 @@ def _replay_error(recorded: Recorded, found: _Found) -> float:
 
 
 def _in_the_loop(problem: SampledProblem, found: _Found) -> Array:
-    """w sample by sample: Delta sees z as it comes."""
+    """W sample by sample: Delta sees z as it comes."""
     n, q = problem.n, problem.B.shape[1]
     w, z = np.zeros((n, q)), np.zeros_like(problem.z0)
     state = np.zeros(len(problem.A))
@@ -443,7 +443,9 @@ def _member_error(recorded: Recorded, found: _Found) -> float:
 
 def _nominal(recorded: Recorded) -> Array:
     """Response of the nominal model with its free states fitted (n, n_y)."""
-    M, rest = with_delta_of(recorded.uncertain, {b.name: 0.0 for b in recorded.uncertain.blocks if isinstance(b, RealScalar)})
+    M, rest = with_delta_of(
+        recorded.uncertain, {b.name: 0.0 for b in recorded.uncertain.blocks if isinstance(b, RealScalar)}
+    )
     problem = sampled(recorded, M, rest)
     _, free = problem.free_response()
     basis = free[problem.used]
