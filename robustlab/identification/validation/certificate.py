@@ -32,7 +32,7 @@ __all__ = ["Multipliers", "largest_disproved", "lagrangian_maximum"]
 
 Array = NDArray[np.float64]
 
-# A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave; it is a multiplier like any.
+# A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.
 FLOOR = 1e-7
 # Curvatures below this share of the largest are rounding: they count as zero, and what is linear there must vanish.
 FLAT = 1e-11

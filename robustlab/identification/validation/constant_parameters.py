@@ -1,15 +1,15 @@
-r"""Smallest constant real parameters that explain a record: descent for the upper, branch and bound for the lower bound.
+r"""Smallest constant real parameters that explain a record: descent from above, branch and bound from below.
 
 For fixed :math:`\delta` the noise is affine in the free states, so whether :math:`\delta` explains the record is a
-Chebyshev (or least-squares) fit. Its dual gives weights :math:`\lambda` of a few samples, orthogonal to what free states
-can do, with :math:`\lambda^T e(\delta) > \|\lambda\|_*`: a witness against :math:`\delta`. Projected anew, the same
-weights are a witness at other :math:`\delta` as long as
+Chebyshev (or least-squares) fit. Its dual gives weights :math:`\lambda` of a few samples, orthogonal to what free
+states can do, with :math:`\lambda^T e(\delta) > \|\lambda\|_*`: a witness against :math:`\delta`. Projected anew,
+the same weights are a witness at other :math:`\delta` as long as
 
 .. math:: F(\delta) = \lambda^T P(\delta) e(\delta) / \|P(\delta) \lambda\|_* > 1 .
 
 A box is closed where one witness holds at all points of a grid of 3 in each direction, with a quarter of its variation
-to spare (a parabola dips by at most an eighth of its variation between three such points). Between the points nothing is
-proved: the lower bound is labelled so.
+to spare (a parabola dips by at most an eighth of its variation between three such points). Between the points nothing
+is proved: the lower bound is labelled so.
 """
 
 from __future__ import annotations

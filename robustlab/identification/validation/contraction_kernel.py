@@ -18,6 +18,8 @@ pseudopolynomial matrices", SIAM J. Matrix Anal. Appl. 25 (2003), for Hessians o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +98,7 @@ class Barrier:
 
 def barrier(h: Array, gamma: float) -> Barrier:
     """Derivatives of the barrier at a point inside."""
-    from scipy.linalg import lapack
+    lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
 
     n, r, c = h.shape
     T = toeplitz(h)
@@ -125,7 +127,7 @@ def barrier(h: Array, gamma: float) -> Barrier:
 
 def _curvature(S11: Array, S12: Array, S22: Array, n: int, r: int, c: int) -> Array:
     r"""``2 tr(S12 E' S12 K') + 2 tr(S11 E S22 K')`` for all unit pulse responses E, K, as (n r c, n r c)."""
-    from scipy import fft
+    fft: Any = import_module("scipy.fft")
 
     size = fft.next_fast_len(2 * n - 1, real=True)
     shape = (size, size)

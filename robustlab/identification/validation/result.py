@@ -146,7 +146,7 @@ class Validation(Evidence):
         return "\n".join(lines)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
-        """All fields but the re-check; without ``series`` the time series, pulse responses and multipliers are left out."""
+        """All fields but the re-check; without ``series`` also without time series, pulse responses and multipliers."""
         data = {k: v for k, v in vars(self).items() if k != "recheck"}
         if not series:
             long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers")

@@ -1,4 +1,4 @@
-r"""The uncertain model and the record as a validation sees them: sampled, matched by names, in units of the noise bounds.
+r"""Uncertain model and record as a validation sees them: sampled, matched by names, in units of the noise bounds.
 
 With :math:`w = \Delta z` unknown, everything else is affine in the states and in w:
 
@@ -206,7 +206,7 @@ class SampledProblem:
         return np.concatenate([self.D11[None], self.C1 @ moved]), np.concatenate([self.D21[None], self.C2 @ moved])
 
     def free_response(self) -> tuple[Array, Array]:
-        """What the jumps add to z (n, p, k m) and to -noise (n, n_y, k m), for the m free starts one after the other."""
+        """What the jumps add to z (n, p, k m) and to -noise (n, n_y, k m), for the m free starts in turn."""
         k, starts = self.free.shape[1], self.free_starts
         to_z, to_y = (np.zeros((self.n, len(c), k * len(starts))) for c in (self.C1, self.C2))
         moved = powers(self.A, self.free, self.n) if starts else np.zeros((0, *self.free.shape))
@@ -323,10 +323,11 @@ def _held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
     """The model at the record's sample time with all inputs held between samples."""
     if M.is_discrete or not M.n_states:
         return M.A, M.B, M.C, M.D
+
     from scipy.linalg import expm
 
     n, m = M.B.shape
-    both = expm(np.block([[M.A, M.B], [np.zeros((m, n + m))]]) * dt)
+    both = np.asarray(expm(np.block([[M.A, M.B], [np.zeros((m, n + m))]]) * dt), dtype=np.float64)
     if not np.isfinite(both).all():
         raise NoTrustworthyNumber("validate", f"the model cannot be sampled at {dt:g} s: its exponential overflows")
     return both[:n, :n], both[:n, n:], M.C, M.D

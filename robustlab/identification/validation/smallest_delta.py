@@ -239,7 +239,7 @@ class _Job:
         evidence = {"energy": c.multipliers.D, "noise": c.multipliers.noise}
         return _Found(
             c.lower, c.upper, label, True, values, problem, c.w, c.z, c.noise, (), c.states, sizes, evidence,
-            _sweep(problem, c, scaled, self.precision), max(c.least_noise, problem.excess(c.noise) if c.w.size else 0.0),
+            _sweep(problem, c, scaled, self.precision), c.least_noise if not c.w.size else problem.excess(c.noise),
         )  # fmt: skip
 
     def _invariant(

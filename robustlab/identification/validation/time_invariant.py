@@ -2,10 +2,10 @@ r"""Smallest causal time-invariant systems that explain a record, in terms of th
 
 With :math:`w = H * z` for each block, the noise is affine in the pulse responses H where z is known, and
 
-.. math:: \min \gamma \quad \text{s.t.} \quad \bar\sigma(T(H_i)) \le \gamma, \quad n = e - J (H, x_0) \text{ within its bound}
+.. math:: \min \gamma \quad \text{s.t.} \quad \bar\sigma(T(H_i)) \le \gamma, \quad n = e - J (H, x_0)
 
-is convex. It is followed along its central path by Newton steps (`contraction_kernel` has the barrier). At each point
-of the path the slope of the noise barrier is a dual point: for any lambda orthogonal to what free states do,
+with n within its bound is convex. It is followed along its central path by Newton steps (`contraction_kernel` has the
+barrier). At each point of the path the slope of the noise barrier is a dual point: for any lambda orthogonal to what free states do,
 
 .. math:: \gamma \ge \frac{\lambda^T e - \|\lambda\|_*}{\sum_i \|X_i\|_{tr}}, \qquad
           X_i \text{ any matrix whose diagonal sums are } J_i^T \lambda
@@ -179,8 +179,8 @@ def _convolved(a: Array, b: Array) -> Array:
 
     n = len(a)
     size = fft.next_fast_len(2 * n - 1, real=True)
-    product = fft.rfft(a, size, axis=0) @ fft.rfft(b, size, axis=0)
-    return fft.irfft(product, size, axis=0)[:n]
+    product = np.asarray(fft.rfft(a, size, axis=0)) @ np.asarray(fft.rfft(b, size, axis=0))
+    return np.asarray(fft.irfft(product, size, axis=0))[:n]
 
 
 def smallest_pulse_responses(
@@ -395,15 +395,15 @@ class _Path:
         length = 1.0
         here = self._value(theta, gamma, sigma, t, penalty)
 
-        def at(share: float) -> tuple[Array, float, float]:
+        def along(share: float) -> tuple[Array, float, float]:
             width = sigma + share * float(move[size + 1]) if penalty is not None else sigma
             return theta + share * move[:size], float(gamma + share * move[size]), width
 
         while length > 1e-8:
-            new = at(length)
+            new = along(length)
             if new[2] > 0 and self._value(*new, t, penalty) <= here - 1e-2 * length * decrement:
                 # Not up against the boundary: from there the way back takes a step for each factor of two.
-                ahead = at(length / KEPT)
+                ahead = along(length / KEPT)
                 if decrement < 0.3 or (ahead[2] > 0 and np.isfinite(self._value(*ahead, t, penalty))):
                     return *new, decrement
             length *= 0.7

@@ -20,6 +20,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -134,7 +135,7 @@ class _Point:
 def _descend(
     programme: _Programme, z: Array, late: int, precision: float, deadline: float, rounds: int = ROUNDS
 ) -> tuple[_Point | None, _Solved | None]:
-    """Best point that its replay confirms, and the last solution; conditions before the sample ``late`` are left out."""
+    """Best point that its replay confirms, and the last solution; no conditions before the sample ``late``."""
     problem, convex = programme.problem, programme.convex
     best: _Point | None = None
     solution: _Solved | None = None
@@ -244,7 +245,7 @@ class _Programme:
         eye, before = sparse.identity(n, format="csr"), sparse.eye(n, k=-1, format="csr")
         x = sparse.kron(eye, sparse.identity(n_x)) - sparse.kron(before, sparse.csr_matrix(p.A))
         w = -sparse.kron(before, sparse.csr_matrix(p.B))
-        rows = sparse.hstack([x, w, sparse.csr_matrix((x.shape[0], self.size - self.at_c))]).tocsr()
+        rows: Any = sparse.hstack([x, w, sparse.csr_matrix((x.shape[0], self.size - self.at_c))]).tocsr()
         across = linalg.null_space(p.free.T) if p.free.size else np.eye(n_x)
         bound = [t for t in range(n) if t not in p.free_starts]
         kept = [rows[(np.array(bound, dtype=int)[:, None] * n_x + np.arange(n_x)).ravel()]]
@@ -269,8 +270,9 @@ class _Programme:
 
     def _noise(self, radius: float | None) -> tuple[list[Any], list[Array], list[Any]]:
         """Noise within ``radius`` times its bound; None: within the variable g times its bound."""
-        import clarabel
         from scipy import sparse
+
+        clarabel: Any = import_module("clarabel")  # its types are not published
 
         p = self.problem
         blocks, offsets, cones = [], [], []
@@ -301,8 +303,9 @@ class _Programme:
 
         With ``ahead`` that many mean samples of energy are there before the first one: for a first guess.
         """
-        import clarabel
         from scipy import sparse
+
+        clarabel: Any = import_module("clarabel")  # its types are not published
 
         p = self.problem
         n, q = p.n, p.B.shape[1]
@@ -400,8 +403,9 @@ class _Programme:
         return self._solve(None, cost, blocks, offsets, cones, {"noise": len(blocks), "heads": []})
 
     def _solve(self, P: Any, cost: Array, blocks: list[Any], offsets: list[Array], cones: list[Any], parts: Any) -> Any:
-        import clarabel
         from scipy import sparse
+
+        clarabel: Any = import_module("clarabel")  # its types are not published
 
         motion, still = self._dynamics
         A = sparse.vstack([motion, *blocks]).tocsc()
