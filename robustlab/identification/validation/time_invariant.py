@@ -5,7 +5,8 @@ With :math:`w = H * z` for each block, the noise is affine in the pulse response
 .. math:: \min \gamma \quad \text{s.t.} \quad \bar\sigma(T(H_i)) \le \gamma, \quad n = e - J (H, x_0)
 
 with n within its bound is convex. It is followed along its central path by Newton steps (`contraction_kernel` has the
-barrier). At each point of the path the slope of the noise barrier is a dual point: for any lambda orthogonal to what free states do,
+barrier). At each point of the path the slope of the noise barrier is a dual point: for any lambda orthogonal to what
+free states do,
 
 .. math:: \gamma \ge \frac{\lambda^T e - \|\lambda\|_*}{\sum_i \|X_i\|_{tr}}, \qquad
           X_i \text{ any matrix whose diagonal sums are } J_i^T \lambda

@@ -243,8 +243,8 @@ class _Programme:
         p = self.problem
         n_x, n = len(p.A), p.n
         eye, before = sparse.identity(n, format="csr"), sparse.eye(n, k=-1, format="csr")
-        x = sparse.kron(eye, sparse.identity(n_x)) - sparse.kron(before, sparse.csr_matrix(p.A))
-        w = -sparse.kron(before, sparse.csr_matrix(p.B))
+        x: Any = sparse.kron(eye, sparse.identity(n_x)) - sparse.kron(before, sparse.csr_matrix(p.A))
+        w: Any = -sparse.kron(before, sparse.csr_matrix(p.B))
         rows: Any = sparse.hstack([x, w, sparse.csr_matrix((x.shape[0], self.size - self.at_c))]).tocsr()
         across = linalg.null_space(p.free.T) if p.free.size else np.eye(n_x)
         bound = [t for t in range(n) if t not in p.free_starts]
