@@ -158,7 +158,11 @@ def known_cases():
     rng = np.random.default_rng(7)
     for i in range(14):
         gamma = float(np.exp(rng.uniform(-2, 1.5)))
-        yield f"time-varying {1 + i % 3} blocks", gamma, varying_case(100 + i, [120, 250, 500][i // 3 % 3], 1 + i % 3, gamma)
+        yield (
+            f"time-varying {1 + i % 3} blocks",
+            gamma,
+            varying_case(100 + i, [120, 250, 500][i // 3 % 3], 1 + i % 3, gamma),
+        )
     for i in range(12):
         gamma = float(np.exp(rng.uniform(-2, 1.5)))
         if i < 8:

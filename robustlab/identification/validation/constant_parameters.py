@@ -84,7 +84,6 @@ class _Fit:
         except NoTrustworthyNumber:
             return np.full(int(self.recorded.used.sum()), np.inf), np.zeros((int(self.recorded.used.sum()), 0))
         used = self.recorded.used.T
-        self.shape = problem.e.shape
         return problem.e.T[used], free.transpose(1, 0, 2)[used]
 
     def excess(self, e: Array, free: Array) -> tuple[float, Array, Array]:
@@ -103,6 +102,12 @@ class _Fit:
         part = self.parts()[worst]
         weights[part] = left[part]
         return float(sizes.max()), left, weights
+
+    def whole(self, noise: Array) -> Array:
+        """Noise at the used samples as (n, n_y), zero elsewhere."""
+        full = np.zeros(self.recorded.used.shape)
+        full.T[self.recorded.used.T] = noise
+        return full
 
     def parts(self) -> list[slice]:
         """Samples of each output."""
@@ -163,7 +168,7 @@ def smallest_parameters(
     m = len(blocks)
     zero = fit.excess(*fit.terms(np.zeros(m)))
     if zero[0] <= 1 + SLACK:
-        return Parameters(0.0, 0.0, np.zeros(m), zero[1], 1, True, zero[0])
+        return Parameters(0.0, 0.0, np.zeros(m), fit.whole(zero[1]), 1, True, zero[0])
     starts = [np.zeros(m)]
     rng = np.random.default_rng(0)
     starts += [rng.uniform(-1, 1, m) for _ in range(3 if m > 1 else 1)]
@@ -299,6 +304,4 @@ def _branch(fit: _Fit, best: tuple[float, Array], least: float, precision: float
     else:
         lower = best[0] if np.isfinite(best[0]) else reach
     _, noise, _ = fit.excess(*fit.terms(best[1]))
-    full = np.zeros(fit.shape)
-    full.T[fit.recorded.used.T] = noise
-    return Parameters(float(lower), float(best[0]), best[1], full, boxes, finished, float(least))
+    return Parameters(float(lower), float(best[0]), best[1], fit.whole(noise), boxes, finished, float(least))

@@ -48,12 +48,14 @@ KEPT = 0.85
 ROUNDS = 8
 FASTER = 10.0
 # A point counts as centred where the Newton decrement is below this share of the barrier's parameter.
-CENTRED, WELL_CENTRED = 0.01, 0.3
+CENTRED, WELL_CENTRED, MORE = 0.01, 0.3, 3
 # What the linearised problem leaves of the noise bound to the error of the linearisation.
 RESERVE = 1e-4
 SLACK = 1e-9
 # Sizes below this count as zero.
 SMALLEST, HUGE = 1e-6, 1e100
+# A start by least squares that is larger than the guess by this factor is worse than none.
+FAR = 30.0
 PENALTIES = (3.0, 1e2, 1e4)
 
 
@@ -261,15 +263,15 @@ class _Path:
             theta = self._regularised()
         h, _ = self.maps.split(theta)
         sizes = np.array([gain(part) for part in h])
-        if (sizes[~self.scaled] >= 1).any():
+        if (sizes[~self.scaled] >= 1).any() or sizes[self.scaled].max(initial=0.0) > FAR * guess:
             theta = np.concatenate([np.zeros(sum(self.maps.counts)), theta[sum(self.maps.counts) :]])
-            sizes = np.ones(len(h))
+            sizes = np.full(len(h), max(guess, SMALLEST) if self.scaled.all() else 1.0)
         gamma = max(1.3 * float(sizes[self.scaled].max(initial=0.0)), 1.5 * guess, 1e-12)
         unit = gamma
         sigma = 1.1 * self._excess(self.e - self.J @ theta)
         inside = sigma < 1.1 * 0.995
         sigma = 1.0 if inside else sigma
-        t, penalty = 8.0 * self.count, 0
+        t, penalty, more = 8.0 * self.count, 0, 0
         for _ in range(STEPS):
             if time.monotonic() > deadline and not inside:
                 return None
@@ -297,9 +299,10 @@ class _Path:
                     self._bound()
                     if gamma - self.lower < 0.7 * wanted or left < 1e-3 * wanted or late:
                         return theta
-                    if decrement > WELL_CENTRED:  # the bound may be poor for want of centring alone
+                    if decrement > WELL_CENTRED and more < MORE:  # the bound may be poor for want of centring alone
+                        more += 1
                         continue
-            t *= FASTER
+            t, more = t * FASTER, 0
         return theta if inside else None
 
     def _regularised(self) -> Array:
