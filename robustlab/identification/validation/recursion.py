@@ -21,7 +21,7 @@ def powers(A: Array, start: Array, n: int) -> Array:
     for _ in range(-(-n // size) - 1):
         heads.append(leap @ heads[-1])
     found = np.einsum("kij,hjc->hkic", np.array(inner), np.array(heads))
-    return found.reshape(-1, *start.shape)[:n]
+    return found.reshape(len(heads) * len(inner), *start.shape)[:n]
 
 
 def states(A: Array, drive: Array, first: Array) -> Array:

@@ -213,6 +213,24 @@ def _unexplained(problem: SampledProblem, programme: _Programme) -> Contractions
     )
 
 
+def _repeated(X: Array, n: int) -> Any:
+    """Block-diagonal matrix of n times X."""
+    from scipy import sparse
+
+    if not X.size:
+        return sparse.csr_matrix((n * X.shape[0], n * X.shape[1]))
+    return sparse.kron(sparse.identity(n), sparse.csr_matrix(X))
+
+
+def _placed(rows: Array) -> Any:
+    """Row t of (n, k) in columns t k .. of row t."""
+    from scipy import sparse
+
+    n, k = rows.shape
+    at = np.repeat(np.arange(n), k), np.arange(n * k)
+    return sparse.csr_matrix((rows.ravel(), at), (n, n * k))
+
+
 @dataclass(frozen=True)
 class _Solved:
     x: Array
@@ -242,6 +260,8 @@ class _Programme:
 
         p = self.problem
         n_x, n = len(p.A), p.n
+        if not n_x:
+            return sparse.csc_matrix((0, self.size)), np.zeros(0)
         eye, before = sparse.identity(n, format="csr"), sparse.eye(n, k=-1, format="csr")
         x: Any = sparse.kron(eye, sparse.identity(n_x)) - sparse.kron(before, sparse.csr_matrix(p.A))
         w: Any = -sparse.kron(before, sparse.csr_matrix(p.B))
@@ -260,8 +280,8 @@ class _Programme:
         p = self.problem
         every = sparse.hstack(
             [
-                sparse.kron(sparse.identity(p.n), sparse.csr_matrix(p.C2)),
-                sparse.kron(sparse.identity(p.n), sparse.csr_matrix(p.D21)),
+                _repeated(p.C2, p.n),
+                _repeated(p.D21, p.n),
                 sparse.csr_matrix((p.e.size, self.size - self.at_c)),
             ]
         ).tocsr()
@@ -331,8 +351,8 @@ class _Programme:
             else:
                 to_z = sparse.hstack(
                     [
-                        sparse.block_diag([2 * z[t : t + 1, cols] @ p.C1[cols] for t in range(n)]),
-                        sparse.block_diag([2 * z[t : t + 1, cols] @ p.D11[cols] for t in range(n)]),
+                        _placed(2 * z[:, cols] @ p.C1[cols]),
+                        _placed(2 * z[:, cols] @ p.D11[cols]),
                         sparse.csr_matrix((n, self.size - self.at_c)),
                     ]
                 )
