@@ -189,8 +189,8 @@ def known(say):
         wide += not found.lower <= gamma * (1 + 1e-6) or not found.lower >= 0.99 * gamma
         say(f"  {name:28s} n {record.n:4d}  known {gamma:.5f}  found {found.lower:.5f} .. {found.upper:.5f}"
             f"  error {100 * error:.3f} %  {found.status}  {seconds:.2f} s")  # fmt: skip
-    say(f"known gamma: {count} cases, worst error of the upper bound {100 * worst:.3f} %, lower bound above the truth or"
-        f" more than 1 % below it: {wide}, above 10 s: {late}")  # fmt: skip
+    say(f"known gamma: {count} cases, worst error of the upper bound {100 * worst:.3f} %, lower bound above the truth"
+        f" or more than 1 % below it: {wide}, above 10 s: {late}")  # fmt: skip
 
 
 def _contraction(rng, n):
@@ -212,7 +212,7 @@ def _contraction(rng, n):
 
 
 def _plausible(seed, n=100):
-    """A random additive set of 1-2 blocks around a lag, a record of a member, and the noise bound; all in one output."""
+    """A random additive set of 1-2 blocks around a lag, a record of a member, and the noise bound."""
     rng = np.random.default_rng(seed)
     k = int(rng.integers(1, 3))
     gs = [_first_order(rng) for _ in range(k)]

@@ -266,11 +266,11 @@ class _Programme:
         x: Any = sparse.kron(eye, sparse.identity(n_x)) - sparse.kron(before, sparse.csr_matrix(p.A))
         w: Any = -sparse.kron(before, sparse.csr_matrix(p.B))
         rows: Any = sparse.hstack([x, w, sparse.csr_matrix((x.shape[0], self.size - self.at_c))]).tocsr()
-        across = linalg.null_space(p.free.T) if p.free.size else np.eye(n_x)
+        across: Any = linalg.null_space(p.free.T) if p.free.size else np.eye(n_x)
         bound = [t for t in range(n) if t not in p.free_starts]
         kept = [rows[(np.array(bound, dtype=int)[:, None] * n_x + np.arange(n_x)).ravel()]]
         kept += [sparse.csr_matrix(across.T) @ rows[t * n_x : (t + 1) * n_x] for t in p.free_starts]
-        motion = sparse.vstack(kept).tocsc()
+        motion: Any = sparse.vstack(kept).tocsc()
         return motion, np.zeros(motion.shape[0])
 
     def _outputs(self) -> Any:
