@@ -114,8 +114,8 @@ def constant_case(seed, n, k, gamma):
     rng = np.random.default_rng(seed)
     sizes = gamma * np.concatenate([[1.0], rng.uniform(0.2, 0.9, k - 1)])
     A, reach = np.diag(-rng.uniform(1, 4, k)), np.diag(rng.uniform(0.2, 0.6, k))
-    eye, zero = np.eye(k), np.zeros((k, k))
-    M = rl.StateSpaceModel(A, np.hstack([reach, -A]), np.vstack([eye, eye]), np.vstack([np.hstack([zero, zero])] * 2), 0.0,
+    eye = np.eye(k)
+    M = rl.StateSpaceModel(A, np.hstack([reach, -A]), np.vstack([eye, eye]), np.zeros((2 * k, 2 * k)), 0.0,
                            [f"w{i}" for i in range(k)] + [f"u{i}" for i in range(k)],
                            [f"z{i}" for i in range(k)] + [f"y{i}" for i in range(k)])  # fmt: skip
     model = rl.UncertainModel(M, [rl.RealScalar(f"d{i}") for i in range(k)])
