@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note, plant_settings, table
+from robustlab.cli.data_validation import validate
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def check(
     if settings and not model:
         raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")
     system = _plant_or_model(model, settings or []) if model else None
-    record = _record(
+    record = record_of(
         file,
         group=group,
         dt=dt,
@@ -125,7 +126,7 @@ def convert(
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
 
-    record = _record(
+    record = record_of(
         source,
         group=group,
         dt=dt,
@@ -190,7 +191,7 @@ def compare(
 
     system = _plant_or_model(model, settings or [])
     first, *others = (
-        _record(
+        record_of(
             file,
             group=group,
             dt=dt,
@@ -289,7 +290,7 @@ def discover(
 
     def records(files: list[str] | None) -> list[Record]:
         return [
-            _record(
+            record_of(
                 file,
                 group=part or group,
                 dt=dt,
@@ -322,6 +323,9 @@ def discover(
     if not found.status.trustworthy:
         note(f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)")
         raise typer.Exit(NoTrustworthyNumber.exit_code)
+
+
+app.command()(validate)
 
 
 def _file_and_group(text: str) -> tuple[str, str | None]:
@@ -373,7 +377,7 @@ def _keep(found: Comparison, out: str, sources: tuple[str, ...]) -> str:
     return str(save(out, found, Provenance.now("data compare", inputs=used)))
 
 
-def _record(file: str, *, group: str | None, dt: float | None, **texts: Any) -> Record:
+def record_of(file: str, *, group: str | None, dt: float | None, **texts: Any) -> Record:
     """The record that the options of a command describe; ``texts`` are those options as they were typed."""
     from robustlab.record import Record
 

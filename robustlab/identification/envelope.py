@@ -26,7 +26,7 @@ from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 
-__all__ = ["EnvelopeCoverage", "SignalCoverage", "cover"]
+__all__ = ["EnvelopeCoverage", "SignalCoverage", "cover", "deviations"]
 
 Array = NDArray[np.float64]
 
@@ -181,7 +181,7 @@ def cover(
     names = response.output_names
     allowed = _allowances(allowance or {}, names, record.name)
     lag = None if rate is None else _lag(rate, record)
-    shifted, offset = _deviations(response.with_units(record), uncertain, names)
+    shifted, offset = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     nominal = response_of(chosen.nominal, shifted)
     # Over the shortest stretch: a longer one would let the initial state take over a part of the gap.
@@ -248,7 +248,7 @@ def _mean_rate(y: Array, lag: int, seconds: float) -> Array:
     return (y[..., lag:] - y[..., :-lag]) / seconds
 
 
-def _deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]) -> tuple[Record, Array]:
+def deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]) -> tuple[Record, Array]:
     """The record in deviations from the operating point of the set, and that point's outputs (n_y,)."""
     point = uncertain.operating_point
     if point is None:

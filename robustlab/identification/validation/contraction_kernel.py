@@ -1,0 +1,186 @@
+r"""Causal time-invariant systems of bounded gain over a finite time: norm, barrier function, and dual norm.
+
+For pulse responses :math:`H_0 \dots H_{N-1}` (r x c) let T(H) be their block lower-triangular Toeplitz matrix. By
+Carathéodory and Fejér a causal stable system with these first N pulse responses and H-infinity norm at most gamma
+exists if and only if :math:`\bar\sigma(T(H)) \le \gamma`. The set has the self-concordant barrier
+
+.. math:: \varphi(H, \gamma) = -\log\det \begin{bmatrix} \gamma I & T \\ T^T & \gamma I \end{bmatrix}
+
+of parameter N (r + c). Its Hessian in H consists of sums along diagonals of products of the blocks of the inverse: of
+correlations in two dimensions, which fast Fourier transforms give in O(N^2 log N).
+
+References
+----------
+Poolla et al. (1994), theorem 3.1; Genin, Hachez, Nesterov, Van Dooren, "Optimization problems over positive
+pseudopolynomial matrices", SIAM J. Matrix Anal. Appl. 25 (2003), for Hessians of such barriers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "pull_after", "toeplitz", "trace_norm_bound"]
+
+Array = NDArray[np.float64]
+
+
+def toeplitz(h: Array) -> Array:
+    """Block lower-triangular Toeplitz matrix (r n, c n), channel after channel, of pulse responses (n, r, c)."""
+    n, r, c = h.shape
+    lag = np.arange(n)[:, None] - np.arange(n)
+    padded = np.concatenate([np.zeros((n, r, c)), h])
+    parts = padded[lag + n]  # negative lags are zero
+    return np.ascontiguousarray(parts.transpose(2, 0, 3, 1).reshape(r * n, c * n))
+
+
+def gain(h: Array) -> float:
+    """Largest singular value of the Toeplitz matrix: the smallest gamma that a continuation of h can have."""
+    T = toeplitz(h)
+    square = T @ T.T if len(T) <= T.shape[1] else T.T @ T
+    return float(np.sqrt(max(np.linalg.eigvalsh(square)[-1], 0.0)))
+
+
+def diagonal_sums(X: Array, n: int, r: int, c: int) -> Array:
+    """Sums along the lags of X (r n, c n): what pairs with pulse responses (n, r, c)."""
+    parts = X.reshape(r, n, c, n)
+    found = np.zeros((n, r, c))
+    for a in range(r):
+        for b in range(c):
+            block = parts[a, :, b, :]
+            # Row i shifted by i: the lag k = row - column becomes a column of a strided view.
+            padded = np.zeros((n, 2 * n))
+            padded[:, :n] = block[:, ::-1]
+            slid = padded.ravel()[: n * (2 * n - 1)].reshape(n, 2 * n - 1)
+            # padded[i, n - 1 - j] moves to column n - 1 - j + i = n - 1 + (i - j)
+            found[:, a, b] = slid.sum(axis=0)[n - 1 :] if n > 1 else block.sum()
+    return found
+
+
+def barrier_value(h: Array, gamma: float) -> float:
+    """The barrier; +inf outside."""
+    T = toeplitz(h)
+    if len(T) > T.shape[1]:
+        T = T.T
+    try:
+        factor = np.linalg.cholesky(gamma**2 * np.eye(len(T)) - T @ T.T)
+    except np.linalg.LinAlgError:
+        return np.inf
+    more = T.shape[1] - len(T)
+    return float(-2 * np.log(np.diag(factor)).sum() - more * np.log(gamma))
+
+
+@dataclass(frozen=True)
+class Barrier:
+    """Value and derivatives of the barrier: slope and curve are those in (H as (n, r, c) raveled); the rest in gamma.
+
+    Attributes
+    ----------
+    slope, curve
+        (n r c,) and (n r c, n r c).
+    slope_gamma, curve_gamma, cross
+        First and second derivative in gamma, and the mixed ones (n r c,).
+    pull
+        ``2 (gamma^2 I - T T')^-1 T``, whose diagonal sums are the slope; the matrix of the dual norm.
+    """
+
+    slope: Array
+    curve: Array
+    slope_gamma: float
+    curve_gamma: float
+    cross: Array
+    pull: Array
+
+
+def barrier(h: Array, gamma: float) -> Barrier:
+    """Derivatives of the barrier at a point inside."""
+    lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
+
+    n, r, c = h.shape
+    T = toeplitz(h)
+    left, info = lapack.dpotrf(gamma**2 * np.eye(r * n) - T @ T.T, lower=1, overwrite_a=1)
+    half, info_inverse = lapack.dpotri(left, lower=1, overwrite_c=1)
+    if info or info_inverse:
+        raise np.linalg.LinAlgError("outside of the barrier's domain")
+    Q = np.tril(half) + np.tril(half, -1).T  # (gamma^2 I - T T')^-1
+    S12 = -Q @ T
+    S11 = gamma * Q
+    if r == c == 1:  # T' is T turned upside down in both directions
+        S22 = S11[::-1, ::-1]
+    else:  # (gamma^2 I - T'T)^-1 = (I + T' Q T) / gamma^2
+        S22 = (np.eye(c * n) - T.T @ S12) / gamma
+    pull = -2 * S12
+    squared = 2 * (S11 @ S12)  # S11 S12 + S12 S22, and T commutes its way through
+    return Barrier(
+        diagonal_sums(pull, n, r, c).ravel(),
+        _curvature(S11, S12, S22, n, r, c),
+        float(-np.trace(S11) - np.trace(S22)),
+        float((S11**2).sum() + 2 * (S12**2).sum() + (S22**2).sum()),
+        2 * diagonal_sums(squared, n, r, c).ravel(),
+        pull,
+    )
+
+
+def _curvature(S11: Array, S12: Array, S22: Array, n: int, r: int, c: int) -> Array:
+    r"""``2 tr(S12 E' S12 K') + 2 tr(S11 E S22 K')`` for all unit pulse responses E, K, as (n r c, n r c)."""
+    fft: Any = import_module("scipy.fft")
+
+    size = fft.next_fast_len(2 * n - 1, real=True)
+    shape = (size, size)
+
+    def transform(X: Array) -> NDArray[np.complex128]:
+        return fft.rfft2(X, shape)
+
+    def part(X: Array, rows: int, cols: int) -> list[list[Array]]:
+        view = X.reshape(rows, n, cols, n)
+        return [[np.ascontiguousarray(view[a, :, b, :]) for b in range(cols)] for a in range(rows)]
+
+    ones, mixed, twos = part(S11, r, r), part(S12, r, c), part(S22, c, c)
+    first = [[transform(x) for x in row] for row in ones]
+    second = [[transform(x) for x in row] for row in twos]
+    upright = [[transform(x) for x in row] for row in mixed]
+    turned = [[transform(x.T) for x in row] for row in mixed]
+    lags = np.arange(n)
+    back = (-lags) % size
+    found = np.empty((n, r, c, n, r, c))
+    for a in range(r):
+        for b in range(c):
+            for a2 in range(r):
+                for b2 in range(c):
+                    if (a2, b2) < (a, b):
+                        continue
+                    # sum over p, q of S22[b, b2][p, q] S11[a, a2][p + j, q + k]
+                    straight = fft.irfft2(np.conj(second[b][b2]) * first[a][a2], shape)[:n, :n]
+                    # sum over p, q of S12[a, b2][p, q] S12'[b, a2][p - j, q + k]
+                    crossed = fft.irfft2(np.conj(upright[a][b2]) * turned[a2][b], shape)[back, :n]
+                    both = 2 * (straight + crossed)
+                    found[:, a, b, :, a2, b2] = both
+                    found[:, a2, b2, :, a, b] = both.T
+    return found.reshape(n * r * c, n * r * c)
+
+
+def pull_after(h: Array, step: Array, gamma: float, more: float) -> Array:
+    """``2 (gamma^2 I - T T')^-1 T`` after a step of h and gamma, to first order: (r n, c n)."""
+    T, E = toeplitz(h), toeplitz(step)
+    Q = np.linalg.inv(gamma**2 * np.eye(len(T)) - T @ T.T)
+    right = Q @ T  # -S12
+    # The (1, 2) block of S dF S with dF = [more I, E; E', more I].
+    straight = Q @ (E + (E @ T.T) @ right)  # S11 E S22 = gamma Q E (I + T'Q T) / gamma
+    crossed = right @ E.T @ right
+    return 2 * right + 2 * (straight + crossed) - 4 * gamma * more * (Q @ right)
+
+
+def trace_norm_bound(X: Array, c_wanted: Array) -> float:
+    r"""Upper bound of ``max {sum c H : sigma_max(T(H)) <= 1}``: trace norm of any matrix with these diagonal sums.
+
+    X is changed along its diagonals until its sums are exactly those wanted (n, r, c).
+    """
+    n, r, c = c_wanted.shape
+    miss = c_wanted - diagonal_sums(X, n, r, c)
+    count = (n - np.arange(n))[:, None, None]
+    corrected = X + toeplitz(miss / count)
+    return float(np.linalg.svd(corrected, compute_uv=False).sum())

@@ -1,0 +1,158 @@
+"""What `validate` returns: bounds of the smallest Delta, its explanation replayed, and the evidence for both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.identification.evidence import Evidence
+from robustlab.result import Status
+
+__all__ = ["BlockSize", "Validation"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BlockSize(Evidence):
+    """One block of Delta.
+
+    Attributes
+    ----------
+    name, kind
+        Its name, and ``"constant"``, ``"time-invariant"`` or ``"time-varying"``.
+    size
+        How large it is in the explanation; NaN where nothing explains the record.
+    lower, upper
+        Bounds of the smallest scaling of this block alone, the others kept within their size 1; NaN where not asked.
+    value
+        What it is: a number for a constant, pulse responses (n, rows, cols) for a time-invariant system; a time-varying
+        one is given by its signals w and z, which exist by the theorem.
+    physical
+        Value and unit of the parameter that a constant stands for.
+    """
+
+    name: str
+    kind: Literal["constant", "time-invariant", "time-varying"]
+    size: float
+    lower: float
+    upper: float
+    value: Any = None
+    physical: tuple[float, str] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Validation(Evidence):
+    r"""The smallest scaling gamma of Delta with which an uncertain model could have produced a record.
+
+    Attributes
+    ----------
+    status
+        CERTIFIED: both bounds were re-derived from their evidence and are within the precision asked for. CONVERGED:
+        each bound holds as labelled, and either they are that close or they decide about gamma = 1. INCONCLUSIVE: they
+        decide nothing. INFEASIBLE: no Delta of any size explains the record. TIMEOUT: the time ended the search first.
+    record
+        Name of the record.
+    lower, upper
+        No Delta with all blocks smaller than ``lower`` explains the record; one of size ``upper`` does. inf where none
+        was found.
+    label
+        How the bounds were obtained, and for what they are exact.
+    blocks
+        Block name -> `BlockSize`.
+    noise_bound, noise_norm
+        Bound of each output, in its unit, and its norm.
+    excess
+        Noise that the explanation leaves over its bound: at most 1. Where no Delta explains the record, by what factor
+        the noise bound would have to grow.
+    replay_error
+        Largest difference between two ways to compute the explained outputs, over the noise bound.
+    assumptions
+        What is taken for granted.
+    t, measured, nominal, explained, outputs
+        Clock (n,), outputs (n, n_y) as recorded, of the nominal model, and of the explanation (NaN where there is
+        none); names and units.
+    w, z
+        Signals of the dynamic blocks in the explanation, in their own units: w = Delta z.
+    multipliers
+        The certificate of the lower bound: arrays by name.
+    recheck
+        Computes the lower bound once more from the certificate, without a solver.
+    """
+
+    status: Status
+    record: str
+    lower: float
+    upper: float
+    label: str
+    blocks: Mapping[str, BlockSize]
+    noise_bound: Mapping[str, float]
+    noise_norm: str
+    excess: float
+    replay_error: float
+    assumptions: tuple[str, ...]
+    t: Array
+    measured: Array
+    nominal: Array
+    explained: Array
+    outputs: tuple[tuple[str, str], ...]
+    w: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    multipliers: Mapping[str, Array] = field(default_factory=dict)
+    recheck: Callable[[], float] | None = None
+
+    @property
+    def verdict(self) -> str:
+        """``"not invalidated at gamma = ..."``, ``"invalidated: gamma is at least ..."``, or why neither."""
+        if self.status is Status.INFEASIBLE:
+            return "invalidated at every gamma"
+        if self.invalidated:
+            known = f", and {self.upper:.4g} explains it" if np.isfinite(self.upper) else ""
+            return f"invalidated: gamma is at least {self.lower:.4g}{known}"
+        if self.upper <= 1:
+            return f"not invalidated at gamma = {self.upper:.4g}"
+        return f"undecided: the smallest gamma is between {self.lower:.4g} and {self.upper:.4g}"
+
+    @property
+    def invalidated(self) -> bool:
+        """Whether no Delta of the set (gamma = 1) explains the record."""
+        return self.lower > 1
+
+    def summary(self) -> str:
+        """The verdict, and what stands behind it, for reading."""
+        lines = [f"{self.record}: {self.verdict} ({self.status})"]
+        if self.status is Status.INFEASIBLE:
+            lines.append(f"no Delta of any size leaves less than {self.excess:.4g} times the noise bound")
+        else:
+            lines.append(f"smallest gamma between {self.lower:.6g} and {self.upper:.6g}: {self.label}")
+        for block in self.blocks.values():
+            if np.isnan(block.size) and np.isnan(block.lower):
+                continue
+            text = f"{block.name} ({block.kind})"
+            if not np.isnan(block.size):
+                text += f": size {block.size:.4g} in the explanation"
+            if block.physical is not None:
+                text += f", {block.physical[0]:.6g} {block.physical[1]}".rstrip()
+            if not np.isnan(block.lower):
+                text += f"; alone, the others within 1: {block.lower:.4g} to {block.upper:.4g}"
+            lines.append(text)
+        if np.isfinite(self.upper):
+            lines.append(f"replayed: noise {self.excess:.4g} of its {self.noise_norm} bound")
+        lines += [f"assumed: {text}" for text in self.assumptions]
+        return "\n".join(lines)
+
+    def to_json(self, series: bool = True) -> dict[str, object]:
+        """All fields but the re-check; without ``series`` also without time series, pulse responses and multipliers."""
+        data = {k: v for k, v in vars(self).items() if k != "recheck"}
+        if not series:
+            long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers")
+            data = {k: v for k, v in data.items() if k not in long}
+            data["blocks"] = {
+                name: {k: v for k, v in b.to_json().items() if not isinstance(v, np.ndarray)}
+                for name, b in self.blocks.items()
+            }
+        return {**data, "verdict": self.verdict, "invalidated": self.invalidated}

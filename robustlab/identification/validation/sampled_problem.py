@@ -1,0 +1,417 @@
+r"""Uncertain model and record as a validation sees them: sampled, matched by names, in units of the noise bounds.
+
+With :math:`w = \Delta z` unknown, everything else is affine in the states and in w:
+
+.. math::
+
+    x_{t+1} = A x_t + B w_t, \qquad z_t = z^0_t + C_1 x_t + D_{11} w_t, \qquad n_t = e_t - C_2 x_t - D_{21} w_t
+
+x is what the initial state and w add to the response to the recorded inputs; e is the record minus that response and n
+is the noise, both divided by the noise bound. At the start of a window the state may jump within the subspace that the
+recorded outputs show: fewer equations of motion, hence a weaker test, never a wrong one. States that the outputs do not
+show (those of a weight) start at rest: a free one could make z, and with it the allowed w, as large as one likes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.identification.envelope import deviations
+from robustlab.identification.response import response_of
+from robustlab.identification.validation.recursion import powers, states
+from robustlab.record import Record
+from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.uncertainty.blocks import Block, ComplexScalar, block_slices
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["NoiseNorm", "Recorded", "SampledProblem", "prepared", "sampled", "with_delta_of"]
+
+Array = NDArray[np.float64]
+NoiseNorm = Literal["peak", "rms"]
+
+# Responses below this share of the largest one are rounding.
+ROUNDING = 1e-12
+# A state direction counts as shown by the outputs above this share of the best shown one.
+SHOWN = 1e-9
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A record matched with an uncertain model.
+
+    Attributes
+    ----------
+    uncertain
+        The set, with the compared outputs only.
+    t
+        Clock in s, shape (n,).
+    u, y
+        Inputs (n, n_u) and outputs (n, n_y) in the order of the model, in deviations from its operating point.
+    outputs
+        Compared outputs with their units.
+    bound
+        Noise bound of each output, shape (n_y,): largest value, or root mean square.
+    norm
+        Which of the two.
+    used
+        False where a sample of an output is missing, shape (n, n_y).
+    starts
+        First sample of each window.
+    at_rest
+        Whether the first window starts at the state zero; all others have a free state.
+    """
+
+    uncertain: UncertainModel
+    t: Array
+    u: Array
+    y: Array
+    outputs: tuple[Signal, ...]
+    bound: Array
+    norm: NoiseNorm
+    used: NDArray[np.bool_]
+    starts: tuple[int, ...]
+    at_rest: bool
+
+    @property
+    def dt(self) -> float:
+        """Sample time in s."""
+        return float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
+
+    def part(self, first: int, last: int) -> Recorded:
+        """Samples ``first .. last - 1`` as a record of one window, free at its start unless it is the record's."""
+        cut = slice(first, last)
+        starts = (0, *(s - first for s in self.starts if first < s < last))
+        at_rest = self.at_rest and first == 0
+        return replace(
+            self, t=self.t[cut], u=self.u[cut], y=self.y[cut], used=self.used[cut], starts=starts, at_rest=at_rest
+        )
+
+
+def prepared(
+    uncertain: UncertainModel,
+    record: Record,
+    noise: Mapping[str, float],
+    *,
+    norm: NoiseNorm = "peak",
+    window: float | None = None,
+    at_rest: bool = False,
+    missing: Mapping[str, Sequence[int]] | None = None,
+) -> Recorded:
+    """Match model and record; refuse what cannot be judged.
+
+    Raises
+    ------
+    InputError
+        Signals that do not fit, a clock that is not uniform, an output without a noise bound, windows that are too
+        short.
+    NoTrustworthyNumber
+        A noise bound of zero: the noise model is singular.
+    """
+    where = f"validate {record.name}"
+    if not record.is_uniform:
+        step = np.diff(record.t)
+        k = int(np.abs(step - record.dt).argmax())
+        found = f"irregular sampling: {step.min():.6g} to {step.max():.6g} s between samples (worst at sample {k + 1})"
+        reason = "a uniform clock: Delta acts on samples, and between unequal ones a contraction has no meaning"
+        raise InputError(where, found, reason, "resample the record, or cut it where samples are missing")
+    response = response_of(uncertain.nominal, record)
+    names = response.output_names
+    bound = _bounds(noise, names, norm, where)
+    shifted, _ = deviations(response.with_units(record), uncertain, names)
+    chosen = uncertain.select(outputs=names)
+    n, n_x = record.n, uncertain.M.n_states
+    u = np.column_stack([np.zeros((n, 0)), *(shifted.inputs[s.name] for s in chosen.inputs)])
+    y = np.column_stack([shifted.outputs[name] for name in names])
+    used = _used(missing or {}, names, n, where)
+    starts = _starts(window, record, n_x, where)
+    return Recorded(chosen, record.t, u, y, response.outputs, bound, norm, used, starts, at_rest)
+
+
+@dataclass(frozen=True)
+class SampledProblem:
+    """The affine maps of this module for one choice of the real parameters.
+
+    Attributes
+    ----------
+    A, B, C1, D11, C2, D21
+        Sampled model from w to z and to the noise, in scaled signals.
+    z0, e
+        Shape (n, p) and (n, n_y).
+    used
+        Shape (n, n_y).
+    norm, radius
+        Noise norm, and the bound of each output in its scaled unit (n_y,): 1 for peaks, root of the count for rms.
+    starts, at_rest
+        As in `Recorded`.
+    free
+        Orthonormal basis of the state directions that the outputs show, shape (n_x, k): there the state of a window is
+        free.
+    blocks
+        For each dynamic block its slices of w and z, and whether it is one system repeated.
+    names
+        Their names.
+    scale
+        Signals w and z of each block are divided by this.
+    """
+
+    A: Array
+    B: Array
+    C1: Array
+    D11: Array
+    C2: Array
+    D21: Array
+    z0: Array
+    e: Array
+    used: NDArray[np.bool_]
+    norm: NoiseNorm
+    radius: Array
+    starts: tuple[int, ...]
+    at_rest: bool
+    free: Array
+    blocks: tuple[tuple[slice, slice, bool], ...]
+    names: tuple[str, ...]
+    scale: Array
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.e)
+
+    @property
+    def free_starts(self) -> tuple[int, ...]:
+        """Samples at which the state is free."""
+        return self.starts[1:] if self.at_rest else self.starts
+
+    def respond(self, w: Array, states_at: Mapping[int, Array]) -> tuple[Array, Array]:
+        """Z (n, p) and noise (n, n_y) for w (n, q) and a jump (k,) of the state at free starts; 0 where left out."""
+        drive = w @ self.B.T
+        first = np.zeros(len(self.A))
+        for t, jump in states_at.items():
+            if t:
+                drive[t - 1] += self.free @ jump
+            else:
+                first = self.free @ jump
+        x = states(self.A, drive, first)
+        return self.z0 + x @ self.C1.T + w @ self.D11.T, self.e - x @ self.C2.T - w @ self.D21.T
+
+    def markov(self) -> tuple[Array, Array]:
+        """Pulse responses from w to z (n, p, q) and to -noise (n, n_y, q), and thereby all that w does."""
+        moved = powers(self.A, self.B, self.n)[: self.n - 1]
+        return np.concatenate([self.D11[None], self.C1 @ moved]), np.concatenate([self.D21[None], self.C2 @ moved])
+
+    def free_response(self) -> tuple[Array, Array]:
+        """What the jumps add to z (n, p, k m) and to -noise (n, n_y, k m), for the m free starts in turn."""
+        k, starts = self.free.shape[1], self.free_starts
+        to_z, to_y = (np.zeros((self.n, len(c), k * len(starts))) for c in (self.C1, self.C2))
+        moved = powers(self.A, self.free, self.n) if starts else np.zeros((0, *self.free.shape))
+        for i, start in enumerate(starts):
+            to_z[start:, :, i * k : (i + 1) * k] = self.C1 @ moved[: self.n - start]
+            to_y[start:, :, i * k : (i + 1) * k] = self.C2 @ moved[: self.n - start]
+        return to_z, to_y
+
+    def z_is_known(self) -> bool:
+        """Whether z depends neither on w nor on a free state: then the test is convex."""
+        largest = float(np.abs(self.z0).max(initial=0.0))
+        state = np.hstack([self.B, self.free]) if self.free_starts else self.B
+        moved = float(np.abs(self.D11).max(initial=0.0))
+        for _ in range(max(len(self.A), 1)):
+            moved = max(moved, float(np.abs(self.C1 @ state).max(initial=0.0)))
+            state = self.A @ state
+        return moved <= ROUNDING * max(largest, 1e-300)
+
+    def excess(self, noise: Array) -> float:
+        """Largest noise over its bound: at most 1 where the noise is explained."""
+        inside = np.where(self.used, noise, 0.0)
+        if self.norm == "peak":
+            return float(np.abs(inside).max(initial=0.0))
+        return float((np.linalg.norm(inside, axis=0) / self.radius).max(initial=0.0))
+
+    def sizes(self, w: Array, z: Array) -> Array:
+        r"""For each block the smallest gain of a causal time-varying system that maps z to w.
+
+        .. math:: \max_T \left(\sum_{t \le T} |w_t|^2 / \sum_{t \le T} |z_t|^2\right)^{1/2}
+        """
+        found = []
+        for rows, cols, _ in self.blocks:
+            ew = np.cumsum((w[:, rows] ** 2).sum(axis=1))
+            ez = np.cumsum((z[:, cols] ** 2).sum(axis=1))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.where(ew > 0, ew / ez, 0.0)
+            found.append(float(np.sqrt(ratio.max(initial=0.0))))
+        return np.array(found)
+
+
+def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> SampledProblem:
+    """The problem for a model whose Delta channels belong to the given (dynamic) blocks; zero-order hold on u and w."""
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    A, B, C, D = _held(M, recorded.dt)
+    n_u = B.shape[1] - q
+    forced = _forced(A, B[:, q:], C, D[:, q:], recorded.u if n_u else np.zeros((len(recorded.t), 0)))
+    z0, y0 = forced[:, :p], forced[:, p:]
+    scale_w, scale_z, scales = np.ones(q), np.ones(p), []
+    layout = []
+    for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
+        size = float(np.sqrt(np.mean(z0[:, cols] ** 2))) or 1.0
+        scale_w[rows], scale_z[cols] = size, size
+        scales.append(size)
+        layout.append((rows, cols, isinstance(block, ComplexScalar) and block.repeats > 1))
+    count = np.maximum(recorded.used.sum(axis=0), 1)
+    radius = np.ones(len(recorded.bound)) if recorded.norm == "peak" else np.sqrt(count)
+    return SampledProblem(
+        A,
+        B[:, :q] * scale_w,
+        C[:p] / scale_z[:, None],
+        D[:p, :q] * scale_w / scale_z[:, None],
+        C[p:] / recorded.bound[:, None],
+        D[p:, :q] * scale_w / recorded.bound[:, None],
+        z0 / scale_z,
+        (recorded.y - y0) / recorded.bound,
+        recorded.used,
+        recorded.norm,
+        radius,
+        recorded.starts,
+        recorded.at_rest,
+        _shown(A, C[p:] / recorded.bound[:, None]),
+        tuple(layout),
+        tuple(b.name for b in blocks),
+        np.array(scales),
+    )
+
+
+def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tuple[StateSpaceModel, tuple[Block, ...]]:
+    """M and its remaining blocks once the named real blocks are set to their values."""
+    from robustlab.uncertainty.blocks import delta_matrix
+    from robustlab.uncertainty.lft import upper_lft
+
+    slices = block_slices(uncertain.blocks)
+    fixed = [k for k, b in enumerate(uncertain.blocks) if b.name in values]
+    kept = [k for k in range(len(uncertain.blocks)) if k not in fixed]
+    q, p = uncertain.delta_shape
+    M = uncertain.M
+
+    def order(side: int, count: int, total: int) -> list[int]:
+        def at(k: int) -> list[int]:
+            part = slices[k][side]
+            return list(range(part.start, part.stop))
+
+        return [*(i for k in fixed for i in at(k)), *(i for k in kept for i in at(k)), *range(count, total)]
+
+    ins, outs = order(0, q, M.n_inputs), order(1, p, M.n_outputs)
+    turned = StateSpaceModel(
+        M.A,
+        M.B[:, ins],
+        M.C[outs],
+        M.D[np.ix_(outs, ins)],
+        M.dt,
+        [M.inputs[i] for i in ins],
+        [M.outputs[i] for i in outs],
+        M.states,
+    )
+    blocks = [uncertain.blocks[k] for k in fixed]
+    delta = delta_matrix(blocks, values)
+    closed = upper_lft(turned, delta) if blocks else turned
+    return closed, tuple(uncertain.blocks[k] for k in kept)
+
+
+def _held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+    """The model at the record's sample time with all inputs held between samples."""
+    if M.is_discrete or not M.n_states:
+        return M.A, M.B, M.C, M.D
+
+    from scipy.linalg import expm
+
+    n, m = M.B.shape
+    both = np.asarray(expm(np.block([[M.A, M.B], [np.zeros((m, n + m))]]) * dt), dtype=np.float64)
+    if not np.isfinite(both).all():
+        raise NoTrustworthyNumber("validate", f"the model cannot be sampled at {dt:g} s: its exponential overflows")
+    return both[:n, :n], both[:n, n:], M.C, M.D
+
+
+def _shown(A: Array, C: Array) -> Array:
+    """Orthonormal basis of the state directions that C shows: the row space of the observability matrix."""
+    rows, found = C, [C]
+    for _ in range(1, len(A)):
+        rows = rows @ A
+        rows = rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-300)
+        found.append(rows)
+    if not len(A):
+        return np.zeros((0, 0))
+    stacked = np.vstack(found)
+    stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=1, keepdims=True), 1e-300)
+    _, sigma, right = np.linalg.svd(stacked)
+    rank = int((sigma > SHOWN * sigma[0]).sum()) if sigma[0] > 0 else 0
+    return right[:rank].T
+
+
+def _forced(A: Array, B: Array, C: Array, D: Array, u: Array) -> Array:
+    """Response from rest, shape (n, rows of C)."""
+    x = states(A, u @ B.T, np.zeros(len(A)))
+    found = x @ C.T + u @ D.T
+    if not np.isfinite(found).all():
+        raise NoTrustworthyNumber("validate", "the nominal response outgrows every number", None, "use windows")
+    return found
+
+
+def _bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
+    if norm not in ("peak", "rms"):
+        raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
+    for name in noise:
+        if name not in names:
+            raise InputError(
+                f"{where}: noise of {name!r}",
+                "no such compared output",
+                f"one of {', '.join(names)}",
+                did_you_mean(name, names),
+            )
+    for name in names:
+        if name not in noise:
+            hint = f"noise={{{name!r}: ...}} in its unit: what the sensor may be off"
+            raise InputError(f"{where}: output {name!r}", "has no noise bound", "one for each compared output", hint)
+        value = noise[name]
+        if not (np.isfinite(value) and value >= 0):
+            raise InputError(f"{where}: noise of {name!r}", f"{value}", "a positive number")
+        if value == 0:
+            raise NoTrustworthyNumber(
+                f"{where}: noise of {name!r}",
+                "singular noise model: with a bound of 0 the last digit of a sample would decide",
+                "a positive bound",
+                "at least the resolution of the sensor",
+            )
+    return np.array([float(noise[name]) for name in names])
+
+
+def _used(missing: Mapping[str, Sequence[int]], names: tuple[str, ...], n: int, where: str) -> NDArray[np.bool_]:
+    used = np.ones((n, len(names)), dtype=bool)
+    for name, samples in missing.items():
+        if name not in names:
+            raise InputError(
+                f"{where}: missing {name!r}",
+                "no such compared output",
+                f"one of {', '.join(names)}",
+                did_you_mean(name, names),
+            )
+        index = np.asarray(samples)
+        if index.dtype == bool and index.shape != (n,):
+            raise InputError(f"{where}: missing {name!r}", f"a mask of shape {index.shape}", f"({n},)")
+        if index.dtype != bool and index.size and (index.dtype.kind != "i" or index.min() < 0 or index.max() >= n):
+            raise InputError(f"{where}: missing {name!r}", "samples outside the record", f"0 .. {n - 1}")
+        used[index if index.size else [], names.index(name)] = False
+    if not used.any():
+        raise InputError(where, "every sample is missing", "some measured samples")
+    return used
+
+
+def _starts(window: float | None, record: Record, n_states: int, where: str) -> tuple[int, ...]:
+    if window is None:
+        return (0,)
+    length = round(window / record.dt) if np.isfinite(window) else 0
+    shortest = max(4, 2 * n_states)
+    if length < shortest:
+        raise InputError(where, f"windows of {window:g} s ({length} samples)", f"at least {shortest} samples")
+    return tuple(s for s in range(0, record.n, length) if record.n - s >= shortest or s == 0)

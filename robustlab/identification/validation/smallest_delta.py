@@ -1,0 +1,504 @@
+r"""Could this uncertain model have produced this record? The smallest scaling of Delta for which it could.
+
+.. math:: \gamma^* = \min \gamma \quad \text{s.t.} \quad y = F_u(M, \Delta) u + n, \quad \|\Delta_i\| \le \gamma,
+          \quad n \text{ within its bound}
+
+References
+----------
+Poolla, Khargonekar, Tikku, Krause, Nagpal, "A time-domain approach to model validation", IEEE TAC 39 (1994) 951-959.
+Smith and Doyle, "Model validation: a connection between robust control and identification", IEEE TAC 37 (1992) 942-952.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.validation.certificate import largest_disproved
+from robustlab.identification.validation.constant_parameters import smallest_parameters
+from robustlab.identification.validation.mixed_delta import smallest_mixed
+from robustlab.identification.validation.result import BlockSize, Validation
+from robustlab.identification.validation.sampled_problem import (
+    NoiseNorm,
+    Recorded,
+    SampledProblem,
+    prepared,
+    sampled,
+    with_delta_of,
+)
+from robustlab.identification.validation.time_invariant import PulseResponses, smallest_pulse_responses
+from robustlab.identification.validation.time_varying import Contractions, smallest_contractions
+from robustlab.record import Record
+from robustlab.result import Status
+from robustlab.uncertainty.blocks import Block, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["DeltaKind", "validate"]
+
+Array = NDArray[np.float64]
+DeltaKind = Literal["time-invariant", "time-varying"]
+
+# Pulse responses are unknowns of a dense problem: a longer record is cut to its beginning, which is a weaker test.
+MOST_UNKNOWNS = 2000
+LONGEST = 700
+# Confidence that a noise bound taken from repeats is not exceeded by noise of that standard deviation.
+CONFIDENCE = 0.99
+# Sizes below this count as zero.
+SMALLEST = 1e-6
+
+
+def validate(
+    uncertain: UncertainModel,
+    record: Record,
+    noise: Mapping[str, float] | None = None,
+    *,
+    noise_norm: NoiseNorm = "peak",
+    delta: DeltaKind = "time-invariant",
+    at_rest: bool = False,
+    window: float | None = None,
+    missing: Mapping[str, Sequence[int]] | None = None,
+    per_block: bool = False,
+    precision: float = 0.01,
+    time_limit: float = 120.0,
+    progress: Callable[[str], None] | None = None,
+) -> Validation:
+    """Smallest scaling of Delta with which an uncertain model could have produced a record.
+
+    Parameters
+    ----------
+    uncertain
+        The set. Real blocks are constants; complex and full blocks are causal systems. A continuous model is sampled
+        with all inputs, also w, held between samples.
+    record
+        The measurement, on a uniform clock; all inputs of the set must be recorded, and some of its outputs.
+    noise
+        Output name -> bound of its noise, in its unit. Where left out it is estimated from the record's own periods
+        (99 % confidence for white Gaussian noise), which asks for a record that repeats.
+    noise_norm
+        ``"peak"``: no sample is off by more; ``"rms"``: the root mean square over the record is not larger.
+    delta
+        What the complex and full blocks are.
+    at_rest
+        The record starts at rest. Otherwise the states that the outputs show are free at the start. Delta is at rest.
+    window
+        Cut the record into windows of that many seconds, each with a free start; Delta keeps its memory and its
+        values. A weaker test, for records over which an open-loop response drifts.
+    missing
+        Output name -> samples (indices or a mask) that were not measured.
+    per_block
+        Also find the smallest scaling of each block alone, the others kept within their size 1.
+    precision
+        Relative width of the bounds to be reached.
+    time_limit
+        Seconds; what was found by then is returned.
+    progress
+        Called with one line at each step.
+
+    Returns
+    -------
+    Validation
+        With both bounds, the Delta and the noise that explain the record, and the certificate of the lower bound.
+
+        ============================  =======================================  =====================================
+        blocks                        upper bound                              lower bound
+        ============================  =======================================  =====================================
+        time-varying                  w by convex-concave procedure, replayed  multipliers, re-checked by a sweep
+        time-invariant, z known       pulse responses, replayed                dual of the convex problem (exact)
+        time-invariant, z unknown     pulse responses by Gauss-Newton          that of time-varying ones (relaxation)
+        constant                      values by descent, replayed              boxes tested at points (not proved)
+        constant and dynamic          search over the constants                that of all time-varying (relaxation)
+        ============================  =======================================  =====================================
+
+        z is known where it depends neither on Delta nor on a free state: additive and multiplicative uncertainty.
+
+    Raises
+    ------
+    InputError
+        Irregular sampling, signals that do not fit, no noise bound.
+    NoTrustworthyNumber
+        A noise bound of zero, no noise bound and no repeats to take it from, a solver that gives no answer.
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> from robustlab.uncertainty.unstructured import unstructured
+    >>> gain = unstructured(StateSpaceModel([], [], [], [[2.0]], dt=1.0), 1.0)
+    >>> steps = Record(range(4), {"u1": [1, 0, 0, 0]}, {"y1": [2.5, 0, 0, 0]})
+    >>> found = validate(gain, steps, {"y1": 0.1}, at_rest=True)
+    >>> round(found.upper, 2), found.verdict
+    (0.4, 'not invalidated at gamma = 0.4')
+    """
+    begun = time.monotonic()
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
+    if delta not in ("time-invariant", "time-varying"):
+        raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
+    if not 1e-4 <= precision <= 0.2:
+        raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
+    bounds = dict(noise) if noise is not None else _estimated(uncertain, record, noise_norm)
+    recorded = prepared(uncertain, record, bounds, norm=noise_norm, window=window, at_rest=at_rest, missing=missing)
+    job = _Job(recorded, delta, precision, begun + time_limit, progress or (lambda _line: None))
+    found = job.bounds(np.ones(len(recorded.uncertain.blocks), dtype=bool))
+    alone: dict[str, tuple[float, float]] = {}
+    if per_block and np.isfinite(found.upper):
+        for k, block in enumerate(recorded.uncertain.blocks):
+            job.progress(f"block {block.name} alone")
+            part = job.bounds(np.arange(len(recorded.uncertain.blocks)) == k)
+            alone[block.name] = part.lower, part.upper
+    assumptions = _assumptions(recorded, delta, noise is None)
+    return _result(record, recorded, found, alone, assumptions, precision, job)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Bounds of one problem with what explains the record."""
+
+    lower: float
+    upper: float
+    label: str
+    certified: bool
+    values: Mapping[str, float]
+    problem: SampledProblem | None
+    w: Array
+    z: Array
+    noise: Array
+    pulses: tuple[Array, ...]
+    states: Mapping[int, Array]
+    sizes: Mapping[str, float]
+    multipliers: Mapping[str, Array]
+    recheck: Callable[[], float] | None
+    excess: float
+    finished: bool = True
+
+
+_NONE = np.zeros((0, 0))
+
+
+@dataclass(frozen=True)
+class _Job:
+    recorded: Recorded
+    delta: DeltaKind
+    precision: float
+    deadline: float
+    progress: Callable[[str], None]
+
+    def bounds(self, scaled: NDArray[np.bool_]) -> _Found:
+        """Bounds over the blocks that ``scaled`` names, the others within 1."""
+        blocks = self.recorded.uncertain.blocks
+        real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
+        if not real.any():
+            return self.dynamic({}, scaled)
+        if real.all():
+            return self.constant(scaled)
+        return smallest_mixed(self, scaled)
+
+    def constant(self, scaled: NDArray[np.bool_]) -> _Found:
+        """All blocks are real."""
+        blocks = [b for b in self.recorded.uncertain.blocks if isinstance(b, RealScalar)]
+        found = smallest_parameters(self.recorded, blocks, scaled, self.precision, self.deadline)
+        self.progress(f"constants: gamma {found.lower:.4g} .. {found.upper:.4g}, {found.boxes} boxes")
+        values = {b.name: float(v) for b, v in zip(blocks, found.delta, strict=True)}
+        explained = np.isfinite(found.upper)
+        label = f"constants; upper bound replayed, lower bound from {found.boxes} boxes tested at points"
+        return _Found(
+            found.lower, found.upper, label, False, values if explained else {}, None, _NONE, _NONE, found.noise, (),
+            {}, {n: abs(v) for n, v in values.items()} if explained else {}, {}, None, found.least_excess,
+            found.finished,
+        )  # fmt: skip
+
+    def dynamic(self, values: Mapping[str, float], scaled: NDArray[np.bool_], quick: bool = False) -> _Found:
+        """The real blocks are set; ``scaled`` belongs to the blocks that remain."""
+        M, blocks = with_delta_of(self.recorded.uncertain, values)
+        problem = sampled(self.recorded, M, blocks)
+        varying = smallest_contractions(problem, scaled, self.precision, self.deadline)
+        self.progress(f"time-varying: gamma {varying.lower:.4g} .. {varying.upper:.4g}")
+        repeated = any(r for _, _, r in problem.blocks)
+        if np.isinf(varying.lower) or (quick and not repeated):
+            return self._varying(problem, varying, scaled, values)
+        if self.delta == "time-varying":
+            if repeated:
+                raise InputError(
+                    "validate", "a repeated complex scalar as a time-varying system", "time-invariant ones",
+                    'delta="time-invariant"',
+                )  # fmt: skip
+            return self._varying(problem, varying, scaled, values)
+        return self._invariant(problem, varying, scaled, values, blocks, M)
+
+    def _varying(
+        self, problem: SampledProblem, c: Contractions, scaled: NDArray[np.bool_], values: Mapping[str, float]
+    ) -> _Found:
+        exact = "exact" if c.convex else "lower bound exact where the Lagrangian is concave"
+        label = f"time-varying contractions ({exact})"
+        sizes = dict(zip(problem.names, map(float, c.sizes), strict=True)) if len(c.sizes) else {}
+        evidence = {"energy": c.multipliers.D, "noise": c.multipliers.noise}
+        return _Found(
+            c.lower, c.upper, label, True, values, problem, c.w, c.z, c.noise, (), c.states, sizes, evidence,
+            _sweep(problem, c, scaled, self.precision), c.least_noise if not c.w.size else problem.excess(c.noise),
+        )  # fmt: skip
+
+    def _invariant(
+        self,
+        problem: SampledProblem,
+        c: Contractions,
+        scaled: NDArray[np.bool_],
+        values: Mapping[str, float],
+        blocks: Sequence[Block],
+        M: Any,
+    ) -> _Found:
+        relaxed = replace(self._varying(problem, c, scaled, values), upper=np.inf, w=_NONE, z=_NONE, sizes={})
+        each = sum(1 if r else (a.stop - a.start) * (b.stop - b.start) for a, b, r in problem.blocks)
+        longest = min(LONGEST, MOST_UNKNOWNS // max(each, 1))
+        if problem.n > longest:
+            start = sampled(self.recorded.part(0, longest), M, blocks)
+            guess = c.upper if np.isfinite(c.upper) else 1.0
+            head = smallest_pulse_responses(start, scaled, self.precision, self.deadline, guess)
+            lower = max(c.lower, head.lower if head is not None else 0.0)
+            label = f"time-invariant: lower bound from the first {longest} samples and from time-varying systems"
+            return replace(relaxed, lower=lower, label=label)
+        guess = c.upper if np.isfinite(c.upper) else max(1.0, c.lower)
+        z = c.z if c.z.size else None
+        found = smallest_pulse_responses(problem, scaled, self.precision, self.deadline, guess, z)
+        if found is None:
+            label = "time-invariant: lower bound from time-varying systems (relaxation), no explanation found"
+            return replace(relaxed, label=label)
+        self.progress(f"time-invariant: gamma {found.lower:.4g} .. {found.upper:.4g}")
+        return self._pulses(problem, c, found, relaxed)
+
+    def _pulses(self, problem: SampledProblem, c: Contractions, found: PulseResponses, relaxed: _Found) -> _Found:
+        convex = found.lower > c.lower
+        label = (
+            "time-invariant systems (exact)" if c.convex else "time-invariant; lower bound from time-varying systems"
+        )
+        k = problem.free.shape[1]
+        states = {t: found.states[i * k : (i + 1) * k] for i, t in enumerate(problem.free_starts)}
+        return replace(
+            relaxed,
+            lower=max(found.lower, c.lower),
+            upper=found.upper,
+            label=label,
+            w=found.w,
+            z=found.z,
+            noise=found.noise,
+            pulses=found.h,
+            states=states,
+            sizes=dict(zip(problem.names, map(float, found.sizes), strict=True)),
+            multipliers={"noise": found.dual} if convex else relaxed.multipliers,
+            recheck=found.recheck if convex else relaxed.recheck,
+            excess=problem.excess(found.noise),
+        )
+
+
+def _sweep(
+    problem: SampledProblem, c: Contractions, scaled: NDArray[np.bool_], precision: float
+) -> Callable[[], float] | None:
+    if not np.isfinite(c.lower) or c.lower <= 0:
+        return None
+    start = c.lower * (1 + precision)
+    return lambda: largest_disproved(
+        problem, c.multipliers, lambda gamma: np.where(scaled, gamma, 1.0), start, precision / 10
+    )
+
+
+# --- result ----------------------------------------------------------------------------------------------------------
+
+
+def _result(
+    record: Record,
+    recorded: Recorded,
+    found: _Found,
+    alone: Mapping[str, tuple[float, float]],
+    assumptions: tuple[str, ...],
+    precision: float,
+    job: _Job,
+) -> Validation:
+    offset = np.column_stack([record.outputs[s.name] for s in recorded.outputs]) - recorded.y
+    measured = recorded.y + offset
+    explained, error = np.full(measured.shape, np.nan), 0.0
+    if np.isfinite(found.upper):
+        explained = measured - found.noise * recorded.bound
+        error = _replay_error(recorded, found)
+        if not error <= 1e-3:
+            raise NoTrustworthyNumber(
+                f"validate {record.name}", f"the explanation is off by {error:.1e} of the noise bound when replayed"
+            )
+    late = time.monotonic() > job.deadline
+    w, z = found.w, found.z
+    if found.problem is not None and w.size:
+        w, z = w.copy(), z.copy()
+        for (rows, cols, _), size in zip(found.problem.blocks, found.problem.scale, strict=True):
+            w[:, rows] *= size
+            z[:, cols] *= size
+    bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
+    return Validation(
+        status=_status(found, precision, late),
+        record=record.name,
+        lower=float(found.lower),
+        upper=float(found.upper),
+        label=found.label,
+        blocks={b.name: _block(b, found, alone, job.delta) for b in recorded.uncertain.blocks},
+        noise_bound=bound,
+        noise_norm=recorded.norm,
+        excess=found.excess,
+        replay_error=error,
+        assumptions=assumptions,
+        t=record.t,
+        measured=measured,
+        nominal=_nominal(recorded) + offset,
+        explained=explained,
+        outputs=tuple((s.name, s.unit) for s in recorded.outputs),
+        w=w,
+        z=z,
+        multipliers=found.multipliers,
+        recheck=found.recheck,
+    )
+
+
+def _status(found: _Found, precision: float, late: bool) -> Status:
+    if np.isinf(found.lower):
+        return Status.INFEASIBLE
+    if np.isfinite(found.upper) and found.upper - found.lower <= 1.01 * precision * max(found.upper, SMALLEST):
+        return Status.CERTIFIED if found.certified else Status.CONVERGED
+    if found.lower > 1 or found.upper <= 1:
+        return Status.CONVERGED
+    return Status.TIMEOUT if late or not found.finished else Status.INCONCLUSIVE
+
+
+def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]], delta: DeltaKind) -> BlockSize:
+    lower, upper = alone.get(block.name, (np.nan, np.nan))
+    if isinstance(block, RealScalar) and (not found.problem or block.name not in found.problem.names):
+        value = found.values.get(block.name)
+        physical = None
+        if block.parameter is not None and value is not None:
+            physical = block.parameter.value(value), block.parameter.unit
+        size = abs(value) if value is not None else np.nan
+        return BlockSize(block.name, "constant", size, lower, upper, value, physical)
+    pulse = None
+    if found.problem is not None and found.pulses:
+        pulse = found.pulses[found.problem.names.index(block.name)]
+    return BlockSize(block.name, delta, found.sizes.get(block.name, np.nan), lower, upper, pulse)
+
+
+def _replay_error(recorded: Recorded, found: _Found) -> float:
+    """The explanation once more on another way, against its noise, over the bound."""
+    if found.problem is None:  # constants: the member itself, in the simulation of `robustlab.dynamics`
+        return _member_error(recorded, found)
+    problem = found.problem
+    w = found.w
+    if found.pulses:
+        w = _in_the_loop(problem, found)
+    _, noise = problem.respond(w, found.states)
+    return float(np.abs((noise - found.noise)[problem.used]).max(initial=0.0))
+
+
+def _in_the_loop(problem: SampledProblem, found: _Found) -> Array:
+    """W sample by sample: Delta sees z as it comes."""
+    n, q = problem.n, problem.B.shape[1]
+    w, z = np.zeros((n, q)), np.zeros_like(problem.z0)
+    state = np.zeros(len(problem.A))
+    first = np.zeros((q, len(problem.C1)))
+    wholes = []
+    for (rows, cols, repeated), h in zip(problem.blocks, found.pulses, strict=True):
+        full = h * np.eye(rows.stop - rows.start) if repeated else h
+        wholes.append((rows, cols, full))
+        first[rows, cols] = full[0]
+    inner = np.linalg.inv(np.eye(q) - first @ problem.D11)
+    for t in range(n):
+        if t in found.states:
+            state = state + problem.free @ found.states[t]
+        came = problem.z0[t] + problem.C1 @ state
+        past = np.zeros(q)
+        for rows, cols, full in wholes:
+            if t:
+                past[rows] = np.einsum("kab,kb->a", full[t:0:-1], z[:t, cols])
+        w[t] = inner @ (past + first @ came)
+        z[t] = came + problem.D11 @ w[t]
+        state = problem.A @ state + problem.B @ w[t]
+    return w
+
+
+def _member_error(recorded: Recorded, found: _Found) -> float:
+    from robustlab.dynamics import simulate
+
+    member = recorded.uncertain.evaluate(found.values)
+    names = member.input_names
+    t = recorded.t - recorded.t[0]
+    t = member.dt * np.arange(len(t)) if member.is_discrete else t
+    run = simulate(member, t, dict(zip(names, recorded.u.T, strict=True)))
+    y = np.column_stack([run.outputs[s.name] for s in recorded.outputs])
+    wanted = (recorded.y - y) / recorded.bound
+    M, rest = with_delta_of(recorded.uncertain, found.values)
+    _, free = sampled(recorded, M, rest).free_response()
+    left = (wanted - found.noise)[recorded.used]
+    basis = free[recorded.used]
+    if basis.shape[1]:
+        left = left - basis @ np.linalg.lstsq(basis, left, rcond=None)[0]
+    return float(np.abs(left).max(initial=0.0))
+
+
+def _nominal(recorded: Recorded) -> Array:
+    """Response of the nominal model with its free states fitted (n, n_y)."""
+    M, rest = with_delta_of(
+        recorded.uncertain, {b.name: 0.0 for b in recorded.uncertain.blocks if isinstance(b, RealScalar)}
+    )
+    problem = sampled(recorded, M, rest)
+    _, free = problem.free_response()
+    basis = free[problem.used]
+    x = np.linalg.lstsq(basis, problem.e[problem.used], rcond=None)[0] if basis.shape[1] else np.zeros(0)
+    return recorded.y - (problem.e - free @ x) * recorded.bound
+
+
+# --- noise and assumptions -------------------------------------------------------------------------------------------
+
+
+def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm) -> dict[str, float]:
+    """Noise bounds from the record's own periods."""
+    from scipy import stats
+
+    from robustlab.identification.noise_floor import noise_floor
+
+    names = [s.name for s in uncertain.outputs if s.name in record.outputs]
+    try:
+        floor = noise_floor(record, outputs=names)
+    except NoTrustworthyNumber as error:
+        hint = "noise={'" + (names[0] if names else "y") + "': ...}, in its unit: what the sensor may be off"
+        raise NoTrustworthyNumber(
+            f"validate {record.name}", f"no noise bound was given, and none can be estimated: {error.found}", None, hint
+        ) from None
+    count = record.n * max(len(names), 1)
+    if norm == "peak":
+        factor = float(stats.norm.isf((1 - CONFIDENCE) / (2 * count)))
+    else:
+        factor = float(np.sqrt(stats.chi2.ppf(CONFIDENCE ** (1 / max(len(names), 1)), record.n) / record.n))
+    return {name: factor * floor.std[name] for name in names}
+
+
+def _assumptions(recorded: Recorded, delta: DeltaKind, estimated: bool) -> tuple[str, ...]:
+    dynamic = any(not isinstance(b, RealScalar) for b in recorded.uncertain.blocks)
+    said = []
+    if recorded.norm == "peak":
+        said.append("no sample of the noise is beyond its bound")
+    else:
+        said.append("the root mean square of the noise over the record is within its bound")
+    if estimated:
+        said.append("the noise bound was estimated from the record's own periods")
+    if dynamic:
+        said.append(f"complex and full blocks are causal {delta} systems at rest before the record")
+    if recorded.uncertain.dt == 0:
+        held = "u and w" if dynamic else "u"
+        said.append(f"{held} {'are' if dynamic else 'is'} held between samples of {recorded.dt:.6g} s")
+    if recorded.at_rest:
+        said.append("the model is at rest before the record")
+    else:
+        said.append("states that the outputs show are free at the start, the others at rest")
+    if len(recorded.starts) > 1:
+        said.append(f"{len(recorded.starts)} windows, each with a free start; Delta is one over all of them")
+    lost = int((~recorded.used).sum())
+    if lost:
+        said.append(f"{lost} samples are missing and not judged")
+    return tuple(said)

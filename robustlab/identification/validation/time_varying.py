@@ -1,0 +1,492 @@
+r"""Smallest causal time-varying contractions that explain a record: a second-order cone programme.
+
+A causal operator of norm gamma with :math:`w = \Delta z` exists if and only if
+
+.. math:: \sum_{t \le T} |w_t|^2 \le \gamma^2 \sum_{t \le T} |z_t|^2 \qquad \text{for all } T.
+
+With :math:`g = \gamma^2` the left side divided by g is jointly convex in (w, g). Where z is known the problem is
+convex and solved once. Where z depends on w, its energy is replaced by its tangent at the last z, which lies below it:
+each solution satisfies the true condition, and gamma falls from one to the next (convex-concave procedure).
+The lower bound comes from the multipliers of the last one (`certificate`): it is exact where the Lagrangian is concave
+at the optimum, and a bound from a relaxation otherwise.
+
+References
+----------
+Poolla et al. (1994), theorem 3.3; Yuille and Rangarajan, "The concave-convex procedure", Neural Computation 15 (2003).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.validation.certificate import Multipliers, lagrangian_maximum, largest_disproved
+from robustlab.identification.validation.sampled_problem import SampledProblem
+
+__all__ = ["Contractions", "smallest_contractions"]
+
+Array = NDArray[np.float64]
+
+# The solver is asked for slightly less noise than allowed, so that its answer is within the bound when replayed.
+MARGIN = 1e-7
+SLACK = 1e-9
+ROUNDS = 25
+AHEAD = 3.0
+# Shares of the record at whose beginning a weaker problem leaves out the conditions on the energies.
+LATE = (0.004, 0.02, 0.1)
+# An energy of z below this share of its final one forces w to zero: no finite gain would let it move.
+NO_ENERGY = 1e-18
+
+
+@dataclass(frozen=True)
+class Contractions:
+    """What `smallest_contractions` found; signals in the scaled units of the problem.
+
+    Attributes
+    ----------
+    lower, upper
+        Bounds of gamma; the upper one is that of w and z below, recomputed by simulation (inf where none was found).
+    w, z, noise
+        Shapes (n, q), (n, p), (n, n_y); empty where nothing explains the record.
+    states
+        Start of window -> jump of its state.
+    sizes
+        Gain of each block in this explanation.
+    multipliers
+        Those of the lower bound.
+    least_noise
+        Where no Delta explains the record: by what factor the noise bound would have to grow, else 1.
+    convex
+        Whether z is known.
+    """
+
+    lower: float
+    upper: float
+    w: Array
+    z: Array
+    noise: Array
+    states: Mapping[int, Array]
+    sizes: Array
+    multipliers: Multipliers
+    least_noise: float
+    convex: bool
+
+
+def smallest_contractions(
+    problem: SampledProblem, scaled: NDArray[np.bool_], precision: float, deadline: float
+) -> Contractions:
+    """Bounds of the smallest gamma over the blocks that ``scaled`` names; the others keep the size 1."""
+    first = _Programme(problem, scaled)
+    convex = first.convex
+    z = problem.z0
+    if not convex:
+        # As if the nominal z acted, with some energy ahead so that no early sample decides.
+        guess = first.smallest(z, known=True, ahead=AHEAD)
+        start = first.least_effort() if guess is None else guess.x
+        if start is None:
+            return _unexplained(problem, first)
+        z = problem.respond(*first.signals(start))[0]
+    best, solution = _descend(first, z, 0, precision, deadline)
+    if solution is None:
+        if first.least_effort() is None:
+            return _unexplained(problem, first)
+        fixed = not scaled.all()
+        return _bounded_only(problem, convex and fixed and first.status == "infeasible", convex)
+
+    def gammas(gamma: float) -> Array:
+        return np.where(scaled, gamma, 1.0)
+
+    def disproved(by: _Solved, at: float) -> tuple[float, Multipliers]:
+        multipliers = first.multipliers(by)
+        return largest_disproved(problem, multipliers, gammas, at, precision) if at > 0 else 0.0, multipliers
+
+    top = best.gamma if best is not None else float(np.sqrt(max(solution.x[first.at_g], 0.0)))
+    lower, multipliers = disproved(solution, top)
+    # With a free state the first samples of z may have either sign: two valleys, and no concave Lagrangian over both.
+    # Without the conditions at the first samples there is a weaker problem whose bound holds all the same.
+    for share in () if convex else LATE:
+        if lower >= (1 - precision) * top or time.monotonic() > deadline:
+            break
+        _, weaker = _descend(first, z, 1 + int(share * problem.n), precision, deadline, rounds=4)
+        if weaker is not None:
+            found, others = disproved(weaker, min(top, float(np.sqrt(max(weaker.x[first.at_g], 0.0)))))
+            lower, multipliers = (found, others) if found > lower else (lower, multipliers)
+    if best is None:
+        return _bounded_only(problem, False, convex, lower, multipliers)
+    z, noise = problem.respond(best.w, best.states)
+    sizes = problem.sizes(best.w, z)
+    return Contractions(lower, best.gamma, best.w, z, noise, best.states, sizes, multipliers, 1.0, convex)
+
+
+@dataclass(frozen=True)
+class _Point:
+    gamma: float
+    w: Array
+    states: Mapping[int, Array]
+
+
+def _descend(
+    programme: _Programme, z: Array, late: int, precision: float, deadline: float, rounds: int = ROUNDS
+) -> tuple[_Point | None, _Solved | None]:
+    """Best point that its replay confirms, and the last solution; no conditions before the sample ``late``."""
+    problem, convex = programme.problem, programme.convex
+    best: _Point | None = None
+    solution: _Solved | None = None
+    before = np.inf
+    for _ in range(1 if convex else rounds):
+        found = programme.smallest(z, known=convex, late=late)
+        if found is None:
+            break
+        solution = found
+        w, states = programme.signals(found.x)
+        for rows, cols, _ in problem.blocks:  # the solver's zeros are small numbers, for which no gain is enough
+            w[_silent(problem, z, cols), rows] = 0.0
+        z, noise = problem.respond(w, states)
+        if problem.excess(noise) > 1 + SLACK:
+            break
+        gamma = _gamma(problem.sizes(w, z), programme.scaled)
+        reached = float(np.sqrt(max(found.x[programme.at_g], 0.0)))
+        if best is None or gamma < best.gamma:
+            best = _Point(gamma, w, states)
+        if reached > before * (1 - 0.02 * precision) or time.monotonic() > deadline:
+            break
+        before = reached
+    return best, solution
+
+
+def _silent(problem: SampledProblem, z: Array, cols: slice) -> NDArray[np.bool_]:
+    """First samples at which z has had no energy: there w must be zero, no finite gain would let it move.
+
+    From rest that is so until the nominal z moves, although a w of its own could make z move.
+    """
+    energy = np.cumsum((z[:, cols] ** 2).sum(axis=1))
+    silent = energy <= NO_ENERGY * max(energy[-1], 1e-300)
+    if problem.at_rest:
+        nominal = np.cumsum((problem.z0[:, cols] ** 2).sum(axis=1))
+        silent |= nominal <= NO_ENERGY * nominal[-1]
+    return silent
+
+
+def _gamma(sizes: Array, scaled: NDArray[np.bool_]) -> float:
+    """Largest of the scaled blocks; inf where a block that keeps its size would have to be larger."""
+    if (sizes[~scaled] > 1 + 1e-6).any():
+        return np.inf
+    return float(sizes[scaled].max(initial=0.0))
+
+
+def _bounded_only(
+    problem: SampledProblem, impossible: bool, convex: bool, lower: float = 0.0, multipliers: Multipliers | None = None
+) -> Contractions:
+    empty = np.zeros((0, 0))
+    multipliers = multipliers or Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
+    return Contractions(
+        np.inf if impossible else lower, np.inf, empty, empty, empty, {}, np.zeros(0), multipliers, 1.0, convex
+    )
+
+
+def _unexplained(problem: SampledProblem, programme: _Programme) -> Contractions:
+    """No w brings the noise below its bound: shown by multipliers of the noise alone."""
+    solved = programme.least_noise()
+    if solved is None:
+        raise NoTrustworthyNumber("validate", f"the solver gave no answer ({programme.status})")
+    least = float(solved.x[programme.at_g])
+    multipliers = programme.multipliers(solved)
+    multipliers = Multipliers.cleaned(np.zeros_like(multipliers.D), multipliers.noise)
+    # Any gamma: the multipliers of the blocks are next to nothing, w is free.
+    w, states = programme.signals(solved.x)
+    none = Multipliers(np.zeros_like(multipliers.D), multipliers.noise)
+    proved = lagrangian_maximum(problem, none, np.ones(len(problem.blocks))) < 0
+    if not proved or least <= 1:
+        raise NoTrustworthyNumber(
+            "validate", f"the noise bound is met or missed by {abs(least - 1):.1e} of itself: too close to tell"
+        )
+    empty = np.zeros((0, 0))
+    return Contractions(
+        np.inf, np.inf, empty, empty, problem.respond(w, states)[1], {}, np.zeros(0), none, least, problem.z_is_known()
+    )
+
+
+def _repeated(X: Array, n: int) -> Any:
+    """Block-diagonal matrix of n times X."""
+    from scipy import sparse
+
+    if not X.size:
+        return sparse.csr_matrix((n * X.shape[0], n * X.shape[1]))
+    return sparse.kron(sparse.identity(n), sparse.csr_matrix(X))
+
+
+def _placed(rows: Array) -> Any:
+    """Row t of (n, k) in columns t k .. of row t."""
+    from scipy import sparse
+
+    n, k = rows.shape
+    at = np.repeat(np.arange(n), k), np.arange(n * k)
+    return sparse.csr_matrix((rows.ravel(), at), (n, n * k))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    x: Array
+    dual: Array
+    parts: Mapping[str, Any]
+
+
+class _Programme:
+    """The cone programme in the sparse variables (x_t, w_t, cumulative energies, g)."""
+
+    def __init__(self, problem: SampledProblem, scaled: NDArray[np.bool_]) -> None:
+        self.problem, self.scaled = problem, scaled
+        n, (n_x, q), m = problem.n, problem.B.shape, len(problem.blocks)
+        self.at_w, self.at_c = n * n_x, n * (n_x + q)
+        self.at_e = self.at_c + n * m
+        self.at_g = self.at_e + n * m
+        self.size = self.at_g + 1
+        self.convex = problem.z_is_known()
+        self.status = ""
+        self._dynamics = self._motion()
+
+    # --- rows ---------------------------------------------------------------------------------------------------------
+
+    def _motion(self) -> tuple[Any, Array]:
+        """Equations of motion; at free starts only across the directions in which the state may jump."""
+        from scipy import linalg, sparse
+
+        p = self.problem
+        n_x, n = len(p.A), p.n
+        if not n_x:
+            return sparse.csc_matrix((0, self.size)), np.zeros(0)
+        eye, before = sparse.identity(n, format="csr"), sparse.eye(n, k=-1, format="csr")
+        x: Any = sparse.kron(eye, sparse.identity(n_x)) - sparse.kron(before, sparse.csr_matrix(p.A))
+        w: Any = -sparse.kron(before, sparse.csr_matrix(p.B))
+        rows: Any = sparse.hstack([x, w, sparse.csr_matrix((x.shape[0], self.size - self.at_c))]).tocsr()
+        across: Any = linalg.null_space(p.free.T) if p.free.size else np.eye(n_x)
+        bound = [t for t in range(n) if t not in p.free_starts]
+        kept = [rows[(np.array(bound, dtype=int)[:, None] * n_x + np.arange(n_x)).ravel()]]
+        kept += [sparse.csr_matrix(across.T) @ rows[t * n_x : (t + 1) * n_x] for t in p.free_starts]
+        motion: Any = sparse.vstack(kept).tocsc()
+        return motion, np.zeros(motion.shape[0])
+
+    def _outputs(self) -> Any:
+        """Rows that give C2 x + D21 w at the used samples, output after output."""
+        from scipy import sparse
+
+        p = self.problem
+        every = sparse.hstack(
+            [
+                _repeated(p.C2, p.n),
+                _repeated(p.D21, p.n),
+                sparse.csr_matrix((p.e.size, self.size - self.at_c)),
+            ]
+        ).tocsr()
+        n_y = p.e.shape[1]
+        return [every[np.flatnonzero(p.used[:, j]) * n_y + j] for j in range(n_y)]
+
+    def _noise(self, radius: float | None) -> tuple[list[Any], list[Array], list[Any]]:
+        """Noise within ``radius`` times its bound; None: within the variable g times its bound."""
+        from scipy import sparse
+
+        clarabel: Any = import_module("clarabel")  # its types are not published
+
+        p = self.problem
+        blocks, offsets, cones = [], [], []
+        for j, rows in enumerate(self._outputs()):
+            e = p.e[p.used[:, j], j]
+            ones = sparse.csr_matrix(([1.0], ([0], [self.at_g])), (1, self.size))
+            if p.norm == "peak":
+                lift = sparse.csr_matrix((len(e), 1)) if radius is not None else None
+                both = sparse.vstack([rows, -rows])
+                bound = np.full(2 * len(e), radius if radius is not None else 0.0)
+                if lift is None:
+                    both = both - sparse.csr_matrix(np.ones((2 * len(e), 1))) @ ones
+                blocks.append(both)
+                offsets.append(np.concatenate([e, -e]) + bound)
+                cones.append(clarabel.NonnegativeConeT(2 * len(e)))
+                continue
+            size = p.radius[j]
+            head = sparse.csr_matrix((1, self.size)) if radius is not None else -size * ones
+            blocks.append(sparse.vstack([head, rows]))
+            offsets.append(np.concatenate([[size * radius if radius is not None else 0.0], e]))
+            cones.append(clarabel.SecondOrderConeT(1 + len(e)))
+        return blocks, offsets, cones
+
+    def _energies(
+        self, z: Array, known: bool, ahead: float, late: int
+    ) -> tuple[list[Any], list[Array], list[Any], list[int]]:
+        """Cumulative energies of w / g below those of z (or below their tangents at z, where z is not known).
+
+        With ``ahead`` that many mean samples of energy are there before the first one: for a first guess.
+        """
+        from scipy import sparse
+
+        clarabel: Any = import_module("clarabel")  # its types are not published
+
+        p = self.problem
+        n, q = p.n, p.B.shape[1]
+        lower_sum = sparse.csr_matrix(sparse.identity(n) - sparse.eye(n, k=-1))
+        blocks, offsets, cones, heads = [], [], [], []
+        zero_rows, zero_off = [], []
+        for k, (rows, cols, _) in enumerate(p.blocks):
+            each = (z[:, cols] ** 2).sum(axis=1)
+            each[0] += ahead * each.mean()
+            silent = _silent(p, z, cols) if ahead == 0 else np.zeros(n, dtype=bool)
+            at_c, at_e = self.at_c + k * n, self.at_e + k * n
+            take = sparse.csr_matrix((np.ones(n), (np.arange(n), at_c + np.arange(n))), (n, self.size))
+            bound = sparse.csr_matrix((np.ones(n), (np.arange(n), at_e + np.arange(n))), (n, self.size))
+            inner = list(range(rows.start, rows.stop))
+            pick = [
+                sparse.csr_matrix((np.ones(n), (np.arange(n), self.at_w + np.arange(n) * q + i)), (n, self.size))
+                for i in inner
+            ]
+            # e_T - e_{T-1} = 2 z'z(w, x) - z'z, which is the energy itself where z is known.
+            if known:
+                zero_rows.append(lower_sum @ bound)
+                zero_off.append(each)
+            else:
+                to_z = sparse.hstack(
+                    [
+                        _placed(2 * z[:, cols] @ p.C1[cols]),
+                        _placed(2 * z[:, cols] @ p.D11[cols]),
+                        sparse.csr_matrix((n, self.size - self.at_c)),
+                    ]
+                )
+                zero_rows.append(lower_sum @ bound - to_z)
+                zero_off.append((z[:, cols] * (2 * p.z0[:, cols] - z[:, cols])).sum(axis=1))
+            if silent.any():
+                still = np.flatnonzero(silent)
+                for part in (*pick, take):
+                    zero_rows.append(part[still])
+                    zero_off.append(np.zeros(len(still)))
+            moving = np.flatnonzero(~silent)
+            judged = moving[moving >= min(late, n - 1)]
+            blocks.append((take - bound)[judged])
+            offsets.append(np.zeros(len(judged)))
+            cones.append(clarabel.NonnegativeConeT(len(judged)))
+            heads.append(k)
+            # (s + g, s - g, 2 w) in the cone: s g >= |w|^2, with g = 1 for blocks that keep their size
+            more = (lower_sum @ take)[moving]
+            if self.scaled[k]:
+                ones = sparse.csr_matrix(
+                    (np.ones(len(moving)), (np.arange(len(moving)), np.full(len(moving), self.at_g))),
+                    (len(moving), self.size),
+                )
+                unit = np.zeros(len(moving))
+            else:
+                ones, unit = sparse.csr_matrix((len(moving), self.size)), np.ones(len(moving))
+            stacked = sparse.vstack([-(more + ones), -(more - ones), *(-2 * part[moving] for part in pick)]).tocsr()
+            height, count = 2 + len(inner), len(moving)
+            turn = np.arange(height * count).reshape(height, count).T.ravel()
+            blocks.append(stacked[turn])
+            offsets.append(np.concatenate([unit, -unit, np.zeros(count * len(inner))])[turn])
+            cones += [clarabel.SecondOrderConeT(height)] * count
+            heads.append(-1)
+        import scipy.sparse as sp
+
+        blocks.insert(0, sp.vstack(zero_rows))
+        offsets.insert(0, np.concatenate(zero_off))
+        cones.insert(0, clarabel.ZeroConeT(len(offsets[0])))
+        heads.insert(0, -1)
+        return blocks, offsets, cones, heads
+
+    # --- problems -----------------------------------------------------------------------------------------------------
+
+    def smallest(self, z: Array, known: bool, ahead: float = 0.0, late: int = 0) -> _Solved | None:
+        """Smallest g = gamma^2 with the energies of z, or their tangents at z; None where there is none."""
+        noise = self._noise(1 - MARGIN)
+        blocks, offsets, cones, heads = self._energies(z, known, ahead, late)
+        cost = np.zeros(self.size)
+        cost[self.at_g] = 1.0
+        parts = {"noise": len(noise[0]), "heads": heads, "z": z}
+        return self._solve(None, cost, [*noise[0], *blocks], [*noise[1], *offsets], [*noise[2], *cones], parts)
+
+    def least_effort(self) -> Array | None:
+        """Least energy of w that explains the record; None where no w does."""
+        from scipy import sparse
+
+        squares = np.zeros(self.size)
+        squares[self.at_w : self.at_c] = 1.0
+        blocks, offsets, cones = self._noise(1 - MARGIN)
+        solved = self._solve(sparse.diags(squares).tocsc(), np.zeros(self.size), blocks, offsets, cones, {})
+        return None if solved is None else solved.x
+
+    def least_noise(self) -> _Solved | None:
+        """Smallest factor on the noise bound with which any w explains the record."""
+        cost = np.zeros(self.size)
+        cost[self.at_g] = 1.0
+        blocks, offsets, cones = self._noise(None)
+        return self._solve(None, cost, blocks, offsets, cones, {"noise": len(blocks), "heads": []})
+
+    def _solve(self, P: Any, cost: Array, blocks: list[Any], offsets: list[Array], cones: list[Any], parts: Any) -> Any:
+        from scipy import sparse
+
+        clarabel: Any = import_module("clarabel")  # its types are not published
+
+        motion, still = self._dynamics
+        A = sparse.vstack([motion, *blocks]).tocsc()
+        b = np.concatenate([still, *offsets])
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_threads = 1
+        square = sparse.csc_matrix((self.size, self.size)) if P is None else P
+        try:
+            found = clarabel.DefaultSolver(
+                square, cost, A, b, [clarabel.ZeroConeT(len(still)), *cones], settings
+            ).solve()
+        except BaseException as error:
+            if isinstance(error, (KeyboardInterrupt, SystemExit)):
+                raise
+            raise NoTrustworthyNumber("validate", f"the solver broke down ({type(error).__name__})") from None
+        status = str(found.status)
+        if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
+            self.status = "infeasible"
+            return None
+        x, dual = np.array(found.x), np.array(found.z)
+        if status not in ("Solved", "AlmostSolved") and not (np.isfinite(x).all() and np.isfinite(dual).all()):
+            raise NoTrustworthyNumber("validate", f"the solver gave no answer ({status})")
+        # Whatever the status says, the answer counts only as far as its replay and its certificate go.
+        self.status = status
+        starts = np.cumsum([len(still), *(block.shape[0] for block in blocks)])
+        return _Solved(x, dual, {**parts, "starts": starts})
+
+    # --- answers ------------------------------------------------------------------------------------------------------
+
+    def signals(self, x: Array) -> tuple[Array, dict[int, Array]]:
+        """W (n, q), and the jumps at the free starts."""
+        p = self.problem
+        n_x, q = p.B.shape
+        w = x[self.at_w : self.at_c].reshape(p.n, q).copy()
+        state = x[: self.at_w].reshape(p.n, n_x)
+        jumps = {}
+        for t in p.free_starts:
+            came = p.A @ state[t - 1] + p.B @ w[t - 1] if t else np.zeros(n_x)
+            jumps[t] = p.free.T @ (state[t] - came)
+        return w, jumps
+
+    def multipliers(self, solved: _Solved) -> Multipliers:
+        """Multipliers of the quadratic certificate from those of the cone programme."""
+        p = self.problem
+        starts, dual = solved.parts["starts"], solved.dual
+        noise = np.zeros(p.e.shape)
+        for j in range(solved.parts["noise"]):
+            part = dual[starts[j] : starts[j + 1]]
+            if p.norm == "peak":  # at n = +-1 the slope of 1 - n^2 is twice that of 1 -+ n
+                half = len(part) // 2
+                noise[p.used[:, j], j] = 0.5 * np.abs(part[:half] - part[half:])
+            else:
+                noise[p.used[:, j], j] = 0.5 * abs(part[0]) / p.radius[j]
+        D = np.zeros((p.n, len(p.blocks)))
+        g = max(float(solved.x[self.at_g]), 1e-300)
+        for i, k in enumerate(solved.parts["heads"]):
+            if k < 0:
+                continue
+            at = solved.parts["noise"] + i
+            part = dual[starts[at] : starts[at + 1]]
+            D[p.n - len(part) :, k] = np.cumsum(part[::-1])[::-1] / (g if self.scaled[k] else 1.0)
+            D[: p.n - len(part), k] = D[p.n - len(part), k] if len(part) else 0.0
+        return Multipliers.cleaned(D, noise)

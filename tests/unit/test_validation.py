@@ -1,0 +1,204 @@
+"""`rl.validate`: known smallest gammas, bounds that hold, replays, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+import validate as benchmark
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robustlab as rl
+from robustlab.cli.console import main_guard
+from robustlab.cli.data import app
+from robustlab.identification.validation.contraction_kernel import barrier, diagonal_sums, gain, pull_after, toeplitz
+from robustlab.result import plain
+
+
+def check(case, gamma, within=0.006, **more):
+    model, record, noise, options = case
+    found = rl.validate(model, record, noise, precision=0.005, **{**options, **more})
+    assert found.lower <= gamma * (1 + 1e-6)
+    assert found.lower >= gamma * (1 - within)
+    assert abs(found.upper / gamma - 1) < within
+    assert found.excess <= 1 + 1e-6
+    assert found.replay_error < 1e-6
+    return found
+
+
+@pytest.mark.parametrize(("seed", "n", "blocks"), [(100, 60, 1), (101, 80, 2), (102, 60, 3)])
+def test_time_varying_systems_of_known_size(seed, n, blocks):
+    found = check(benchmark.varying_case(seed, n, blocks, 0.8), 0.8)
+    assert found.status is rl.Status.CERTIFIED
+    assert found.recheck() == pytest.approx(found.lower, rel=2e-3)
+    assert len(found.blocks) == blocks
+
+
+@pytest.mark.parametrize(("seed", "blocks", "gamma"), [(200, 1, 0.7), (201, 2, 2.5), (202, 3, 0.2)])
+def test_time_invariant_systems_of_known_size(seed, blocks, gamma):
+    found = check(benchmark.invariant_case(seed, 70, blocks, gamma), gamma)
+    assert found.status is rl.Status.CERTIFIED
+    assert found.recheck() == pytest.approx(found.lower)
+    for block in found.blocks.values():
+        assert np.linalg.norm(toeplitz(block.value), 2) <= found.upper * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("seed", "blocks"), [(300, 1), (301, 2)])
+def test_constants_of_known_size(seed, blocks):
+    found = check(benchmark.constant_case(seed, 120, blocks, 0.6), 0.6, within=0.012)
+    assert found.status is rl.Status.CONVERGED
+    assert "tested at points" in found.label
+
+
+def test_a_system_in_the_loop_is_bracketed_too():
+    check(benchmark.feedback_case(400, 100, 0.5), 0.5)
+
+
+def test_a_time_invariant_system_is_never_smaller_than_a_time_varying_one():
+    model, inputs, y, noise, bound = benchmark._plausible(3, 60)
+    record = benchmark._record(inputs, {"y": y + noise})
+    varying, invariant = (
+        rl.validate(model, record, {"y": bound}, delta=d, at_rest=True) for d in ("time-varying", "time-invariant")
+    )
+    assert varying.lower <= invariant.upper
+    assert invariant.upper <= 1.01
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=12, deadline=None)
+def test_a_true_model_is_never_invalidated(seed):
+    model, inputs, y, noise, bound = benchmark._plausible(seed, 40)
+    for norm, size in (("peak", bound), ("rms", float(np.sqrt(np.mean(noise**2))) * (1 + 1e-9))):
+        found = rl.validate(
+            model, benchmark._record(inputs, {"y": y + noise}), {"y": size}, noise_norm=norm, at_rest=True
+        )
+        assert not found.invalidated
+
+
+def test_a_wrong_constant_is_invalidated_and_missing_samples_can_hide_it():
+    model, record, noise, options = benchmark.constant_case(302, 120, 1, 1.5)
+    assert rl.validate(model, record, noise, **options).invalidated
+    hidden = rl.validate(model, record, noise, missing={"y0": np.arange(5, 120)}, **options)
+    assert hidden.upper < 1.5
+
+
+def test_a_record_from_elsewhere_is_invalidated_at_every_gamma():
+    two = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0], [0.0, 1.0]], 0.1, ["w", "u"], ["z", "y", "v"])
+    model = rl.UncertainModel(two, [rl.FullBlock("d", 1, 1)])
+    t = np.arange(20) * 0.1
+    record = rl.Record(t, {"u": np.ones(20)}, {"y": np.ones(20), "v": np.full(20, 3.0)})  # Delta does not reach v
+    found = rl.validate(model, record, {"y": 0.1, "v": 0.1})
+    assert found.status is rl.Status.INFEASIBLE
+    assert found.verdict == "invalidated at every gamma"
+    assert found.excess == pytest.approx(20.0, rel=1e-3)
+
+
+def test_windows_and_free_starts_are_weaker_tests():
+    model, inputs, y, noise, bound = benchmark._plausible(5, 60)
+    record = benchmark._record(inputs, {"y": y + noise})
+    rest, free, windows = (
+        rl.validate(model, record, {"y": bound}, delta="time-varying", **options)
+        for options in ({"at_rest": True}, {}, {"window": 0.2})
+    )
+    assert windows.lower <= free.upper <= rest.upper * 1.001
+
+
+def test_constants_and_systems_together():
+    M = rl.StateSpaceModel(
+        [[-1.0]], [[0.4, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 0.3], [0, 1.0, 0]], 0.0,
+        ["w1", "w2", "u"], ["z1", "z2", "y"],
+    )  # fmt: skip
+    model = rl.UncertainModel(M, [rl.RealScalar("pole"), rl.FullBlock("gain", 1, 1)])
+    t = np.arange(50) * 0.1
+    u = np.sign(np.sin(1.3 * t))
+    truth = rl.simulate(model.evaluate({"pole": 0.8, "gain": 0.2}), t, {"u": u})
+    found = rl.validate(model, rl.Record(t, {"u": u}, {"y": truth["y"]}), {"y": 0.02}, at_rest=True, time_limit=6)
+    assert found.lower <= found.upper <= 0.82
+    assert found.blocks["pole"].kind == "constant"
+    assert found.excess <= 1 + 1e-6
+
+
+@pytest.mark.parametrize(("n", "r", "c"), [(1, 1, 1), (5, 1, 1), (4, 2, 1), (3, 1, 2), (3, 2, 2)])
+def test_derivatives_of_the_barrier(n, r, c):
+    rng = np.random.default_rng(n)
+    h, step, eps = rng.standard_normal((n, r, c)), rng.standard_normal((n, r, c)), 1e-6
+    gamma = 1.4 * gain(h)
+    assert gain(h) == pytest.approx(np.linalg.norm(toeplitz(h), 2))
+    at, ahead, back = (barrier(h + s * eps * step, gamma + 0.3 * s * eps) for s in (0, 1, -1))
+    slope = at.curve @ step.ravel() + 0.3 * at.cross
+    np.testing.assert_allclose((ahead.slope - back.slope) / (2 * eps), slope, rtol=1e-5, atol=1e-5 * abs(slope).max())
+    np.testing.assert_allclose((ahead.slope_gamma - back.slope_gamma) / (2 * eps),
+                               at.cross @ step.ravel() + 0.3 * at.curve_gamma, rtol=1e-5)  # fmt: skip
+    change = pull_after(h, step, gamma, 0.3) - at.pull
+    np.testing.assert_allclose((ahead.pull - back.pull) / (2 * eps), change, atol=1e-5 * abs(change).max())
+    X = rng.standard_normal((r * n, c * n))
+    assert (X * toeplitz(h)).sum() == pytest.approx((diagonal_sums(X, n, r, c) * h).sum())
+
+
+def small():
+    gain_set = rl.unstructured(rl.StateSpaceModel([], [], [], [[2.0]], dt=0.1, inputs=["u"], outputs=["y"]), 1.0)
+    return gain_set, rl.Record(np.arange(8) * 0.1, {"u": np.ones(8)}, {"y": np.full(8, 2.5)})
+
+
+def test_what_is_refused():
+    model, record = small()
+    t = record.t.copy()
+    t[5:] += 0.05
+    with pytest.raises(rl.InputError, match="irregular sampling"):
+        rl.validate(model, rl.Record(t, record.inputs, record.outputs), {"y": 0.1})
+    with pytest.raises(rl.NoTrustworthyNumber, match="singular noise model"):
+        rl.validate(model, record, {"y": 0.0})
+    with pytest.raises(rl.InputError, match="no noise bound"):
+        rl.validate(model, record, {})
+    with pytest.raises(rl.InputError, match="no such compared output"):
+        rl.validate(model, record, {"y": 0.1, "x": 0.1})
+    with pytest.raises(rl.InputError, match="positive number"):
+        rl.validate(model, record, {"y": -1.0})
+    with pytest.raises(rl.NoTrustworthyNumber, match="no noise bound was given"):
+        rl.validate(model, record)
+    with pytest.raises(rl.InputError, match="windows of"):
+        rl.validate(model, record, {"y": 0.1}, window=0.1)
+    with pytest.raises(rl.InputError, match="outside the record"):
+        rl.validate(model, record, {"y": 0.1}, missing={"y": [8]})
+    with pytest.raises(rl.InputError, match="delta"):
+        rl.validate(model, record, {"y": 0.1}, delta="nonlinear")
+    with pytest.raises(rl.InputError, match="precision"):
+        rl.validate(model, record, {"y": 0.1}, precision=0.0)
+
+
+def test_the_result_is_plain_and_says_what_was_assumed():
+    model, record = small()
+    found = rl.validate(model, record, {"y": 0.1}, per_block=True)
+    assert (found.lower, found.upper) == (pytest.approx(0.4, rel=0.01), pytest.approx(0.4, rel=0.01))
+    text = json.dumps(plain(found.to_json()))
+    assert "not invalidated at gamma" in text
+    assert "unmodelled" in found.summary()
+    assert found.blocks["unmodelled"].upper == pytest.approx(0.4, rel=0.01)
+    assert "w" not in found.to_json(series=False)
+
+
+@pytest.fixture
+def files(tmp_path):
+    model, record = small()
+    rl.save(tmp_path / "set.h5", model)
+    rl.save(tmp_path / "run.h5", record)
+    return tmp_path
+
+
+def command(capsys, *arguments):
+    code = main_guard(lambda: app(["validate", *map(str, arguments)], standalone_mode=False))
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_the_command(files, capsys):
+    options = (files / "set.h5", files / "run.h5", "--noise", "y=0.1")
+    code, out, _ = command(capsys, *options, "--json", "--figures", files / "f", "--out", files / "v.h5")
+    result = json.loads(out)
+    assert (code, result["command"], result["status"]) == (0, "data validate", "certified")
+    assert result["upper"] == pytest.approx(0.4, rel=0.01)
+    assert (files / "f" / "validation-y.svg").exists()
+    assert rl.load(files / "v.h5").status is rl.Status.CERTIFIED
+    assert command(capsys, *options, "--at-most", "0.3")[0] == 1
+    assert command(capsys, files / "set.h5", files / "run.h5", "--noise", "y=0")[0] == 4
+    assert command(capsys, files / "run.h5", files / "run.h5", "--noise", "y=0.1")[0] == 3
