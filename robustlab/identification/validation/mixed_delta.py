@@ -71,7 +71,15 @@ def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
     upper = max(found.upper, float(np.abs(delta[free]).max(initial=0.0)))
     label = "constants and systems; lower bound with all blocks time-varying (relaxation), upper bound by search"
     evidence = {"energy": relaxed.multipliers.D, "noise": relaxed.multipliers.noise}
-    return replace(found, lower=min(relaxed.lower, upper), upper=upper, label=label, multipliers=evidence, recheck=None)
+    return replace(
+        found,
+        lower=min(relaxed.lower, upper),
+        upper=upper,
+        label=label,
+        multipliers=evidence,
+        recheck=None,
+        certified=False,
+    )
 
 
 def _unexplained(job: _Job, relaxed: Any, problem: Any) -> _Found:
