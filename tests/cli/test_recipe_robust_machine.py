@@ -45,7 +45,7 @@ def numbers(result, step):
 def actuator(tmp_path_factory):
     steps = ["actuator", "six", "task", "pid", "hinf", "performance", "runs"]
     all_four = 'controllers = ["pid", "hinf", "dk", "static"]'
-    changes = {all_four: 'controllers = ["pid", "hinf"]', "under all four": "under both", "t_end = 4.0": "t_end = 3.0"}
+    changes = {all_four: 'controllers = ["pid", "hinf"]', "under all four": "under both"}
     text = part_of_recipe(steps, changes).replace('of = "task"\ncontrollers', 'of = "task"\npoints = 8\ncontrollers')
     return run_text(tmp_path_factory.mktemp("actuator"), text)
 
@@ -74,7 +74,8 @@ def test_the_simulated_errors_are_those_of_the_frequency_responses(actuator):
         # the weak, heavy member at 231 rad/s: back-EMF, and the current that both kinds of friction ask for
         speed = 73.603 * math.pi
         volts = 0.0546 * speed + 2.277 / 0.0494 * (6.48e-5 * speed + 3e-3)
-        assert row["largest"]["u"] == pytest.approx(volts, rel=0.01)
+        # at the amplitude of the reference, 5 mm, from which the motion differs by no more than the error
+        assert row["largest"]["u"] == pytest.approx(volts, rel=row["worst_error"] / 5.0)
         assert row["worst_error"] >= row["largest_error"] * (1 - 1e-9)
 
 

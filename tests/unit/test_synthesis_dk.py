@@ -84,7 +84,9 @@ def test_the_column_reaches_its_level_with_few_states(column: DKSynthesis) -> No
     assert column.history[0].gamma == pytest.approx(1.1799, abs=1e-3)
     assert column.K.n_states <= 10
     assert column.gamma <= 1.04
-    assert column.lower <= column.gamma == min(step.gamma for step in column.history if step.order <= 10)
+    best = min(step.gamma for step in column.history if step.order <= 10)
+    assert 0.999 * best <= column.gamma <= best  # the calmer controller of the end may lie a hair below every iterate
+    assert column.lower <= column.gamma
 
 
 def test_the_scaled_loop_recomputed_by_hand(column: DKSynthesis) -> None:
