@@ -232,13 +232,13 @@ class DiagonalLaw:
         k = self.sizes[0]
         theta = np.zeros((k + self.n_controls, k + self.n_measurements), dtype=np.result_type(float, p))
         for part, own, rows, columns in self._places():
-            theta[np.ix_(rows, columns)] += part.packed(p[own])
+            theta[rows[:, None], columns] += part.packed(p[own])
         return theta
 
     def pullback(self, p: Array, G: Array) -> Array:
         """See `Law`."""
         return np.concatenate(
-            [part.pullback(p[own], G[np.ix_(rows, columns)]) for part, own, rows, columns in self._places()]
+            [part.pullback(p[own], G[rows[:, None], columns]) for part, own, rows, columns in self._places()]
         )
 
 
