@@ -55,7 +55,7 @@ from robustlab.uncertainty.overbound import Overbound, overbound
 if TYPE_CHECKING:
     from robustlab.dynamics.effects.extended_plant import ExtendedPlant
 
-__all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks"]
+__all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks", "values_in_words", "with_forces"]
 
 Array = NDArray[np.float64]
 
@@ -176,7 +176,7 @@ def effect_blocks(
         if amplitude:
             raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")
         loads = _unnamed(port_model(plant), unnamed)
-        whole = _told(_with_forces(plant, [port for _, port in loads], 0).uncertain(), plant)
+        whole = _told(with_forces(plant, [port for _, port in loads], 0).uncertain(), plant)
         return _kept(_with_noise(plant, whole, loads, ()), outputs)
     if not isinstance(plant, ExtendedPlant):
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
@@ -209,7 +209,7 @@ def _of_extended(
     loads += _unnamed(plant.model, unnamed)
     inner = without_signals(plant, linear, width)
     ways = [*(port for _, port, _ in sectors), *(port for _, port in loads)]
-    whole = _told(_with_forces(inner, ways, len(sectors)).uncertain(), inner)
+    whole = _told(with_forces(inner, ways, len(sectors)).uncertain(), inner)
     whole = _with_sectors(whole, sectors, len(plant.inputs))
     signals = signal_levels(plant, point.x, point.u)
     for e, k, level in reversed([s for s in signals if s[0].site.kind == "input"]):
@@ -265,7 +265,7 @@ def _load(e: AttachedEffect) -> Footprint | None:
 # --- the plant between drivers and sensors ---------------------------------------------------------------------------
 
 
-def _with_forces(plant: LinearPlant, ports: Sequence[Any], seen: int) -> LinearPlant:
+def with_forces(plant: LinearPlant, ports: Sequence[Any], seen: int) -> LinearPlant:
     """The plant with a force at each port as further inputs, and the speeds of the first ``seen`` as outputs, too."""
     if not ports:
         return plant
@@ -326,7 +326,7 @@ def _with_sectors(
     blocks = [
         RealScalar(
             name, 1, ParameterRange(0.5 * (s.gain_lower + s.gain_upper), r, f"{port.unit}/({port.speed_unit})"),
-            origin=f"{e.effect.title} at {e.site.name} as a sector of its speed; {_values(e)}",
+            origin=f"{e.effect.title} at {e.site.name} as a sector of its speed; {values_in_words(e)}",
         )
         for name, r, (e, port, s) in zip(names, radius.tolist(), sectors, strict=True)
     ]  # fmt: skip
@@ -347,7 +347,9 @@ def _gadgets(
     if seen is not None:
         reach = 0.5 * (seen.gain_upper - seen.gain_lower)
     if reach:
-        words = f"{e.effect.title} at {e.site.name}" + ("" if seen is None else " as a sector") + f"; {_values(e)}"
+        words = (
+            f"{e.effect.title} at {e.site.name}" + ("" if seen is None else " as a sector") + f"; {values_in_words(e)}"
+        )
         block = RealScalar(name, 1, ParameterRange(gain, reach), origin=words)
         found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
     elif gain != 1.0:
@@ -357,7 +359,9 @@ def _gadgets(
         spread = width * e.std.get("d", 0.0)
         model, _ = delay_block(delay, spread, pade, name)
         words = f"{e.effect.title} at {e.site.name}, {delay:.6g} s +- {spread:.3g} s, as Padé of order {pade}"
-        block = dataclasses.replace(model.blocks[0], origin=f"{words} and a weight over what that misses; {_values(e)}")
+        block = dataclasses.replace(
+            model.blocks[0], origin=f"{words} and a weight over what that misses; {values_in_words(e)}"
+        )
         found.append(UncertainModel(model.M, [block]))
     return found
 
@@ -465,10 +469,10 @@ def _with_noise(
 
 
 def _bounded(e: AttachedEffect) -> str:
-    return f"{e.effect.title} at {e.site.name} as a bounded error; {_values(e)}"
+    return f"{e.effect.title} at {e.site.name} as a bounded error; {values_in_words(e)}"
 
 
-def _values(e: AttachedEffect) -> str:
+def values_in_words(e: AttachedEffect) -> str:
     said = ", ".join(f"{name} = {value:.6g}" for name, value in e.values.items())
     return f"{e.effect.equation} with {said}" + (f"; from {e.source}" if e.source else "")
 
