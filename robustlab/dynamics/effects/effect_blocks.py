@@ -473,6 +473,7 @@ def _bounded(e: AttachedEffect) -> str:
 
 
 def values_in_words(e: AttachedEffect) -> str:
+    """The effect's equation with its numbers and where they come from."""
     said = ", ".join(f"{name} = {value:.6g}" for name, value in e.values.items())
     return f"{e.effect.equation} with {said}" + (f"; from {e.source}" if e.source else "")
 
