@@ -24,6 +24,7 @@ from robustlab.recipe.control_schema import (
     SimulateControlStep,
     TrackingProblemStep,
 )
+from robustlab.recipe.story_schema import DataCoverStep, StoryStep
 from robustlab.recipe.vocabulary import (
     ComplementaryWeight,
     ControlWeight,
@@ -446,6 +447,8 @@ Step = Annotated[
     | SteadyStateStep
     | UncertainStep
     | ElementwiseStep
+    | DataCoverStep
+    | StoryStep
     | SampleStep
     | WorstCaseStep
     | ViolationStep

@@ -80,7 +80,11 @@ class EffectLoads:
         own = self.plant.model.own
         first = np.array([record.outputs[self.plant.outputs[k].name][0] for k in shown])
         x0 = np.linalg.pinv(self.plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
-        states, _ = self.plant.stepped(record.t, u, self.plant.whole_state(x0))
+        if not record.is_uniform:
+            raise InputError(where, "irregular sampling", "equal steps", "resample the record")
+        # Time stamps are rounded; the clock itself is not.
+        clock = record.t[0] + record.dt * np.arange(record.n)
+        states, _ = self.plant.stepped(clock, u, self.plant.whole_state(x0))
         signals = self._signals(record, u, states, where)
         added = {load.name: signals[:, k] for k, load in enumerate(self.loads)}
         units = {**record.units, **{load.name: "1" for load in self.loads}}
