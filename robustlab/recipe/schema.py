@@ -24,6 +24,7 @@ from robustlab.recipe.control_schema import (
     SimulateControlStep,
     TrackingProblemStep,
 )
+from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep
 from robustlab.recipe.vocabulary import (
     ComplementaryWeight,
     ControlWeight,
@@ -446,6 +447,8 @@ Step = Annotated[
     | SteadyStateStep
     | UncertainStep
     | ElementwiseStep
+    | CoverModelsStep
+    | UncertainFromStep
     | SampleStep
     | WorstCaseStep
     | ViolationStep
