@@ -19,6 +19,7 @@ from robustlab.recipe.vocabulary import (
 __all__ = ["CoverModelsStep", "UncertainFromStep"]
 
 ToPlantOrFile = Annotated[str, RefersTo(("plant", "any"))]
+AmplitudePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 Pose = Annotated[list[float], Field(min_length=6, max_length=6)]
 
 
@@ -76,8 +77,13 @@ class UncertainFromStep(StepBase):
     do: Literal["uncertain-from"]
     of: ToPlantOrFile = Field(description="A discover step, a plant, or the file of an updated plant.")
     outputs: list[str] | None = None
-    amplitude: dict[str, Positive] = Field(
-        {}, description="Amplitude of the speed or signal at a place at which the effects there are described."
+    amplitude: dict[str, Positive | AmplitudePair] = Field(
+        {}, description="Of the signal of a joint, position, input or output: at which the effects are described there."
+    )
+    dry: Literal["load", "gain", "both"] | None = Field(
+        None,
+        description="Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the "
+        "describing function; where left out, a gain where an amplitude is given, else a load.",
     )
     sigmas: Annotated[float, Field(ge=0, le=10)] = Field(
         2.0, description="Half width of the range of a fitted value in its standard deviations."

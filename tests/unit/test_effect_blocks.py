@@ -105,10 +105,86 @@ def test_sectors_of_drivers():
     assert gains == pytest.approx([0.5, 1.0])
 
 
+def test_dry_friction_is_a_bounded_force_at_every_speed():
+    """Without an amplitude it is no gain at all; the steady speed under a constant drive is that of the simulation."""
+    plant = servo(coulomb_friction={"Fc": (20.0, 1.5)})
+    made = effect_blocks(plant, ["v"])
+    assert {b.name for b in made.model.blocks} == {"M", "Fv"}
+    (load,) = made.noise
+    assert (load.bound, load.unit) == (pytest.approx(23.0), "N")  # two standard deviations more
+    assert "every motion" in load.origin
+    assert made.approximate == ()
+    t = np.arange(4000) * 1e-3
+    speed = rl.simulate(plant, t, np.full(4000, 5.0))["v"][-1]
+    reached = made.model.nominal.dc_gain() @ [-20.0 / load.bound, 5.0]
+    assert speed == pytest.approx(float(reached[0]), rel=1e-3)
+    with pytest.raises(rl.InputError, match="without an amplitude"):
+        effect_blocks(servo(quadratic_drag={"c": 30.0}), ["v"])  # grows with the speed: no bound
+
+
+def test_dry_friction_between_two_amplitudes_and_both_ways():
+    plant = servo(coulomb_friction={"Fc": 20.0})
+    made = effect_blocks(plant, ["v"], amplitude={"v": (0.05, 0.5)})
+    (name,) = made.approximate
+    found = next(b.parameter for b in made.model.blocks if b.name == name)
+    assert (found.low, found.high) == pytest.approx((80 / (math.pi * 0.5), 80 / (math.pi * 0.05)))
+    assert "0.05 to 0.5 m/s" in made.origins[name]
+    both = effect_blocks(plant, ["v"], amplitude={"v": 0.05}, dry="both")
+    assert [n.bound for n in both.noise] == [20.0]
+    assert both.approximate == (name,)
+    assert both.status is rl.Status.CONVERGED
+
+
+def test_gear_losses_scale_the_net_force_whatever_the_mass():
+    """M v' = (1 + (1 - eta) delta) (gain u - Fv v): at delta = -1 a machine that speeds up, as simulated."""
+    plant = servo(gear_efficiency={"eta": (0.8, 0.01)})
+    made = effect_blocks(plant, ["v"], amplitude={})
+    assert made.left_out == {}
+    name = "gear-efficiency@v"
+    s = 1j * np.array([0.3, 3.0, 40.0])
+    for mass, loss in ((0.0, 1.0), (1.0, -1.0), (-1.0, 0.4)):
+        member = made.model.evaluate({"M": mass, name: loss})
+        share = 1 + 0.22 * loss  # eta less two standard deviations
+        wanted = share * 35 / (95 * (1 + 0.1 * mass) * s + share * 200)
+        np.testing.assert_allclose(rl.frequency_response(member, s.imag)[:, 0, 0], wanted, rtol=1e-9)
+    t = np.arange(1500) * 1e-3
+    measured = rl.simulate(plant, t, np.full(1500, 4.0))["v"]
+    member = effect_blocks(servo(gear_efficiency={"eta": 0.8}), ["v"]).model.evaluate({name: -1.0})
+    np.testing.assert_allclose(rl.simulate(member, t, np.full(1500, 4.0))["v"], measured, rtol=2e-3, atol=1e-5)
+
+
+def test_gear_losses_count_the_other_forces_too():
+    made = effect_blocks(servo(gear_efficiency={"eta": 0.8}, coulomb_friction={"Fc": 20.0}), ["v"])
+    member = made.model.evaluate({"gear-efficiency@v": 0.5})
+    s = 1j * np.array([0.3, 40.0])
+    wanted = 1.1 / (95 * s + 1.1 * 200)
+    response = rl.frequency_response(member, s.imag)[:, 0]
+    np.testing.assert_allclose(response, wanted[:, None] * [20.0, 35.0], rtol=1e-9)
+
+
+def test_forces_over_the_position():
+    """M s^2 + Fv s + k with k anywhere in the sector 0 .. k3 a^2; cogging is a bounded force, or a stiffness +- k A."""
+    stiff = servo(cubic_stiffness={"k3": 1e4})
+    made = effect_blocks(stiff, ["q"], amplitude={"q": 0.2})
+    s = 1j * np.array([0.7, 5.0])
+    member = made.model.evaluate({"cubic-stiffness@v": 0.5})
+    np.testing.assert_allclose(
+        rl.frequency_response(member, s.imag)[:, 0, 0], 35 / (95 * s**2 + 200 * s + 0.75 * 400), rtol=1e-9
+    )
+    wave = servo(cogging={"Ac": 3.0, "As": 4.0, "k": 100.0})
+    (load,) = effect_blocks(wave, ["q"]).noise
+    assert load.bound == 5.0
+    shaped = effect_blocks(wave, ["q"], amplitude={"q": 0.01})
+    found = next(b.parameter for b in shaped.model.blocks if "cogging" in b.name)
+    assert (found.low, found.high) == (-500.0, 500.0)
+    assert effect_blocks(wave, ["q"], amplitude={"q": 0.01}, dry="both").approximate == ()
+
+
 def test_what_has_no_block_is_said():
     made = effect_blocks(servo(cubic_stiffness={"k3": 10.0}), amplitude={})
     assert "only its slope" in next(iter(made.left_out.values()))
     assert "not in it: cubic-stiffness" in made.summary()
+    assert "give an amplitude of q" in made.summary()
 
 
 def test_a_linear_plant_is_its_own_uncertainty():
@@ -127,9 +203,11 @@ def test_an_unnamed_force_becomes_an_input():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({}, "without an amplitude"),
+        ({"dry": "gain"}, "without an amplitude"),
+        ({"dry": "wet"}, "one of gain, load, both"),
         ({"amplitude": {"v": 1.0, "nowhere": 1.0}}, "no effect there"),
         ({"amplitude": {"v": -1.0}}, "positive"),
+        ({"amplitude": {"v": (2.0, 1.0)}}, "least, largest"),
         ({"amplitude": {"v": 1.0}, "sigmas": -1.0}, "sigmas"),
         ({"amplitude": {"v": 1.0}, "pade": 0}, "order"),
         ({"amplitude": {"v": 1.0}, "unnamed": (0.0, "")}, "positive bound"),
@@ -167,12 +245,12 @@ def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
         model=servo(coulomb_friction={"Fc": 20.0}),
     )  # fmt: skip
     made = uncertain_from(found, ["v"])
-    assert [(n.name, n.bound) for n in made.noise] == [("load v: unnamed", 7.5)]
-    assert "train" in made.noise[0].origin
-    sector = next(b.parameter for b in made.model.blocks if "coulomb" in b.name)
-    assert sector.high == pytest.approx(4 * 20.0 / (math.pi * 0.2))  # the median speed
+    assert [(n.name, n.bound) for n in made.noise] == [("load v: coulomb-friction", 20.0), ("load v: unnamed", 7.5)]
+    assert "train" in made.noise[1].origin
+    drag = dataclasses.replace(found, model=servo(quadratic_drag={"c": 50.0}))
+    assert drag.uncertain_model(["v"]).blocks[-1].parameter.high == pytest.approx(50 * 0.4)  # the largest speed
     assert found.uncertain_model(["v"], amplitude={"v": 1.0}).blocks[-1].parameter.high == pytest.approx(80 / math.pi)
     with pytest.raises(rl.InputError, match="without an updated plant"):
         uncertain_from(dataclasses.replace(found, model=None))
     settled = uncertain_from(dataclasses.replace(found, complete=True), ["v"])
-    assert settled.noise == ()
+    assert [n.name for n in settled.noise] == ["load v: coulomb-friction"]

@@ -11,6 +11,7 @@ from robustlab.recipe.steps.models import uncertain_numbers
 from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep
 
 if TYPE_CHECKING:
+    from robustlab.dynamics.effects.effect_blocks import EffectBlocks
     from robustlab.mu_analysis.cover import Cover
     from robustlab.statespace import StateSpaceModel
 
@@ -110,9 +111,11 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
     given = work.discoveries.get(step.of, work.values[step.of])
     if step.of not in work.discoveries and not isinstance(given, Plant):
         raise InputError(f"of = {step.of!r}", f"a {type(given).__name__}", "a discover step, or a plant")
+    amplitude = {n: (a[0], a[1]) if isinstance(a, list) else a for n, a in step.amplitude.items()}
     made = rl.uncertain_from(
-        given, step.outputs, sigmas=step.sigmas, amplitude=step.amplitude or None, pade=step.pade
-    )  # fmt: skip
+        given, step.outputs, sigmas=step.sigmas, amplitude=amplitude or None, dry=step.dry, pade=step.pade
+    )
+    work.keep(made)
     figure = blocks_figure(made)
     if figure is not None:
         work.draw(figure, "blocks", "How much each block alone changes the response, and what each bounded error does.")
@@ -134,7 +137,21 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
         f"Uncertain model of {step.of}: {len(made.model.blocks)} blocks, {len(made.noise)} bounded inputs,"
         f" {len(made.left_out)} effects without a block."
     )
-    return Outcome(made.model, summary, numbers, tuple(facts))
+    return Outcome(made.model, summary, numbers, tuple(facts), made.status, _notes(made))
+
+
+def _notes(made: EffectBlocks) -> tuple[str, ...]:
+    notes = []
+    if made.approximate:
+        names = ", ".join(made.approximate)
+        notes.append(
+            f"{names}: holds by harmonic balance, for the oscillations that its line names, not for every motion."
+        )
+    if made.noise:
+        notes.append("Inputs for bounded errors come first; one stands for the bound that their line names.")
+    if made.left_out:
+        notes.append("What is proved for this set says nothing about the effects that are not in it.")
+    return tuple(notes)
 
 
 def _block_facts(model: Any) -> list[Fact]:
