@@ -1,7 +1,8 @@
 r"""What remains after naming, as blocks: from a discovery, or its updated plant, to an uncertain model.
 
-The updated plant's parameters have the ranges of the fit, its effects become blocks and bounded inputs, and the force
-that nothing explains becomes an input of three times its root mean square.
+The updated plant's parameters have the ranges of the fit (those that it scaled together: one range in common), its
+effects become blocks and bounded inputs, and the force that nothing explains becomes an input of three times its root
+mean square.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from robustlab.dynamics.effects.effect_blocks import EffectBlocks, effect_blocks
 from robustlab.dynamics.effects.force_blocks import Amplitude, Dry
 from robustlab.errors import InputError
 from robustlab.identification.discovery_result import Discovery
+from robustlab.identification.updated_plant import fitted_together
 
 __all__ = ["uncertain_from"]
 
@@ -61,7 +63,8 @@ def uncertain_from(
     'harmonic balance, for oscillations of amplitude 10 rad/s and more'
     """
     if not isinstance(found, Discovery):
-        return effect_blocks(found, outputs, sigmas=sigmas, amplitude=amplitude, dry=dry, pade=pade)
+        tied = fitted_together(found)
+        return effect_blocks(found, outputs, sigmas=sigmas, amplitude=amplitude, dry=dry, pade=pade, tied=tied)
     if found.model is None:
         raise InputError("uncertain_from", "a discovery without an updated plant", "one with a model")
     left = found.residual_force
@@ -72,7 +75,16 @@ def uncertain_from(
     if dry is None and not amplitude:
         dry = "load"
     chosen = {**_speeds(found), **(amplitude or {})}
-    return effect_blocks(found.model, outputs, sigmas=sigmas, amplitude=chosen, dry=dry, pade=pade, unnamed=unnamed)
+    return effect_blocks(
+        found.model,
+        outputs,
+        sigmas=sigmas,
+        amplitude=chosen,
+        dry=dry,
+        pade=pade,
+        unnamed=unnamed,
+        tied=fitted_together(found.model),
+    )
 
 
 def _speeds(found: Discovery) -> dict[str, Amplitude]:

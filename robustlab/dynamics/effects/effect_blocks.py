@@ -55,6 +55,7 @@ from robustlab.dynamics.effects.force_blocks import (
 )
 from robustlab.dynamics.effects.port_model import port_model
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.tied_parameters import tied_plant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.result import Status
@@ -158,6 +159,7 @@ def effect_blocks(
     dry: Dry | None = None,
     pade: int = 2,
     unnamed: tuple[float, str] | None = None,
+    tied: Sequence[tuple[str, tuple[str, ...]]] = (),
 ) -> EffectBlocks:
     """The uncertain model of a plant with or without effects.
 
@@ -182,6 +184,8 @@ def effect_blocks(
         Order of the Padé approximation of delays, 1..8.
     unnamed
         Bound and origin of a force at the first joint that nothing explains; none where left out.
+    tied
+        Groups of parameters that move together, as `robustlab.dynamics.tied_parameters.tied_plant` takes them.
 
     Raises
     ------
@@ -201,13 +205,14 @@ def effect_blocks(
         if amplitude:
             raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")
         loads = _unnamed(port_model(plant), unnamed)
-        whole = _told(_with_forces(plant, [port for _, port in loads], []).uncertain(), plant)
+        inner = tied_plant(plant, tied)
+        whole = _told(_with_forces(inner, [port for _, port in loads], []).uncertain(), inner)
         return _kept(_with_noise(plant, whole, loads, ()), outputs)
     if not isinstance(plant, ExtendedPlant):
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
     if dry not in (None, *get_args(Dry)):
         raise InputError("effect_blocks: dry", f"{dry!r}", f"one of {', '.join(get_args(Dry))}")
-    return _kept(_of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed), outputs)
+    return _kept(_of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed, tied), outputs)
 
 
 def _kept(made: EffectBlocks, outputs: Sequence[str] | None) -> EffectBlocks:
@@ -225,6 +230,7 @@ def _of_extended(
     dry: Dry | None,
     pade: int,
     unnamed: tuple[float, str] | None,
+    tied: Sequence[tuple[str, tuple[str, ...]]],
 ) -> EffectBlocks:
     check_amplitudes(plant, amplitude)
     parts = force_parts(plant, amplitude, dry, width)
@@ -233,7 +239,7 @@ def _of_extended(
     point = linear.operating_point
     assert point is not None
     loads = [*_loads(parts), *_unnamed(plant.model, unnamed)]
-    inner = without_signals(plant, linear, width)
+    inner = tied_plant(without_signals(plant, linear, width), tied)
     ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
     whole = _told(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
     whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
