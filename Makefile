@@ -1,4 +1,5 @@
 # make demo    set everything up and run the main job        make test    set everything up and run the tests
+# make test-all    and those that take minutes
 # make lint types layers    the other checks                 make clean   remove what these made
 # PYTHON=python3.12 make demo    another interpreter
 
@@ -7,13 +8,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test lint types layers bench clean
+.PHONY: demo test test-all lint types layers bench clean
 
 demo: $(READY)
 	$(BIN)/robustlab run first-light --out out/first-light
 
+PYTEST := $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
 test: $(READY)
-	$(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not slow"
+
+test-all: $(READY)
+	$(PYTEST)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -187,6 +187,8 @@ _PUBLIC = {
     # measurements
     "compare": "identification",
     "discover": "identification.discovery",
+    "DataCover": "identification.data_cover",
+    "data_cover": "identification.data_cover",
     "uncertain_from": "identification.remaining_uncertainty",
     "validate": "identification.validation",
     # trust

@@ -55,8 +55,9 @@ class TrackingProblem:
         Weight of one channel, by name ``"W1"``, ``"W2"``, ``"W3"``; those that were given.
     shape
         F, what the references do over frequency; 1 where they have no bandwidth.
-    reference, disturbance, noise
-        Sizes of these signals, by name of the output or input they belong to; empty where there is none.
+    reference, disturbance, noise, loads
+        Sizes of these signals, by name of the output or input they belong to; empty where there is none. Loads are
+        inputs of the plant that are no controls.
     """
 
     uncertain: UncertainModel
@@ -68,6 +69,7 @@ class TrackingProblem:
     reference: Mapping[str, float]
     disturbance: Mapping[str, float]
     noise: Mapping[str, float]
+    loads: Mapping[str, float]
 
     @property
     def n_meas(self) -> int:
@@ -77,7 +79,7 @@ class TrackingProblem:
     @property
     def n_con(self) -> int:
         """Number of controls."""
-        w = len(self.reference) + len(self.disturbance) + len(self.noise)
+        w = len(self.reference) + len(self.disturbance) + len(self.loads) + len(self.noise)
         return len(self.uncertain.inputs) - w
 
     @property
@@ -95,11 +97,16 @@ class TrackingProblem:
         return self.uncertain
 
     def on(self, G: Any) -> TrackingProblem:
-        """The same requirement for another plant, or another set of models, with the same signals."""
+        """The same requirement for another plant, or another set of models, with the same signals; loads that it does
+        not have are left out.
+        """
         bandwidth = -float(self.shape.A[0, 0]) if self.shape.n_states else None
+        inputs = [s.name for s in (G if isinstance(G, UncertainModel) else as_model(G, "tracking problem: G")).inputs]
+        loads = {name: size for name, size in self.loads.items() if name in inputs}
         return tracking_problem(
             G, [s.name for s in self.controlled], [s.name for s in self.measured], **self.weights,
             reference=self.reference, reference_bandwidth=bandwidth, disturbance=self.disturbance, noise=self.noise,
+            loads=loads,
         )  # fmt: skip
 
     def close(self, K: Any) -> UncertainModel:
@@ -158,13 +165,15 @@ def tracking_problem(
     reference_bandwidth: float | None = None,
     disturbance: Sizes | None = None,
     noise: Sizes | None = None,
+    loads: Mapping[str, float] | None = None,
 ) -> TrackingProblem:
     """The weighted tracking problem of a plant; see this module for the signals.
 
     Parameters
     ----------
     G
-        Plant whose inputs are all controls: StateSpaceModel, UncertainModel (its blocks stay) or python-control object.
+        Plant whose inputs are all controls but for the loads: StateSpaceModel, UncertainModel (its blocks stay) or
+        python-control object.
     controlled, measured
         Names of outputs of G.
     W1, W2, W3
@@ -179,6 +188,8 @@ def tracking_problem(
     noise
         Size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is called
         ``<name>_ref``); none where left out.
+    loads
+        Inputs of G that are no controls, with their sizes: forces that act on the plant.
 
     Raises
     ------
@@ -202,18 +213,25 @@ def tracking_problem(
     }
     if not weights:
         raise InputError("tracking problem", "no weight", "at least one of W1, W2, W3")
+    forces = _sizes("loads", loads, base.inputs)
+    controls = [s for s in base.inputs if s.name not in forces]
+    if not controls:
+        raise InputError("tracking problem: loads", "every input of the plant", "one that is left for control")
     sizes = (
         _sizes("reference", reference, follow, whole=True),
-        _sizes("disturbance", disturbance, base.inputs),
+        _sizes("disturbance", disturbance, controls),
         _sizes("noise", noise, [*(Signal(f"{s.name}_ref", s.unit) for s in follow), *seen]),
     )
     shape = _shape(reference_bandwidth, base.dt)
-    signals = _signals(base, c, m, *sizes)
-    d = [Signal(f"{name}_disturbance", "1") for name in sizes[1]]
+    signals = _signals(base, c, m, sizes[0], {**sizes[1], **forces}, sizes[2], [s.name for s in controls])
+    d = [
+        *(Signal(f"{name}_disturbance", "1") for name in sizes[1]),
+        *(Signal(f"{name}, over its size", "1") for name in forces),
+    ]
     n = [Signal(f"{name}_noise", "1") for name in sizes[2]]
-    model = _weighted(signals, base, follow, seen, weights, shape, [*d, *n])
+    model = _weighted(signals, base, controls, follow, seen, weights, shape, [*d, *n])
     bare = UncertainModel(signals.renamed(model.inputs, None), base.blocks)
-    return TrackingProblem(UncertainModel(model, base.blocks), bare, follow, seen, weights, shape, *sizes)
+    return TrackingProblem(UncertainModel(model, base.blocks), bare, follow, seen, weights, shape, *sizes, forces)
 
 
 def _signals(
@@ -223,22 +241,24 @@ def _signals(
     reference: Mapping[str, float],
     disturbance: Mapping[str, float],
     noise: Mapping[str, float],
+    controls: list[str],
 ) -> StateSpaceModel:
     """From [w; r; d; n; u] to [z; e; u; y_c; v], all without weights."""
     M, (q, p) = base.M, base.delta_shape
-    n_u, names_u = M.n_inputs - q, [s.name for s in base.inputs]
+    n_u, names_u = len(controls), [s.name for s in base.inputs]
     rows_c, rows_m = [p + i for i in c], [p + i for i in m]
     names_v = [*(f"{base.outputs[i].name}_ref" for i in c), *(base.outputs[i].name for i in m)]
     size_r, size_d, size_n = (np.array(list(s.values())) for s in (reference, disturbance, noise))
     n_r, n_d, n_n = len(size_r), len(size_d), len(size_n)
-    at_u = np.zeros((n_u, n_d))
+    at_u, driven = np.zeros((len(names_u), n_d)), np.zeros((len(names_u), n_u))
+    driven[[names_u.index(name) for name in controls], range(n_u)] = 1.0
     at_u[[names_u.index(name) for name in disturbance], range(n_d)] = size_d
     at_v = np.zeros((n_r + len(m), n_n))
     at_v[[names_v.index(name) for name in noise], range(n_n)] = size_n
-    # what acts on M: its own w and u + d; columns [w, r, d, n, u]
-    into = np.zeros((q + n_u, q + n_r + n_d + n_n + n_u))
+    # what acts on M: its own w, the controls u + d, and the loads; columns [w, r, d, n, u]
+    into = np.zeros((M.n_inputs, q + n_r + n_d + n_n + n_u))
     into[:q, :q] = np.eye(q)
-    into[q:, q + n_r : q + n_r + n_d], into[q:, -n_u:] = at_u, np.eye(n_u)
+    into[q:, q + n_r : q + n_r + n_d], into[q:, -n_u:] = at_u, driven
     relative = np.eye(n_r) / size_r[:, None]
     pick = np.zeros((p + n_r + n_u + n_r + n_r + len(m), M.n_outputs))
     direct = np.zeros((len(pick), into.shape[1]))
@@ -257,6 +277,7 @@ def _signals(
 def _weighted(
     signals: StateSpaceModel,
     base: UncertainModel,
+    inputs: list[Signal],
     follow: tuple[Signal, ...],
     seen: tuple[Signal, ...],
     weights: Mapping[str, StateSpaceModel],
@@ -264,7 +285,7 @@ def _weighted(
     others: list[Signal],
 ) -> StateSpaceModel:
     """``signals`` with the weights behind e, u, y_c, F before r, and the names of all signals."""
-    (q, p), controls = base.delta_shape, [Signal(s.name, s.unit) for s in base.inputs]
+    (q, p), controls = base.delta_shape, [Signal(s.name, s.unit) for s in inputs]
     n_r, n_u = len(follow), len(controls)
     words = {"W1": ("error", p, follow), "W2": ("control", p + n_r, controls), "W3": ("output", p + n_r + n_u, follow)}
     rows, filters = list(range(p)), [_through(p, "z", base.dt)]

@@ -16,6 +16,7 @@ EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps.h5"
 MISSED = {"naming.gaps.q.updated", "naming.effects.coulomb-friction.Fc", "naming.nominal.Fv"}
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_emps(tmp_path):
     """Published by Janot, Gautier and Brunot: 166.71 N s/m forwards and 240.42 N s/m backwards."""

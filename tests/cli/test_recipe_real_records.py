@@ -44,7 +44,9 @@ def unmet(result):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", ["rack-pinion", "cascaded-tanks", "coupled-drives"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("rack-pinion", marks=pytest.mark.slow), "cascaded-tanks", "coupled-drives"]
+)
 def test_what_the_other_records_say(name, tmp_path):
     """hsm150 takes minutes: it runs in benchmarks/real_records.py."""
     result = run(name, tmp_path)

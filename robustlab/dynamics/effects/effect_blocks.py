@@ -48,10 +48,10 @@ from robustlab.dynamics.effects.force_blocks import (
     ForceParts,
     ForceSector,
     check_amplitudes,
+    force_columns,
     force_parts,
     largest_offset,
-    law_words,
-    with_forces,
+    values_in_words,
 )
 from robustlab.dynamics.effects.port_model import port_model
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
@@ -69,7 +69,7 @@ from robustlab.uncertainty.overbound import Overbound, overbound
 if TYPE_CHECKING:
     from robustlab.dynamics.effects.extended_plant import ExtendedPlant
 
-__all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks"]
+__all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks", "with_forces"]
 
 Array = NDArray[np.float64]
 
@@ -206,7 +206,7 @@ def effect_blocks(
             raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")
         loads = _unnamed(port_model(plant), unnamed)
         inner = tied_plant(plant, tied)
-        whole = _told(_with_forces(inner, [port for _, port in loads], []).uncertain(), inner)
+        whole = _told(with_forces(inner, [port for _, port in loads]).uncertain(), inner)
         return _kept(_with_noise(plant, whole, loads, ()), outputs)
     if not isinstance(plant, ExtendedPlant):
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
@@ -239,9 +239,10 @@ def _of_extended(
     point = linear.operating_point
     assert point is not None
     loads = [*_loads(parts), *_unnamed(plant.model, unnamed)]
+    drivers = _driver_errors(plant, amplitude, width)
     inner = tied_plant(without_signals(plant, linear, width), tied)
     ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
-    whole = _told(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
+    whole = _told(with_forces(inner, ways, parts.sectors).uncertain(), inner)
     whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
     signals = signal_levels(plant, point.x, point.u)
     for e, k, level in reversed([s for s in signals if s[0].site.kind == "input"]):
@@ -250,7 +251,7 @@ def _of_extended(
     for e, k, level in [s for s in signals if s[0].site.kind == "output"]:
         for gadget in _gadgets(e, level, levels, width, pade):
             whole = product(_at_channel(gadget, whole.outputs, k), whole)
-    made = _with_noise(plant, whole, loads, signals, width)
+    made = _with_noise(plant, whole, loads, signals, width, drivers)
     _check(linear_model(plant, None, levels, pade, parts.stand_in), plant.name, made)
     left = {**parts.left_out, **_left_out(signals)}
     return dataclasses.replace(made, left_out=left, approximate=tuple(approximate))
@@ -265,6 +266,7 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
         and e.site.name not in amplitude
         and sector(e, {e.site.name: 1.0}, ("input", "output")) is not None
         and e.effect.id not in GAINS
+        and not _is_bounded_error(plant, e)
     }
     if missing:
         name, title = next(iter(missing.items()))
@@ -276,6 +278,29 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
     return {n: float(a[1] if isinstance(a, (tuple, list)) else a) for n, a in amplitude.items() if n in places}
 
 
+def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
+    """Whether a driver adds no more than a bounded error to an input that nothing else scales."""
+    others = [o for o in plant.effects if o.site == e.site and o is not e and o.effect.id in GAINS]
+    return e.site.kind == "input" and e.effect.input_error(e.values) is not None and not others
+
+
+def _driver_errors(
+    plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], width: float
+) -> list[tuple[NoiseInput, int]]:
+    """A driver without an amplitude as what it adds to its input at most, and the number of the input."""
+    found = []
+    for e in plant.effects:
+        if e.site.name in amplitude or not _is_bounded_error(plant, e):
+            continue
+        k = [s.name for s in plant.inputs].index(e.site.name)
+        largest = {n: v + width * e.std.get(n, 0.0) for n, v in e.values.items()}
+        bound = e.effect.input_error(largest)
+        assert bound is not None
+        words = f"{e.effect.title} at {e.site.name} as a bounded error, for every motion; {values_in_words(e)}"
+        found.append((NoiseInput(f"load {e.site.name}: {e.effect.id}", bound, plant.inputs[k].unit, words), k))
+    return found
+
+
 def _loads(parts: ForceParts) -> list[tuple[NoiseInput, Any]]:
     """An input for every bounded force."""
     found, taken = [], []
@@ -283,7 +308,7 @@ def _loads(parts: ForceParts) -> list[tuple[NoiseInput, Any]]:
         e = b.effect
         (name,) = _free([f"load {e.site.name}: {e.effect.id}"], taken)
         taken.append(name)
-        words = f"{e.effect.title} at {e.site.name} as a bounded force, for every motion; {law_words(e)}"
+        words = f"{e.effect.title} at {e.site.name} as a bounded force, for every motion; {values_in_words(e)}"
         found.append((NoiseInput(name, b.bound, b.port.unit, words), b.port))
     return found
 
@@ -304,7 +329,7 @@ def _unnamed(model: Any, given: tuple[float, str] | None) -> list[tuple[NoiseInp
 # --- the plant between drivers and sensors ---------------------------------------------------------------------------
 
 
-def _with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[ForceSector]) -> LinearPlant:
+def with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[ForceSector] = ()) -> LinearPlant:
     """The plant with a force at each port as further inputs, and what the first ones' sectors see as outputs, too."""
     if not ports:
         return plant
@@ -315,7 +340,7 @@ def _with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[For
         given = original(p)
         e, f, g, c = (np.asarray(m, dtype=np.float64) for m in (given.E, given.F, given.G, given.C))
         d = np.zeros((len(c), g.shape[1])) if given.D is None else np.asarray(given.D, dtype=np.float64)
-        push, seen_c, seen_d = with_forces((nominal, f, g), ports, sectors)
+        push, seen_c, seen_d = force_columns((nominal, f, g), ports, sectors)
         wide = np.vstack([np.hstack([d, np.zeros((len(c), len(ports)))]), seen_d])
         return Descriptor(e, f, np.hstack([g, push]), np.vstack([c, seen_c]), wide)
 
@@ -373,7 +398,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
 def _sector_words(s: ForceSector) -> str:
     e = s.effect
     seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
-    return f"{e.effect.title} at {e.site.name} as a sector {seen}; {s.valid}; {law_words(e)}"
+    return f"{e.effect.title} at {e.site.name} as a sector {seen}; {s.valid}; {values_in_words(e)}"
 
 
 # --- drivers and sensors ---------------------------------------------------------------------------------------------
@@ -390,7 +415,9 @@ def _gadgets(
     if seen is not None:
         reach = 0.5 * (seen.gain_upper - seen.gain_lower)
     if reach:
-        words = f"{e.effect.title} at {e.site.name}" + ("" if seen is None else " as a sector") + f"; {law_words(e)}"
+        words = (
+            f"{e.effect.title} at {e.site.name}" + ("" if seen is None else " as a sector") + f"; {values_in_words(e)}"
+        )
         block = RealScalar(name, 1, ParameterRange(gain, reach), origin=words)
         found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
     elif gain != 1.0:
@@ -401,7 +428,7 @@ def _gadgets(
         model, _ = delay_block(delay, spread, pade, name)
         words = f"{e.effect.title} at {e.site.name}, {delay:.6g} s +- {spread:.3g} s, as Padé of order {pade}"
         block = dataclasses.replace(
-            model.blocks[0], origin=f"{words} and a weight over what that misses; {law_words(e)}"
+            model.blocks[0], origin=f"{words} and a weight over what that misses; {values_in_words(e)}"
         )
         found.append(UncertainModel(model.M, [block]))
     return found
@@ -476,6 +503,7 @@ def _with_noise(
     loads: Sequence[tuple[NoiseInput, Any]],
     signals: Sequence[tuple[AttachedEffect, int, float]],
     width: float = 0.0,
+    drivers: Sequence[tuple[NoiseInput, int]] = (),
 ) -> EffectBlocks:
     """Bounded errors as inputs of size one, before the plant's own."""
     m, (q, p) = whole.M, whole.delta_shape
@@ -487,6 +515,10 @@ def _with_noise(
         noise.append(load)
         columns_b.append(load.bound * m.B[:, j])
         columns_d.append(load.bound * m.D[:, j])
+    for load, k in drivers:
+        noise.append(load)
+        columns_b.append(load.bound * m.B[:, q + k])
+        columns_d.append(load.bound * m.D[:, q + k])
     for e, k, _ in signals:
         bound = largest_offset(e, width)
         if e.site.kind == "output" and bound:
@@ -511,7 +543,7 @@ def _with_noise(
 
 
 def _bounded(e: AttachedEffect) -> str:
-    return f"{e.effect.title} at {e.site.name} as a bounded error; {law_words(e)}"
+    return f"{e.effect.title} at {e.site.name} as a bounded error; {values_in_words(e)}"
 
 
 def _free(names: list[str], taken: Sequence[str]) -> list[str]:

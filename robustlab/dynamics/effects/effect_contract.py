@@ -264,6 +264,10 @@ class Effect(ABC):
         """What the plant sees of the input u, (n,), given in steps of h seconds."""
         return u
 
+    def input_error(self, values: Mapping[str, float]) -> float | None:
+        """Bound of ``|input(u) - u|`` for every u; None where there is none."""
+        return None
+
     def output(self, y: Array, values: Mapping[str, float], h: float) -> Array:
         """What is recorded of the output y, shape (n_windows, n), in samples of h seconds."""
         return y

@@ -48,8 +48,8 @@ __all__ = [
     "check_amplitudes",
     "force_parts",
     "largest_offset",
-    "law_words",
-    "with_forces",
+    "values_in_words",
+    "force_columns",
 ]
 
 Array = NDArray[np.float64]
@@ -219,7 +219,7 @@ def largest_offset(e: AttachedEffect, width: float) -> float:
     return max((f.offset for f in _footprints(e, 1.0, width)), default=0.0)
 
 
-def law_words(e: AttachedEffect) -> str:
+def values_in_words(e: AttachedEffect) -> str:
     """Equation, values and source of an effect."""
     said = ", ".join(f"{name} = {value:.6g}" for name, value in e.values.items())
     return f"{e.effect.equation} with {said}" + (f"; from {e.source}" if e.source else "")
@@ -301,7 +301,7 @@ def _footprints(e: AttachedEffect, amplitude: float, width: float) -> Iterator[F
             yield found
 
 
-def with_forces(
+def force_columns(
     plant_matrices: Sequence[Array], ports: Sequence[Port], sectors: Sequence[ForceSector]
 ) -> tuple[Array, Array, Array]:
     """Columns of G for a force at each port; rows of C and of D (over u and those forces) for what the sectors see.

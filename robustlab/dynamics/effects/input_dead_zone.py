@@ -30,6 +30,9 @@ class InputDeadZone(Effect):
     def input(self, u: Array, values: Mapping[str, float], h: float) -> Array:
         return np.sign(u) * np.maximum(np.abs(u) - values["d"], 0.0)
 
+    def input_error(self, values: Mapping[str, float]) -> float:
+        return values["d"]
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "input", 0.0, max(0.0, 1.0 - values["d"] / amplitude))
 

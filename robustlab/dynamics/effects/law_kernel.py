@@ -171,7 +171,11 @@ def step_windows(
 
 
 def quiet_first_class_functions() -> None:
-    """Numba calls functions handed over as values experimental; it says so once per compilation."""
+    """Numba calls functions handed over as values experimental, once per compilation; stop it, for good.
+
+    ``warnings.catch_warnings`` would put the filters back while another thread still needs them.
+    """
     from numba.core.errors import NumbaExperimentalFeatureWarning
 
-    warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
+    if ("ignore", None, NumbaExperimentalFeatureWarning, None, 0) not in warnings.filters:
+        warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -152,12 +151,11 @@ class Simulator:
         forces = np.zeros((count, windows.length, len(laws)))
         start = np.zeros((count, n))
         start[:, : model.own] = x0
-        with warnings.catch_warnings():
-            kernel.quiet_first_class_functions()
-            kernel.step_windows(
-                functions, len(laws), phi, np.ascontiguousarray(psi @ model.B), columns, velocity, position, parameters,
-                memory, u, start, model.own, windows.starts, windows.length, self.sub, h, self.t0, states, forces,
-            )  # fmt: skip
+        kernel.quiet_first_class_functions()
+        kernel.step_windows(
+            functions, len(laws), phi, np.ascontiguousarray(psi @ model.B), columns, velocity, position, parameters,
+            memory, u, start, model.own, windows.starts, windows.length, self.sub, h, self.t0, states, forces,
+        )  # fmt: skip
         return states, forces
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array]:

@@ -1,0 +1,242 @@
+r"""Effects as loads: the linear part of a plant, driven by bounded signals that stand for its nonlinear effects.
+
+.. math::
+    \dot x = A x + B\,(u + d) + \sum_j b_j f_j, \qquad |f_j| \le F_j, \quad |d| \le d_{max}
+
+This is no approximation: f and d are what the laws and drivers do, whatever the motion. A design may take them for
+disturbances of known size at known places; along a record they are known signals (`EffectLoads.along`), so that what is
+left for an uncertainty to explain is only what the named effects do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.effects.attached_effect import AttachedEffect
+from robustlab.dynamics.effects.effect_blocks import NoiseInput, with_forces
+from robustlab.dynamics.effects.extended_plant import ExtendedPlant, with_effects
+from robustlab.dynamics.effects.extended_uncertainty import without_signals
+from robustlab.dynamics.effects.force_blocks import values_in_words
+from robustlab.dynamics.effects.port_model import Port, port_model
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.simulation import transition
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.record import Record
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["EffectLoads", "effect_loads"]
+
+Array = NDArray[np.float64]
+
+# The simulated states must be those of the linear part under the loads to this share of their size.
+EXACT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class EffectLoads:
+    """A plant as a linear set with loads.
+
+    Attributes
+    ----------
+    plant
+        What it was made of.
+    model
+        Its inputs are the loads, each over its bound, so that they are at most one, then the plant's.
+    loads
+        Name of the input, bound, unit and origin of each load.
+    """
+
+    plant: LinearPlant | ExtendedPlant
+    model: UncertainModel
+    loads: tuple[NoiseInput, ...]
+
+    def along(self, record: Record) -> Record:
+        """The record with the loads as further inputs, as the plant with its effects makes them under its inputs.
+
+        The plant is simulated from the first sample, at rest: with the smallest state that shows the outputs measured
+        there. A load is its mean over each sample, so that the linear part under it goes through the same states.
+
+        Raises
+        ------
+        InputError
+            A record without one of the plant's inputs.
+        NoTrustworthyNumber
+            The loads do not give the simulated states back.
+        """
+        if not self.loads:
+            return record
+        assert isinstance(self.plant, ExtendedPlant)
+        where = f"loads along {record.name}"
+        missing = [s.name for s in self.plant.inputs if s.name not in record.inputs]
+        if missing:
+            raise InputError(where, f"no input {missing[0]!r}", ", ".join(s.name for s in self.plant.inputs))
+        u = np.column_stack([record.inputs[s.name] for s in self.plant.inputs])
+        shown = [k for k, s in enumerate(self.plant.outputs) if s.name in record.outputs]
+        own = self.plant.model.own
+        first = np.array([record.outputs[self.plant.outputs[k].name][0] for k in shown])
+        x0 = np.linalg.pinv(self.plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
+        states, _ = self.plant.stepped(record.t, u, self.plant.whole_state(x0))
+        signals = self._signals(record, u, states, where)
+        added = {load.name: signals[:, k] for k, load in enumerate(self.loads)}
+        units = {**record.units, **{load.name: "1" for load in self.loads}}
+        return Record(record.t, {**record.inputs, **added}, record.outputs, units, record.name, record.meaning)
+
+    def _signals(self, record: Record, u: Array, states: Array, where: str) -> Array:
+        """Loads (n, n_loads): what the linear part needs to go through the simulated states."""
+        nominal, h = self.model.nominal, record.dt
+        names = [s.name for s in nominal.states]
+        x = states[:, [[s.name for s in self.plant.states].index(name) for name in names]]
+        phi, gamma, _ = transition(nominal, h)
+        k = len(self.loads)
+        signals = np.zeros((len(u), k))
+        known = {load.name: s / load.bound for load, s in _driver_errors(self, u, h)}
+        columns = [j for j, load in enumerate(self.loads) if load.name not in known]
+        for j in set(range(k)) - set(columns):
+            signals[:, j] = known[self.loads[j].name]
+        rest = x[1:] - x[:-1] @ phi.T - u[:-1] @ gamma[:, k:].T - signals[:-1] @ gamma[:, :k].T
+        size = np.abs(x).max(axis=0, initial=0.0) + 1e-300
+        if columns:
+            found = np.linalg.lstsq(gamma[:, columns] / size[:, None], (rest / size).T, rcond=None)[0].T
+            signals[:-1, columns] = found
+            signals[-1, columns] = found[-1]
+            rest = rest - found @ gamma[:, columns].T
+        off = float((np.abs(rest) / size).max(initial=0.0))
+        if off > EXACT:
+            raise NoTrustworthyNumber(where, f"they miss the simulated states by {off:.1e} of their size")
+        return signals
+
+
+def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()) -> EffectLoads:
+    """A plant with effects as its linear part with bounded loads.
+
+    Parameters
+    ----------
+    plant
+        `LinearPlant` (then there are no loads) or `ExtendedPlant`. Linear effects stay in the linear part; force laws
+        and drivers become loads; known noise of the sensors (quantisation) is left to the noise bounds.
+    sigmas
+        Half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
+    records
+        Where a force has no bound whatever the motion (quadratic drag), it takes the largest value along these records;
+        its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
+
+    Raises
+    ------
+    InputError
+        An effect that is neither linear nor bounded (backlash, saturation, a delay): for those `effect_blocks` has
+        sectors and weights. A force without a bound and without records.
+
+    Examples
+    --------
+    >>> from robustlab.dynamics import plant
+    >>> axis = with_effects(plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
+    >>> [(load.name, load.bound, load.unit) for load in effect_loads(axis).loads]
+    [('load v: coulomb-friction', 20.0, 'N')]
+    """
+    if isinstance(plant, LinearPlant):
+        return EffectLoads(plant, plant.uncertain(), ())
+    if not isinstance(plant, ExtendedPlant):
+        raise InputError("effect_loads", type(plant).__name__, "a linear plant, with or without effects")
+    linear = [e for e in plant.effects if _is_linear(e)]
+    base: LinearPlant = plant.plant
+    ports = port_model(base).ports
+    if linear:
+        rest = with_effects(plant.plant, linear)
+        base, ports = without_signals(rest, rest.linear_model(), sigmas), rest.model.ports
+    loads: list[NoiseInput] = []
+    ways: list[Port | int] = []
+    for e in plant.effects:
+        if e in linear or not e.effect.nameable:
+            continue
+        bound, unit, way = _load(plant, ports, e, sigmas)
+        loads.append(NoiseInput(_name(e), bound, unit, f"{e.effect.title} at {e.site.name}; {values_in_words(e)}"))
+        ways.append(way)
+    pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
+    whole = _loads_first(pushed.uncertain(), len(plant.inputs), loads, ways)
+    bounded = _bounded_by(EffectLoads(plant, whole, tuple(replace(x, bound=1.0) for x in loads)), loads, records)
+    return EffectLoads(plant, _scaled(whole, bounded), tuple(bounded))
+
+
+def _bounded_by(bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record]) -> list[NoiseInput]:
+    """Loads without a bound get the largest value along the records; ``bare`` has all of them in their own units."""
+    free = [load for load in loads if not np.isfinite(load.bound)]
+    if free and not records:
+        where = f"effect_loads: {free[0].name}"
+        raise InputError(where, "no bound whatever the motion", "records whose motion bounds it")
+    seen = [bare.along(record) for record in records] if free else []
+    within = f"within the motion of {', '.join(r.name for r in records)}"
+    return [
+        replace(x, bound=max(float(np.abs(r[x.name]).max()) for r in seen), origin=f"{x.origin}; {within}")
+        if x in free else x
+        for x in loads
+    ]  # fmt: skip
+
+
+def _scaled(whole: UncertainModel, loads: Sequence[NoiseInput]) -> UncertainModel:
+    """The loads in units of their bounds."""
+    m, (q, _) = whole.M, whole.delta_shape
+    scale = np.ones(m.n_inputs)
+    scale[q : q + len(loads)] = [load.bound for load in loads]
+    inputs = [*m.inputs[:q], *((load.name, "1") for load in loads), *m.inputs[q + len(loads) :]]
+    scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt, inputs, m.outputs, m.states)
+    return UncertainModel(scaled, whole.blocks)
+
+
+def _is_linear(e: AttachedEffect) -> bool:
+    return e.site.kind not in ("input", "output") and not e.effect.laws(e.site, e.values)
+
+
+def _load(plant: ExtendedPlant, ports: Any, e: AttachedEffect, sigmas: float) -> tuple[float, str, Port | int]:
+    """Bound, unit, and the port or the number of the input where it acts."""
+    largest = {name: value + np.sign(value) * sigmas * e.std.get(name, 0.0) for name, value in e.values.items()}
+    where = f"effect_loads: {e.effect.title} at {e.site}"
+    hint = "rl.uncertain_from has sectors and weights for such effects"
+    if e.site.kind == "input":
+        bound = e.effect.input_error(largest)
+        k = [s.name for s in plant.inputs].index(e.site.name)
+        if bound is not None:
+            return float(bound), plant.inputs[k].unit, k
+    elif e.site.name in ports and not e.effect.structural:
+        seen = e.effect.footprint(e.site, largest, 1.0)
+        bound = float("inf") if seen is None or not seen.offset else float(seen.offset)
+        return bound, ports[e.site.name].unit, ports[e.site.name]
+    raise InputError(where, "neither linear nor bounded whatever the motion", "effects that are one of these", hint)
+
+
+def _loads_first(
+    whole: UncertainModel, n_u: int, loads: Sequence[NoiseInput], ways: Sequence[Port | int]
+) -> UncertainModel:
+    """The loads as inputs before the plant's own; those of drivers act where the input does."""
+    m, (q, _) = whole.M, whole.delta_shape
+    forces = iter(range(q + n_u, m.n_inputs))
+    at = [q + way if isinstance(way, int) else next(forces) for way in ways]
+    columns = [*range(q), *at, *range(q, q + n_u)]
+    inputs = [*m.inputs[:q], *((load.name, load.unit) for load in loads), *m.inputs[q : q + n_u]]
+    model = StateSpaceModel(
+        m.A, m.B[:, columns], m.C, m.D[:, columns], m.dt, inputs, m.outputs, m.states, where="effect_loads"
+    )
+    return UncertainModel(model, whole.blocks)
+
+
+def _driver_errors(made: EffectLoads, u: Array, h: float) -> list[tuple[NoiseInput, Array]]:
+    """The loads of drivers with what they add to their inputs, (n,)."""
+    assert isinstance(made.plant, ExtendedPlant)
+    found: list[tuple[NoiseInput, Array]] = []
+    seen = {s.name: u[:, k] for k, s in enumerate(made.plant.inputs)}
+    for e in made.plant.effects:
+        if e.site.kind == "input":
+            after = e.effect.input(seen[e.site.name], e.values, h)
+            load = next(x for x in made.loads if x.name == _name(e))
+            found.append((load, after - seen[e.site.name]))
+            seen[e.site.name] = after
+    return found
+
+
+def _name(e: AttachedEffect) -> str:
+    return f"load {e.site.name}: {e.effect.id}"
