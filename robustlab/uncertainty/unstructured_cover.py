@@ -219,7 +219,15 @@ def _lifted(fit: Overbound, factor: float) -> Overbound:
     size = g * fit.magnitude
     ratio = size / fit.bound
     return Overbound(
-        raised, fit.order, float(ratio.max()) - 1.0, float(ratio.min()) - 1.0, fit.omega, fit.bound, size, fit.status
+        raised,
+        fit.order,
+        float(ratio.max()) - 1.0,
+        float(ratio.min()) - 1.0,
+        fit.omega,
+        fit.bound,
+        size,
+        fit.status,
+        fit.least,
     )
 
 

@@ -150,7 +150,7 @@ def test_the_plant_gives_what_the_fit_predicted():
 
 def test_parameters_scaled_by_one_factor_have_one_range(tmp_path):
     """The record shows the sum of the inertias: one block moves them all, in a plant from a file, too."""
-    there, pool = problem("linear-actuator")
+    there, _ = problem("linear-actuator")
     z = np.zeros(there.size(Hypothesis(())))
     there, fit = fit_with("linear-actuator", (), z, 0.1 + z)
     plant = updated_plant(there, fit, "fitted to run 7")

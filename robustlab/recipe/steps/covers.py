@@ -24,7 +24,8 @@ def cover_models(step: CoverModelsStep, work: Workspace) -> Outcome:
     """The smallest uncertain model of a form around a set of models, with its conservatism.
 
     Numbers: ``blocks``, ``channels``, ``members``, ``missed`` (largest miss of a model), ``size`` (largest delta);
-    ``order``, ``excess`` and ``radius`` of an unstructured form; ``conservatism`` and ``conservatism_at_least``.
+    ``order``, ``excess``, ``least_excess`` and ``radius`` of an unstructured form; ``conservatism`` and
+    ``conservatism_at_least``.
     """
     import robustlab as rl
     from robustlab.report.cover_figures import cover_figures
@@ -83,9 +84,10 @@ def _cover_numbers(found: Cover) -> tuple[dict[str, Any], tuple[Fact, ...]]:
     }
     facts = [Fact("Largest delta that a model needs", quantity(max(found.sizes)))]
     if found.fit is not None:
-        numbers |= {"order": found.fit.order, "excess": found.fit.excess}
+        least = f"no weight of this order comes nearer than {100 * found.fit.least:.3g} %"
+        numbers |= {"order": found.fit.order, "excess": found.fit.excess, "least_excess": found.fit.least}
         facts += [
-            Fact("Weight", f"order {found.fit.order}, at most {100 * found.fit.excess:.3g} % above the bound"),
+            Fact("Weight", f"order {found.fit.order}, at most {100 * found.fit.excess:.3g} % above the bound", least),
             Fact("Largest error, of the models' size", f"{100 * found.radius:.3g} %"),
         ]
     else:
