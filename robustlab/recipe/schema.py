@@ -24,7 +24,7 @@ from robustlab.recipe.control_schema import (
     SimulateControlStep,
     TrackingProblemStep,
 )
-from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep
+from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep, WithLoadsStep
 from robustlab.recipe.vocabulary import (
     ComplementaryWeight,
     ControlWeight,
@@ -449,6 +449,7 @@ Step = Annotated[
     | ElementwiseStep
     | CoverModelsStep
     | UncertainFromStep
+    | WithLoadsStep
     | SampleStep
     | WorstCaseStep
     | ViolationStep

@@ -14,9 +14,10 @@ from robustlab.recipe.vocabulary import (
     ToController,
     Tolerance,
     ToOneModel,
+    ToRecord,
 )
 
-__all__ = ["CoverModelsStep", "UncertainFromStep"]
+__all__ = ["CoverModelsStep", "UncertainFromStep", "WithLoadsStep"]
 
 ToPlantOrFile = Annotated[str, RefersTo(("plant", "any"))]
 AmplitudePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
@@ -89,3 +90,16 @@ class UncertainFromStep(StepBase):
         2.0, description="Half width of the range of a fitted value in its standard deviations."
     )
     pade: Annotated[int, Field(ge=1, le=8)] = Field(2, description="Order of the Padé approximation of delays.")
+
+
+class WithLoadsStep(StepBase):
+    """A record with the bounded forces of a plant's effects as further inputs, as the plant itself makes them.
+
+    A set that takes such forces as inputs (`uncertain-from` without amplitudes) needs them for `validate` or `cover`.
+    """
+
+    gives: ClassVar[str] = "record"
+    do: Literal["with-loads"]
+    of: ToPlantOrFile = Field(description="A discover step, or a plant with effects.")
+    record: ToRecord
+    sigmas: Annotated[float, Field(ge=0, le=10)] = Field(2.0, description="As in the step that made the set.")

@@ -35,6 +35,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "elementwise": models.elementwise,
     "cover-models": covers.cover_models,
     "uncertain-from": covers.uncertain_from,
+    "with-loads": covers.with_loads,
     "sample": analysis.sample,
     "worst-case": analysis.worst_case,
     "violation-probability": analysis.violation_probability,

@@ -8,14 +8,14 @@ from robustlab.errors import InputError
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.steps.design import tracking_loop
 from robustlab.recipe.steps.models import uncertain_numbers
-from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep
+from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep, WithLoadsStep
 
 if TYPE_CHECKING:
     from robustlab.dynamics.effects.effect_blocks import EffectBlocks
     from robustlab.mu_analysis.cover import Cover
     from robustlab.statespace import StateSpaceModel
 
-__all__ = ["cover_models", "uncertain_from"]
+__all__ = ["cover_models", "uncertain_from", "with_loads"]
 
 MOST_FACTS = 40
 
@@ -140,6 +140,27 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
         f" {len(made.left_out)} effects without a block."
     )
     return Outcome(made.model, summary, numbers, tuple(facts), made.status, _notes(made))
+
+
+def with_loads(step: WithLoadsStep, work: Workspace) -> Outcome:
+    """The record with the loads of a plant's effects: known signals, at most one.
+
+    Numbers: ``largest.INPUT`` along the record, ``bound.INPUT`` in its unit.
+    """
+    from robustlab.dynamics.effects.effect_loads import effect_loads
+
+    record = work.record(step.record)
+    made = effect_loads(work.values[step.of], step.sigmas, [record])
+    shown = made.along(record)
+    largest = {load.name: float(abs(shown[load.name]).max()) for load in made.loads}
+    facts = tuple(
+        Fact(load.name, f"at most {quantity(load.bound, load.unit)}; along the record {largest[load.name]:.3g} of it",
+             load.origin)
+        for load in made.loads
+    )  # fmt: skip
+    numbers = {"largest": largest, "bound": {load.name: load.bound for load in made.loads}}
+    summary = f"{step.record} with {len(made.loads)} loads of {step.of} as known inputs."
+    return Outcome(shown, summary, numbers, facts)
 
 
 def _notes(made: EffectBlocks) -> tuple[str, ...]:
