@@ -19,9 +19,13 @@ Array = NDArray[Any]
 MAX_FACTOR_ORDER = 5
 # Exponent of the mean over frequency that stands for the peak: it also rewards lowering the second-highest peak.
 SHARPNESS = 24
+# Error of a factor's logarithm, where mu is largest, that counts as one elsewhere where mu lies a factor e lower.
+ROOM = 0.1
 # Factors that are tried in a round: those whose fit is worst.
 TRIED = 6
-REACH = 4.6  # logarithm of how far zeros and poles may lie outside the frequencies
+# Zeros and poles lie within the frequencies whose weight is above this share of the largest one, and so far beyond
+# (logarithm): far slower or faster ones cost the synthesis digits and bring nothing.
+HEARD, REACH = 0.04, 2.3
 
 
 def fitted_scalings(
@@ -30,9 +34,11 @@ def fitted_scalings(
     """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be.
 
     All factors start as constants; in each round that one gets one order more which lowers the peak most for the states
-    it costs. At most ``max_states`` states are spent.
+    it costs, or all of them where no single one does: a block that drifts away from all others needs that. At most
+    ``max_states`` states are spent.
     """
-    weights = np.maximum(curve.levels / max(curve.peak, 1e-300), 0.05) ** 2
+    # A factor may be off by as much (in logarithms) as mu lies below its peak.
+    weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
     targets, mixings = _targets(curve, blocks)
     fits: dict[tuple[int, int, int], Factor] = {}
 
@@ -46,8 +52,7 @@ def fitted_scalings(
     for i, part in enumerate(scalings.parts):
         factors = tuple(factor(i, k, 0) for k in range(len(part.factors)))
         scalings = scalings.with_part(i, BlockScaling(factors, mixings[i], part.g))
-    high = curve.levels > 0.3 * curve.peak
-    score = _score(scaled_peaks(curve, scalings)[high])
+    score = _score(scaled_peaks(curve, scalings))
     while score[1] > curve.peak * (1 + loss) and not stop():
         best: tuple[float, tuple[float, float], DynamicScalings] | None = None
         for i, k in _worst(scalings, curve.omega, targets, weights):
@@ -58,14 +63,32 @@ def fitted_scalings(
             cost = trial.n_states - scalings.n_states
             if order > MAX_FACTOR_ORDER or trial.n_states > max_states:
                 continue
-            reached = _score(scaled_peaks(curve, trial)[high])
+            reached = _score(scaled_peaks(curve, trial))
             gain = (score[0] - reached[0]) / cost
             if best is None or gain > best[0]:
                 best = (gain, reached, trial)
         if best is None or best[0] <= 0:
-            break
+            trial = _all_larger(scalings, factor)
+            if trial.n_states > max_states or max(_orders(trial), default=0) > MAX_FACTOR_ORDER:
+                break
+            reached = _score(scaled_peaks(curve, trial))
+            if reached[0] >= score[0]:
+                break
+            best = (0.0, reached, trial)
         _, score, scalings = best
     return scalings
+
+
+def _all_larger(scalings: DynamicScalings, factor: Callable[[int, int, int], Factor]) -> DynamicScalings:
+    """Every factor with one order more."""
+    for i, part in enumerate(scalings.parts):
+        factors = tuple(factor(i, k, f.order + 1) for k, f in enumerate(part.factors))
+        scalings = scalings.with_part(i, BlockScaling(factors, part.mixing, part.g))
+    return scalings
+
+
+def _orders(scalings: DynamicScalings) -> list[int]:
+    return [f.order for part in scalings.parts for f in part.factors]
 
 
 def fit_factor(omega: Array, log_d: Array, weights: Array, before: Factor | None = None) -> Factor:
@@ -79,7 +102,8 @@ def fit_factor(omega: Array, log_d: Array, weights: Array, before: Factor | None
     if before is None:
         return Factor(float(np.average(log_d, weights=weights)))
     log_omega = np.log(omega)
-    low, high = log_omega[0] - REACH, log_omega[-1] + REACH
+    heard = log_omega[weights > HEARD * weights.max()]
+    low, high = heard[0] - REACH, heard[-1] + REACH
     error = weights * (log_d - before.log_modulus(omega))
     best: tuple[float, Factor] | None = None
     for at in (float(log_omega[np.argmax(np.abs(error))]), float(log_omega.mean())):

@@ -188,7 +188,7 @@ def test_a_discovery_becomes_a_set_with_the_origin_of_every_block(run):
     assert "amplitudes 0.05 to 0.5 m/s" in table["coulomb-friction@v"]["source"]
     assert "harmonic balance" in entry(result, "damped")["notes"][0]
     assert [f["stem"] for f in entry(result, "damped")["figures"]] == ["damped-blocks"]
-    assert rl.load(result.folder / "evidence" / "set.h5").data["status"] == "converged"
+    assert rl.load(result.folder / "evidence" / "set.h5").status is rl.Status.CONVERGED
 
 
 def test_what_is_no_plant_has_no_blocks(run):
