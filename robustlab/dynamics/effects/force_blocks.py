@@ -278,14 +278,14 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
     if seen.signal == "force":
         valid = "a gain that may change at every instant, for every motion"
     elif amplitude is None:
-        valid = "at every amplitude"
+        valid = "at every amplitude, as a gain that may change with the motion"
     elif dry:
         reach = f"of amplitude {ends[0]:.4g} {unit} and more"
         if ends[0] < ends[1]:
             reach = f"of amplitudes {ends[0]:.4g} to {ends[1]:.4g} {unit}"
         valid = f"harmonic balance, for oscillations {reach}"
     else:
-        valid = f"up to {ends[1]:.4g} {unit}"
+        valid = f"up to {ends[1]:.4g} {unit}, as a gain that may change with the motion"
     return ForceSector(e, port, seen.signal, low, high, valid, dry and seen.signal != "force")
 
 
