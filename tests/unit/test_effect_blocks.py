@@ -135,6 +135,20 @@ def test_dry_friction_between_two_amplitudes_and_both_ways():
     assert both.status is rl.Status.CONVERGED
 
 
+@pytest.mark.parametrize("share", [-1.0, 0.0, 1.0])
+def test_friction_both_ways_makes_every_motion_within_its_reach(share):
+    """-k v + e, |e| <= Fc, is the true force at each instant: standing still, moving, for every gain of the block."""
+    both = effect_blocks(servo(coulomb_friction={"Fc": 20.0}), ["v"], amplitude={"v": (0.05, 0.5)}, dry="both")
+    gain = next(b.parameter for b in both.model.blocks if "coulomb" in b.name).value(share)
+    (load,) = both.noise
+    v = np.linspace(-1.0, 1.0, 401) * min(0.5 * math.pi * 0.5, 2 * 20.0 / gain)
+    force = np.where(v == 0, 20.0, -20.0 * np.sign(v))  # sticking: any force up to Fc
+    assert np.abs(force + gain * v).max() <= load.bound * (1 + 1e-12)
+    s = 1j * np.array([0.3, 9.0])
+    member = rl.frequency_response(both.model.evaluate({"coulomb-friction@v": share}), s.imag)[:, 0]
+    np.testing.assert_allclose(member, np.array([[20.0, 35.0]]) / (95 * s + 200 + gain)[:, None], rtol=1e-9)
+
+
 def test_gear_losses_scale_the_net_force_whatever_the_mass():
     """M v' = (1 + (1 - eta) delta) (gain u - Fv v): at delta = -1 a machine that speeds up, as simulated."""
     plant = servo(gear_efficiency={"eta": (0.8, 0.01)})

@@ -222,7 +222,7 @@ def largest_offset(e: AttachedEffect, width: float) -> float:
 def values_in_words(e: AttachedEffect) -> str:
     """Equation, values and source of an effect."""
     said = ", ".join(f"{name} = {value:.6g}" for name, value in e.values.items())
-    return f"{e.effect.equation} with {said}" + (f"; from {e.source}" if e.source else "")
+    return f"{e.effect.equation} with {said}" + (f"; {e.source}" if e.source else "")
 
 
 def _is_positive(value: object) -> bool:

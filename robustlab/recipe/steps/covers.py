@@ -120,7 +120,7 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
     work.keep(made)
     figure = blocks_figure(made)
     if figure is not None:
-        work.draw(figure, "blocks", "How much each block alone changes the response, and what each bounded error does.")
+        work.draw(figure, "blocks", "How much each block alone changes the response of the nominal model, of its size.")
     ranges = {b.name: b.parameter for b in made.model.blocks if isinstance(b, RealScalar) and b.parameter}
     numbers = {
         **uncertain_numbers(made.model),
@@ -136,8 +136,8 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
         *(Fact(f"not in it: {name}", reason) for name, reason in made.left_out.items()),
     ]
     summary = (
-        f"Uncertain model of {step.of}: {len(made.model.blocks)} blocks, {len(made.noise)} bounded inputs,"
-        f" {len(made.left_out)} effects without a block."
+        f"Uncertain model of {step.of}: blocks {len(made.model.blocks)}, inputs for bounded errors {len(made.noise)},"
+        f" effects left out {len(made.left_out)}."
     )
     return Outcome(made.model, summary, numbers, tuple(facts), made.status, _notes(made))
 
