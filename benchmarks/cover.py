@@ -169,6 +169,7 @@ def discovery_lines(name: str, plant, train, held_out, truth: dict[str, float], 
     spent = time.process_time() - start
     (output,) = held_out.outputs
     made = rl.uncertain_from(found, [output])
+    print(f"{name}: {found.verdict}", flush=True)
     lines = [
         f"{name}: {found.verdict}, {', '.join(found.names)}; gap {found.gap_before:.3g} % -> {found.gap_after:.3g} %"
     ]

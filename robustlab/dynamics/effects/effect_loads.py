@@ -83,7 +83,9 @@ class EffectLoads:
         own = self.plant.model.own
         first = np.array([record.outputs[self.plant.outputs[k].name][0] for k in shown])
         x0 = np.linalg.pinv(self.plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
-        states, _ = self.plant.stepped(record.t, u, self.plant.whole_state(x0))
+        # The times of a uniform record may be rounded; the laws step with the clock itself.
+        t = record.t[0] + record.dt * np.arange(record.n) if record.is_uniform else record.t
+        states, _ = self.plant.stepped(t, u, self.plant.whole_state(np.asarray(x0, dtype=np.float64)))
         signals = self._signals(record, u, states, where)
         added = {load.name: signals[:, k] for k, load in enumerate(self.loads)}
         units = {**record.units, **{load.name: "1" for load in self.loads}}
