@@ -10,6 +10,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.effects.effect_blocks import delay_block, effect_blocks
+from robustlab.dynamics.effects.effect_loads import effect_loads
 from robustlab.identification.discovery_result import Discovery
 from robustlab.identification.remaining_uncertainty import uncertain_from
 from robustlab.identification.unnamed_effect import ForceCurve, ResidualForce
@@ -268,3 +269,20 @@ def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
         uncertain_from(dataclasses.replace(found, model=None))
     settled = uncertain_from(dataclasses.replace(found, complete=True), ["v"])
     assert [n.name for n in settled.noise] == ["load v: coulomb-friction"]
+
+
+def test_a_set_with_friction_as_a_load_makes_the_record_of_another_machine_within_its_ranges():
+    """The member at the true mass, driven by the true friction (read off a simulation at coarse, rounded times)."""
+    true = rl.with_effects(rl.plant("servo-axis", M=101.0, Fv=200.0, gain=35.0), {"coulomb-friction": {"Fc": 21.5}})
+    t = np.arange(500) * 2.5e-3
+    u = 3.0 * np.sin(9.0 * t) + np.sign(np.sin(4.0 * t))
+    record = rl.simulate(true, t, u)
+    rounded = rl.Record(np.round(t * (1 + 1e-7), 7), {"u": u}, {"q": record["q"]}, {"u": "V", "q": "m"}, "run")
+    made = uncertain_from(servo(coulomb_friction={"Fc": (20.0, 1.0)}), ["q"])
+    seen = effect_loads(true).along(rounded)
+    signal = seen["load v: coulomb-friction"] * 21.5 / made.noise[0].bound
+    assert np.abs(signal).max() <= 1.0
+    mass = next(b.parameter for b in made.model.blocks if b.name == "M").delta(101.0)
+    member = made.model.evaluate({"M": mass})
+    again = rl.simulate(member, t, np.column_stack([signal, u]))["q"]
+    np.testing.assert_allclose(again, record["q"], atol=2e-5 * np.ptp(record["q"]))
