@@ -98,6 +98,9 @@ def build(
         list[str] | None,
         typer.Option("--amplitude", help="With --discovery: amplitude of a speed or signal, NAME=VALUE; repeatable."),
     ] = None,
+    dry: Annotated[
+        str | None, typer.Option("--dry", help="With --discovery: dry friction as load (any speed), gain, or both.")
+    ] = None,
     pade: Annotated[int, typer.Option("--pade", help="With --discovery: order of the Pade part of delays.")] = 2,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -120,7 +123,7 @@ def build(
         return
     if discovery is not None:
         kept = outputs.split(",") if outputs else None
-        _build_discovery(discovery, kept, assignments("--amplitude", amplitude), pade, out, as_json)
+        _build_discovery(discovery, kept, assignments("--amplitude", amplitude), dry, pade, out, as_json)
         return
     if nominal is not None and perturbed is None and _holds_plant(nominal):
         plant = nominal
@@ -172,12 +175,18 @@ def _build_cover(files: list[str], out: str | None, as_json: bool, **options: An
 
 
 def _build_discovery(
-    path: str, outputs: list[str] | None, amplitude: dict[str, float], pade: int, out: str | None, as_json: bool
+    path: str,
+    outputs: list[str] | None,
+    amplitude: dict[str, float],
+    dry: str | None,
+    pade: int,
+    out: str | None,
+    as_json: bool,
 ) -> None:
     from robustlab.cli.uncertain_sources import from_discovery
     from robustlab.storage import save
 
-    found, origin = from_discovery(path, outputs, amplitude, pade)
+    found, origin = from_discovery(path, outputs, amplitude, dry, pade)
     if out is not None:
         save(out, found.model, origin)
     lines = [f"{out}: {found.model!r}" if out else repr(found.model), *_block_lines(found.model), *found.rest()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from robustlab.cli.console import note, progress
 from robustlab.errors import InputError, UsageError
@@ -46,10 +46,11 @@ def cover_of(
 
 
 def from_discovery(
-    path: str, outputs: list[str] | None, amplitude: dict[str, float], pade: int
+    path: str, outputs: list[str] | None, amplitude: dict[str, float], dry: str | None, pade: int
 ) -> tuple[EffectBlocks, Provenance]:
     """The blocks of an updated plant: a plant file, or the folder that ``data discover --out`` wrote."""
     from robustlab.cli.discovery_files import PLANT_FILE
+    from robustlab.dynamics.effects.force_blocks import Dry
     from robustlab.identification.remaining_uncertainty import uncertain_from
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage.plants import is_plant_file, load_plant
@@ -57,8 +58,11 @@ def from_discovery(
     file = str(Path(path) / PLANT_FILE) if Path(path).is_dir() else path
     if not is_plant_file(file):
         raise InputError(file, "no plant in it", f"{PLANT_FILE}, or the folder of: robustlab data discover --out DIR")
+    if dry not in (None, *get_args(Dry)):
+        raise UsageError("uncertain build", f"--dry {dry}", f"one of {', '.join(get_args(Dry))}")
+    given = cast("Dry | None", dry)
     try:
-        found = uncertain_from(load_plant(file), outputs, amplitude=amplitude, pade=pade)
+        found = uncertain_from(load_plant(file), outputs, amplitude=amplitude, dry=given, pade=pade)
     except InputError as error:
         if "amplitude" in (error.expected or "") and error.hint:
             raise UsageError("uncertain build", error.found, "--amplitude NAME=VALUE for it", error.hint) from None

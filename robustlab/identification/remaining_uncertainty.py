@@ -1,7 +1,8 @@
 r"""What remains after naming, as blocks: from a discovery, or its updated plant, to an uncertain model.
 
-The updated plant's parameters have the ranges of the fit, its effects become blocks and bounded inputs, and the force
-that nothing explains becomes an input of three times its root mean square.
+The updated plant's parameters have the ranges of the fit (those that it scaled together: one range in common), its
+effects become blocks and bounded inputs, and the force that nothing explains becomes an input of three times its root
+mean square.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from robustlab.dynamics.effects.effect_blocks import EffectBlocks, effect_blocks
+from robustlab.dynamics.effects.force_blocks import Amplitude, Dry
 from robustlab.errors import InputError
 from robustlab.identification.discovery_result import Discovery
+from robustlab.identification.updated_plant import fitted_together
 
 __all__ = ["uncertain_from"]
 
@@ -26,7 +29,8 @@ def uncertain_from(
     outputs: Sequence[str] | None = None,
     *,
     sigmas: float = 2.0,
-    amplitude: Mapping[str, float] | None = None,
+    amplitude: Mapping[str, Amplitude] | None = None,
+    dry: Dry | None = None,
     pade: int = 2,
 ) -> EffectBlocks:
     """The uncertain model of what a discovery found and of what it left unexplained, each block with its origin.
@@ -35,11 +39,10 @@ def uncertain_from(
     ----------
     found
         `Discovery`, or a plant with or without effects (its updated plant from a file).
-    outputs, sigmas, pade
-        See `robustlab.dynamics.effects.effect_blocks.effect_blocks`.
-    amplitude
-        As there; where a speed is left out and the discovery has the residual force over it, the median magnitude of
-        the speed in that curve.
+    outputs, sigmas, amplitude, dry, pade
+        See `robustlab.dynamics.effects.effect_blocks.effect_blocks`. Without amplitudes dry friction is a bounded
+        force; a force that grows with the speed is then described up to the largest speed of the residual force that
+        the discovery knows.
 
     Raises
     ------
@@ -53,12 +56,15 @@ def uncertain_from(
     >>> import robustlab as rl
     >>> motor = rl.plant("dc-motor", R=(2.07, 0.10))
     >>> rough = rl.with_effects(motor, {"coulomb-friction": {"Fc": (0.005, 2e-4)}})
+    >>> [(n.name, round(n.bound, 5), n.unit) for n in uncertain_from(rough).noise]
+    [('load omega: coulomb-friction', 0.0054, 'N m')]
     >>> blocks = uncertain_from(rough, amplitude={"omega": 10.0})
-    >>> blocks.origins["coulomb-friction@omega"].split(";")[0]
-    'Coulomb (dry) friction at omega as a sector of its speed'
+    >>> blocks.origins["coulomb-friction@omega"].split("; ")[1]
+    'harmonic balance, for oscillations of amplitude 10 rad/s and more'
     """
     if not isinstance(found, Discovery):
-        return effect_blocks(found, outputs, sigmas=sigmas, amplitude=amplitude, pade=pade)
+        tied = fitted_together(found)
+        return effect_blocks(found, outputs, sigmas=sigmas, amplitude=amplitude, dry=dry, pade=pade, tied=tied)
     if found.model is None:
         raise InputError("uncertain_from", "a discovery without an updated plant", "one with a model")
     left = found.residual_force
@@ -66,15 +72,26 @@ def uncertain_from(
     if left is not None and left.rms > 0 and not found.complete:
         text = f"force that no effect explains, {TIMES_RMS:g} times its RMS of {left.rms:.4g} {left.unit}"
         unnamed = TIMES_RMS * left.rms, f"{text}; from {', '.join(found.records)}"
+    if dry is None and not amplitude:
+        dry = "load"
     chosen = {**_speeds(found), **(amplitude or {})}
-    return effect_blocks(found.model, outputs, sigmas=sigmas, amplitude=chosen, pade=pade, unnamed=unnamed)
+    return effect_blocks(
+        found.model,
+        outputs,
+        sigmas=sigmas,
+        amplitude=chosen,
+        dry=dry,
+        pade=pade,
+        unnamed=unnamed,
+        tied=fitted_together(found.model),
+    )
 
 
-def _speeds(found: Discovery) -> dict[str, float]:
-    """Median magnitude of the speed along the records, for the joint whose effects have a sector."""
+def _speeds(found: Discovery) -> dict[str, Amplitude]:
+    """Largest speed along the records, for the only joint that has effects."""
     curve = None if found.residual_force is None else found.residual_force.curves.get("speed")
     joints = {e.site.name for e in getattr(found.model, "effects", ()) if e.site.kind == "joint"}
     if curve is None or len(joints) != 1:
         return {}
-    size = float(np.median(np.abs(curve.x)))
+    size = float(np.abs(curve.x).max())
     return {joints.pop(): size} if size > 0 else {}

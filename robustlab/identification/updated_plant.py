@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from robustlab.dynamics.effects.attached_effect import AttachedEffect
 from robustlab.dynamics.effects.extended_plant import with_effects
+from robustlab.dynamics.effects.port_model import parameter_groups
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.identification.effect_fit import Fit, Problem
 
-__all__ = ["updated_plant"]
+__all__ = ["fitted_together", "updated_plant"]
 
+ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
 MOST = 0.99  # a tolerance stays below the value itself
 
@@ -37,7 +41,7 @@ def updated_plant(problem: Problem, fit: Fit, source: str) -> Any:
                 std[p.name] = 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s))
             attached.append(AttachedEffect(candidate.effect, candidate.site, own, std, source))
         at += len(candidate.parameters)
-    base = _refitted(plant, factors, spread)
+    base = _refitted(plant, factors, spread, source)
     return with_effects(base, attached) if attached else base
 
 
@@ -58,10 +62,35 @@ def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
     return found
 
 
-def _refitted(plant: LinearPlant, factors: dict[str, float], spread: dict[str, float]) -> LinearPlant:
+def _refitted(plant: LinearPlant, factors: dict[str, float], spread: dict[str, float], source: str) -> LinearPlant:
     changes = {
         name: (plant.parameters[name].value * factor, min(MOST, SIGMAS * spread.get(name, 0.0)))
         for name, factor in factors.items()
         if plant.parameters[name].value and name not in plant.exact
     }
-    return plant.with_parameters(**changes)
+    made = plant.with_parameters(**changes)
+    told = {n: replace(p, source=source) if n in changes else p for n, p in made.parameters.items()}
+    for names in _together(plant, changes):
+        words = f"{', '.join(names)} {ONE_FACTOR}; {source}"
+        told |= {n: replace(told[n], source=words) for n in names}
+    return replace(made, parameters=told)
+
+
+def _together(plant: LinearPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:
+    known = set(changed)
+    groups = [tuple(n for n in names if n in known) for _, _, names in parameter_groups(plant)]
+    return [names for names in groups if len(names) > 1]
+
+
+def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
+    """Groups of parameters of an updated plant that the fit scaled by one factor: (label, names).
+
+    Of each alone it knows no more than that factor. Told by their source, which files keep.
+    """
+    base = getattr(plant, "plant", plant)
+    if not isinstance(base, LinearPlant):
+        return []
+    sources = {n: p.source for n, p in base.parameters.items() if ONE_FACTOR in p.source}
+    return [
+        ("+".join(names), names) for names in _together(base, sources) if len({sources[n] for n in names}) == 1
+    ]  # fmt: skip

@@ -277,6 +277,7 @@ def _unstructured(
     if not inside or not made.fit.status.trustworthy:
         status = Status.INACCURATE
         reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
+        reason += f" (none of order {made.fit.order} is less than {100 * made.fit.least:.3g} % above it)"
     name = made.model.blocks[0].name
     return Cover(
         made.model, form, status, tuple({name: d} for d in made.deltas), made.sizes, (0.0,) * len(models),

@@ -14,6 +14,7 @@ from robustlab.result import Status
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from robustlab.identification.discovery_result import Discovery
     from robustlab.record import Record
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -86,6 +87,8 @@ class Workspace:
         Name of the step that runs now.
     figures
         Step name -> its figures as (file stem, caption).
+    discoveries
+        Step name -> the whole discovery, of which later steps otherwise get the updated plant.
     """
 
     folder: Path
@@ -97,6 +100,7 @@ class Workspace:
     files: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    discoveries: dict[str, Discovery] = field(default_factory=dict)
     step: str = ""
 
     def uncertain(self, name: str) -> UncertainModel:

@@ -25,6 +25,7 @@ from robustlab.recipe.control_schema import (
     TrackingProblemStep,
 )
 from robustlab.recipe.story_schema import DataCoverStep, StoryStep
+from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep, WithLoadsStep
 from robustlab.recipe.vocabulary import (
     ComplementaryWeight,
     ControlWeight,
@@ -449,6 +450,9 @@ Step = Annotated[
     | ElementwiseStep
     | DataCoverStep
     | StoryStep
+    | CoverModelsStep
+    | UncertainFromStep
+    | WithLoadsStep
     | SampleStep
     | WorstCaseStep
     | ViolationStep

@@ -33,7 +33,7 @@ from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_mag
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.model_set import matrices_miss, system_matrices
 
-__all__ = ["PARAMETRIC_FORMS", "ParametricCover", "ParametricForm", "parametric_cover"]
+__all__ = ["PARAMETRIC_FORMS", "ParametricCover", "ParametricForm", "least_ellipsoid", "parametric_cover"]
 
 Array = NDArray[np.float64]
 ParametricForm = Literal["elements", "pca", "ellipsoid"]
@@ -217,7 +217,19 @@ def _needed(cloud: Array, axes: Array, tolerance: float) -> int:
 
 
 def _ellipsoid_axes(points: Array) -> Array:
-    """Orthonormal axes (rows) of the ellipsoid of least volume around points (n, k), by Khachiyan's algorithm."""
+    """Orthonormal axes (rows) of the ellipsoid of least volume around points (n, k)."""
+    _, shape = least_ellipsoid(points)
+    _, axes = np.linalg.eigh(shape)
+    return axes.T[::-1]
+
+
+def least_ellipsoid(points: Array) -> tuple[Array, Array]:
+    r"""Centre c (k,) and shape P (k, k) of the ellipsoid of least volume that holds points (n, k).
+
+    .. math:: (x - c)^T P^{-1} (x - c) \le 1
+
+    By Khachiyan's algorithm, to about one percent, then blown up to hold every point; the points span the space.
+    """
     n, k = points.shape
     size = np.abs(points).max(axis=0)
     lifted = np.vstack([(points / size).T, np.ones(n)])
@@ -232,9 +244,9 @@ def _ellipsoid_axes(points: Array) -> Array:
         u *= 1.0 - step
         u[j] += step
     mean = points.T @ u
-    spread = (points.T * u) @ points - np.outer(mean, mean)
-    _, axes = np.linalg.eigh(spread)
-    return axes.T[::-1]
+    spread = k * ((points.T * u) @ points - np.outer(mean, mean))
+    off = points - mean
+    return mean, spread * float(np.einsum("nk,nk->n", off, np.linalg.solve(spread, off.T).T).max())
 
 
 def _model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:

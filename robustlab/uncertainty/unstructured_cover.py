@@ -41,7 +41,7 @@ from robustlab.uncertainty.model_set import system_matrices
 from robustlab.uncertainty.overbound import Overbound, overbound
 from robustlab.uncertainty.unstructured import Form, unstructured
 
-__all__ = ["UnstructuredCover", "unstructured_cover"]
+__all__ = ["UnstructuredCover", "error_sizes", "unstructured_cover"]
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[Any]
@@ -219,7 +219,15 @@ def _lifted(fit: Overbound, factor: float) -> Overbound:
     size = g * fit.magnitude
     ratio = size / fit.bound
     return Overbound(
-        raised, fit.order, float(ratio.max()) - 1.0, float(ratio.min()) - 1.0, fit.omega, fit.bound, size, fit.status
+        raised,
+        fit.order,
+        float(ratio.max()) - 1.0,
+        float(ratio.min()) - 1.0,
+        fit.omega,
+        fit.bound,
+        size,
+        fit.status,
+        fit.least,
     )
 
 
@@ -281,14 +289,25 @@ def _sigma(matrices: ComplexArray) -> Array:
     return np.linalg.norm(matrices, 2, axis=(1, 2))
 
 
-def _bound(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
+def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
+    r"""``sigma_max(E_i)`` of every model against the nominal one, (n_models, n_omega); omega in rad/s.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        An error that is not finite at one of the frequencies.
+    """
     s = _circle(omega, centre.dt)
     with np.errstate(all="ignore"):
         sizes = np.array([_sigma(_error(m, centre, form, s)) for m in models])
     if not np.isfinite(sizes).all():
         k = int(np.flatnonzero(~np.isfinite(sizes).all(axis=0))[0])
         raise NoTrustworthyNumber("cover", f"the error at {omega[k]:g} rad/s is not finite")
-    return sizes.max(axis=0)
+    return sizes
+
+
+def _bound(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
+    return error_sizes(models, centre, form, omega).max(axis=0)
 
 
 def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) -> Array:

@@ -162,3 +162,36 @@ def test_the_recipe_of_the_page_can_be_read():
     recipe = parse_recipe(records + block)
     assert recipe.step["naming"].kind == "discover"
     assert len(recipe.require) == 3
+
+
+def test_a_discovery_becomes_a_set_with_the_origin_of_every_block(run):
+    """Dry friction without an amplitude is a bounded force; along the record it is a known signal that explains it."""
+    later = (
+        '[step.set]\ndo = "uncertain-from"\nof = "naming"\noutputs = ["q"]\n'
+        '[step.damped]\ndo = "uncertain-from"\nof = "naming"\noutputs = ["q"]\namplitude = { v = [0.05, 0.5] }\n'
+        '[step.driven]\ndo = "with-loads"\nof = "naming"\nrecord = "train"\n'
+        '[step.covered]\ndo = "cover"\nof = "set"\nrecord = "driven"\nn = 2\nallowance = { q = 5e-6 }\n'
+    )
+    conditions = (
+        require("set.inputs", "equals = 1.0")
+        + require("set.left_out", "equals = 0.0")
+        + require("set.bound.load v: coulomb-friction", "within = [20.1, 20.3]")
+        + require("damped.count", "at_least = 1.0")
+        + require("damped.range.coulomb-friction@v.low", "within = [50.0, 51.0]")  # 80 / (pi 0.5), less two std
+        + require("driven.largest.load v: coulomb-friction", "within = [0.98, 1.0]")
+        + require("covered.signals.q.gap", "at_most = 1e-5")
+    )
+    result = run(DISCOVER + later + conditions)
+    assert [q["why_not"] or q["value"] for q in result.data["requirements"] if not q["met"]] == []
+    table = {f["label"]: f for f in entry(result, "damped")["facts"]}
+    assert "describing" not in table["coulomb-friction@v"]["value"]
+    assert "amplitudes 0.05 to 0.5 m/s" in table["coulomb-friction@v"]["source"]
+    assert "harmonic balance" in entry(result, "damped")["notes"][0]
+    assert [f["stem"] for f in entry(result, "damped")["figures"]] == ["damped-blocks"]
+    assert rl.load(result.folder / "evidence" / "set.h5").status is rl.Status.CONVERGED
+
+
+def test_what_is_no_plant_has_no_blocks(run):
+    with pytest.raises(InputError, match="a discover step, or a plant"):
+        run('[step.saved]\ndo = "save"\nof = "train"\nfile = "r.h5"\n[step.back]\ndo = "load"\nsaved = "saved"\n'
+            '[step.set]\ndo = "uncertain-from"\nof = "back"\n')  # fmt: skip

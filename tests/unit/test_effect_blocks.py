@@ -10,6 +10,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.effects.effect_blocks import delay_block, effect_blocks
+from robustlab.dynamics.effects.effect_loads import effect_loads
 from robustlab.identification.discovery_result import Discovery
 from robustlab.identification.remaining_uncertainty import uncertain_from
 from robustlab.identification.unnamed_effect import ForceCurve, ResidualForce
@@ -105,10 +106,100 @@ def test_sectors_of_drivers():
     assert gains == pytest.approx([0.5, 1.0])
 
 
+def test_dry_friction_is_a_bounded_force_at_every_speed():
+    """Without an amplitude it is no gain at all; the steady speed under a constant drive is that of the simulation."""
+    plant = servo(coulomb_friction={"Fc": (20.0, 1.5)})
+    made = effect_blocks(plant, ["v"])
+    assert {b.name for b in made.model.blocks} == {"M", "Fv"}
+    (load,) = made.noise
+    assert (load.bound, load.unit) == (pytest.approx(23.0), "N")  # two standard deviations more
+    assert "every motion" in load.origin
+    assert made.approximate == ()
+    t = np.arange(4000) * 1e-3
+    speed = rl.simulate(plant, t, np.full(4000, 5.0))["v"][-1]
+    reached = made.model.nominal.dc_gain() @ [-20.0 / load.bound, 5.0]
+    assert speed == pytest.approx(float(reached[0]), rel=1e-3)
+    with pytest.raises(rl.InputError, match="without an amplitude"):
+        effect_blocks(servo(quadratic_drag={"c": 30.0}), ["v"])  # grows with the speed: no bound
+
+
+def test_dry_friction_between_two_amplitudes_and_both_ways():
+    plant = servo(coulomb_friction={"Fc": 20.0})
+    made = effect_blocks(plant, ["v"], amplitude={"v": (0.05, 0.5)})
+    (name,) = made.approximate
+    found = next(b.parameter for b in made.model.blocks if b.name == name)
+    assert (found.low, found.high) == pytest.approx((80 / (math.pi * 0.5), 80 / (math.pi * 0.05)))
+    assert "0.05 to 0.5 m/s" in made.origins[name]
+    both = effect_blocks(plant, ["v"], amplitude={"v": 0.05}, dry="both")
+    assert [n.bound for n in both.noise] == [20.0]
+    assert both.approximate == (name,)
+    assert both.status is rl.Status.CONVERGED
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0, 1.0])
+def test_friction_both_ways_makes_every_motion_within_its_reach(share):
+    """-k v + e, |e| <= Fc, is the true force at each instant: standing still, moving, for every gain of the block."""
+    both = effect_blocks(servo(coulomb_friction={"Fc": 20.0}), ["v"], amplitude={"v": (0.05, 0.5)}, dry="both")
+    gain = next(b.parameter for b in both.model.blocks if "coulomb" in b.name).value(share)
+    (load,) = both.noise
+    v = np.linspace(-1.0, 1.0, 401) * min(0.5 * math.pi * 0.5, 2 * 20.0 / gain)
+    force = np.where(v == 0, 20.0, -20.0 * np.sign(v))  # sticking: any force up to Fc
+    assert np.abs(force + gain * v).max() <= load.bound * (1 + 1e-12)
+    s = 1j * np.array([0.3, 9.0])
+    member = rl.frequency_response(both.model.evaluate({"coulomb-friction@v": share}), s.imag)[:, 0]
+    np.testing.assert_allclose(member, np.array([[20.0, 35.0]]) / (95 * s + 200 + gain)[:, None], rtol=1e-9)
+
+
+def test_gear_losses_scale_the_net_force_whatever_the_mass():
+    """M v' = (1 + (1 - eta) delta) (gain u - Fv v): at delta = -1 a machine that speeds up, as simulated."""
+    plant = servo(gear_efficiency={"eta": (0.8, 0.01)})
+    made = effect_blocks(plant, ["v"], amplitude={})
+    assert made.left_out == {}
+    name = "gear-efficiency@v"
+    s = 1j * np.array([0.3, 3.0, 40.0])
+    for mass, loss in ((0.0, 1.0), (1.0, -1.0), (-1.0, 0.4)):
+        member = made.model.evaluate({"M": mass, name: loss})
+        share = 1 + 0.22 * loss  # eta less two standard deviations
+        wanted = share * 35 / (95 * (1 + 0.1 * mass) * s + share * 200)
+        np.testing.assert_allclose(rl.frequency_response(member, s.imag)[:, 0, 0], wanted, rtol=1e-9)
+    t = np.arange(1500) * 1e-3
+    measured = rl.simulate(plant, t, np.full(1500, 4.0))["v"]
+    member = effect_blocks(servo(gear_efficiency={"eta": 0.8}), ["v"]).model.evaluate({name: -1.0})
+    np.testing.assert_allclose(rl.simulate(member, t, np.full(1500, 4.0))["v"], measured, rtol=2e-3, atol=1e-5)
+
+
+def test_gear_losses_count_the_other_forces_too():
+    made = effect_blocks(servo(gear_efficiency={"eta": 0.8}, coulomb_friction={"Fc": 20.0}), ["v"])
+    member = made.model.evaluate({"gear-efficiency@v": 0.5})
+    s = 1j * np.array([0.3, 40.0])
+    wanted = 1.1 / (95 * s + 1.1 * 200)
+    response = rl.frequency_response(member, s.imag)[:, 0]
+    np.testing.assert_allclose(response, wanted[:, None] * [20.0, 35.0], rtol=1e-9)
+
+
+def test_forces_over_the_position():
+    """M s^2 + Fv s + k with k anywhere in the sector 0 .. k3 a^2; cogging is a bounded force, or a stiffness +- k A."""
+    stiff = servo(cubic_stiffness={"k3": 1e4})
+    made = effect_blocks(stiff, ["q"], amplitude={"q": 0.2})
+    s = 1j * np.array([0.7, 5.0])
+    member = made.model.evaluate({"cubic-stiffness@v": 0.5})
+    np.testing.assert_allclose(
+        rl.frequency_response(member, s.imag)[:, 0, 0], 35 / (95 * s**2 + 200 * s + 0.75 * 400), rtol=1e-9
+    )
+    wave = servo(cogging={"Ac": 3.0, "As": 4.0, "k": 100.0})
+    (load,) = effect_blocks(wave, ["q"]).noise
+    assert load.bound == 5.0
+    shaped = effect_blocks(wave, ["q"], amplitude={"q": 0.01})
+    found = next(b.parameter for b in shaped.model.blocks if "cogging" in b.name)
+    assert (found.low, found.high) == (-500.0, 500.0)
+    assert effect_blocks(wave, ["q"], amplitude={"q": 0.01}, dry="both").approximate == ()
+
+
 def test_what_has_no_block_is_said():
     made = effect_blocks(servo(cubic_stiffness={"k3": 10.0}), amplitude={})
     assert "only its slope" in next(iter(made.left_out.values()))
     assert "not in it: cubic-stiffness" in made.summary()
+    assert "give an amplitude of q" in made.summary()
 
 
 def test_a_linear_plant_is_its_own_uncertainty():
@@ -127,9 +218,11 @@ def test_an_unnamed_force_becomes_an_input():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({}, "without an amplitude"),
+        ({"dry": "gain"}, "without an amplitude"),
+        ({"dry": "wet"}, "one of gain, load, both"),
         ({"amplitude": {"v": 1.0, "nowhere": 1.0}}, "no effect there"),
         ({"amplitude": {"v": -1.0}}, "positive"),
+        ({"amplitude": {"v": (2.0, 1.0)}}, "least, largest"),
         ({"amplitude": {"v": 1.0}, "sigmas": -1.0}, "sigmas"),
         ({"amplitude": {"v": 1.0}, "pade": 0}, "order"),
         ({"amplitude": {"v": 1.0}, "unnamed": (0.0, "")}, "positive bound"),
@@ -167,12 +260,29 @@ def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
         model=servo(coulomb_friction={"Fc": 20.0}),
     )  # fmt: skip
     made = uncertain_from(found, ["v"])
-    assert [(n.name, n.bound) for n in made.noise] == [("load v: unnamed", 7.5)]
-    assert "train" in made.noise[0].origin
-    sector = next(b.parameter for b in made.model.blocks if "coulomb" in b.name)
-    assert sector.high == pytest.approx(4 * 20.0 / (math.pi * 0.2))  # the median speed
+    assert [(n.name, n.bound) for n in made.noise] == [("load v: coulomb-friction", 20.0), ("load v: unnamed", 7.5)]
+    assert "train" in made.noise[1].origin
+    drag = dataclasses.replace(found, model=servo(quadratic_drag={"c": 50.0}))
+    assert drag.uncertain_model(["v"]).blocks[-1].parameter.high == pytest.approx(50 * 0.4)  # the largest speed
     assert found.uncertain_model(["v"], amplitude={"v": 1.0}).blocks[-1].parameter.high == pytest.approx(80 / math.pi)
     with pytest.raises(rl.InputError, match="without an updated plant"):
         uncertain_from(dataclasses.replace(found, model=None))
     settled = uncertain_from(dataclasses.replace(found, complete=True), ["v"])
-    assert settled.noise == ()
+    assert [n.name for n in settled.noise] == ["load v: coulomb-friction"]
+
+
+def test_a_set_with_friction_as_a_load_makes_the_record_of_another_machine_within_its_ranges():
+    """The member at the true mass, driven by the true friction (read off a simulation at coarse, rounded times)."""
+    true = rl.with_effects(rl.plant("servo-axis", M=101.0, Fv=200.0, gain=35.0), {"coulomb-friction": {"Fc": 21.5}})
+    t = np.arange(500) * 2.5e-3
+    u = 3.0 * np.sin(9.0 * t) + np.sign(np.sin(4.0 * t))
+    record = rl.simulate(true, t, u)
+    rounded = rl.Record(np.round(t * (1 + 1e-7), 7), {"u": u}, {"q": record["q"]}, {"u": "V", "q": "m"}, "run")
+    made = uncertain_from(servo(coulomb_friction={"Fc": (20.0, 1.0)}), ["q"])
+    seen = effect_loads(true).along(rounded)
+    signal = seen["load v: coulomb-friction"] * 21.5 / made.noise[0].bound
+    assert np.abs(signal).max() <= 1.0
+    mass = next(b.parameter for b in made.model.blocks if b.name == "M").delta(101.0)
+    member = made.model.evaluate({"M": mass})
+    again = rl.simulate(member, t, np.column_stack([signal, u]))["q"]
+    np.testing.assert_allclose(again, record["q"], atol=2e-5 * np.ptp(record["q"]))

@@ -146,3 +146,26 @@ def test_the_plant_gives_what_the_fit_predicted():
     predicted = simulator.run(factors, values, np.zeros((1, 2)), windows).outputs[0]
     run = rl.simulate(plant, T[:300], U[:300], step=2e-3)
     assert np.abs(predicted[:, 1] - run["v"]).max() < 2e-3 * np.ptp(run["v"])  # the steps of friction's law differ
+
+
+def test_parameters_scaled_by_one_factor_have_one_range(tmp_path):
+    """The record shows the sum of the inertias: one block moves them all, in a plant from a file, too."""
+    there, _ = problem("linear-actuator")
+    z = np.zeros(there.size(Hypothesis(())))
+    there, fit = fit_with("linear-actuator", (), z, 0.1 + z)
+    plant = updated_plant(there, fit, "fitted to run 7")
+    for given in (plant, rl.load(rl.save(tmp_path / "p.h5", with_friction(plant)))):
+        model = rl.uncertain_from(given, ["omega"]).model
+        assert "J+J_nut+m_screw+m_cart" in [b.name for b in model.blocks]
+        assert "Km+Kb" in [b.name for b in model.blocks]
+        assert not {"J", "J_nut", "Km", "Kb"} & {b.name for b in model.blocks}
+        heavy = {n: v * (1 + plant.parameters[n].tolerance) for n, v in plant.values.items() if n[0] in "Jm"}
+        rebuilt = rl.linearise(plant.with_parameters(**{n: (v, 0.0) for n, v in heavy.items()}))
+        member = model.evaluate({"J+J_nut+m_screw+m_cart": 1.0}).select(["u"], ["omega"])
+        omega = np.array([1.0, 50.0, 900.0])
+        wanted = rl.frequency_response(rebuilt.select(["u"], ["omega"]), omega)
+        np.testing.assert_allclose(rl.frequency_response(member, omega), wanted, rtol=1e-9)
+
+
+def with_friction(plant):
+    return rl.with_effects(plant, {"coulomb-friction": {"Fc": (0.005, 1e-4)}})

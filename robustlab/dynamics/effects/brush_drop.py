@@ -36,7 +36,7 @@ class BrushDrop(Effect):
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function of the relay at a sine of the current amplitude a: 4 Vb / (pi a).
         gain = 4.0 * values["Vb"] / (math.pi * amplitude)
-        return Footprint(site.name, "current", 0.0, gain, offset=values["Vb"])
+        return Footprint(site.name, "current", 0.0, gain, offset=values["Vb"], describing=gain)
 
 
 EFFECT = BrushDrop()

@@ -40,7 +40,7 @@ class CoulombFriction(Effect):
         # Describing function of the relay for a sinusoidal speed of this amplitude: 4 Fc / (pi a); the sector of all
         # speeds up to the amplitude reaches from there down to nothing at all above it, as damping.
         gain = 4.0 * values["Fc"] / (math.pi * amplitude)
-        return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"])
+        return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"], describing=gain)
 
 
 EFFECT = CoulombFriction()

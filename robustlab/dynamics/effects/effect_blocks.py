@@ -4,8 +4,8 @@ r"""Effects become uncertainty: the linear model of a plant with effects, and a 
 what                        becomes
 ==========================  ==========================================================================================
 tolerance of a parameter    a real parameter with its range; so do fitted gains, springs and dampers, by their std
-force law with a sector     a real parameter: a gain between the ends of the sector (describing function at an
-                            amplitude), at its joint
+force law                   a real parameter (a gain between the ends of its sector) or an input of size one (a bounded
+                            force), or both: see `robustlab.dynamics.effects.force_blocks`
 sector at an input, output  a real parameter at that signal
 delay                       Padé approximation P and one dynamic block, :math:`P + w \Delta`, with
                             :math:`|w(j\omega)| \ge |e^{-j\omega d} - P(j\omega)|` for all d within its std
@@ -13,7 +13,8 @@ bounded error               an input of its own, scaled so that its signal is at
                             a step, a constant load, a bias
 ==========================  ==========================================================================================
 
-Every block says where it comes from (``origin``). What none of these holds is listed with a reason.
+Every block says where it comes from and for which motions it holds (``origin``). What none of these holds is listed
+with a reason.
 
 References
 ----------
@@ -26,25 +27,38 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.dynamics.effects.attached_effect import AttachedEffect
-from robustlab.dynamics.effects.effect_contract import Footprint
 from robustlab.dynamics.effects.extended_linear_model import (
     effect_delay,
     effect_gain,
+    linear_model,
     pade_delay,
     sector,
     signal_levels,
 )
 from robustlab.dynamics.effects.extended_uncertainty import GAINS, without_signals
+from robustlab.dynamics.effects.force_blocks import (
+    Amplitude,
+    Dry,
+    ForceParts,
+    ForceSector,
+    check_amplitudes,
+    force_columns,
+    force_parts,
+    largest_offset,
+    values_in_words,
+)
 from robustlab.dynamics.effects.port_model import port_model
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.tied_parameters import tied_plant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
+from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.algebra import product
@@ -55,7 +69,7 @@ from robustlab.uncertainty.overbound import Overbound, overbound
 if TYPE_CHECKING:
     from robustlab.dynamics.effects.extended_plant import ExtendedPlant
 
-__all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks", "values_in_words", "with_forces"]
+__all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks", "with_forces"]
 
 Array = NDArray[np.float64]
 
@@ -103,11 +117,17 @@ class EffectBlocks:
         Inputs for bounded errors.
     left_out
         Effect at its place -> why it is in no block.
+    approximate
+        Names of the blocks that hold by harmonic balance only: for oscillations, not for every motion.
+    status
+        CONVERGED: the nominal member was found to be the plant's own linear model.
     """
 
     model: UncertainModel
     noise: tuple[NoiseInput, ...]
     left_out: Mapping[str, str]
+    approximate: tuple[str, ...] = ()
+    status: Status = Status.CONVERGED
 
     @property
     def origins(self) -> dict[str, str]:
@@ -135,9 +155,11 @@ def effect_blocks(
     outputs: Sequence[str] | None = None,
     *,
     sigmas: float = 2.0,
-    amplitude: Mapping[str, float] | None = None,
+    amplitude: Mapping[str, Amplitude] | None = None,
+    dry: Dry | None = None,
     pade: int = 2,
     unnamed: tuple[float, str] | None = None,
+    tied: Sequence[tuple[str, tuple[str, ...]]] = (),
 ) -> EffectBlocks:
     """The uncertain model of a plant with or without effects.
 
@@ -150,13 +172,20 @@ def effect_blocks(
     sigmas
         Half width of the range of a fitted value in its standard deviations.
     amplitude
-        Name of a joint, input or output -> amplitude of its speed or signal at which the sectors of the effects there
-        are taken; needed wherever an effect has one. For dry friction the smallest that matters: the gain of its
-        describing function is 4 Fc / (pi amplitude) there and falls from there on.
+        Name of a joint, position state, input or output -> amplitude of its signal at which the effects there are
+        described, or (least, largest) amplitude. Needed for a force that grows with the motion, and for a driver's or
+        sensor's sector. For dry friction the least that matters: the gain of its describing function is
+        4 Fc / (pi amplitude) there and falls from there on.
+    dry
+        What becomes of bounded forces such as dry friction: ``"load"`` an input, exact at every speed; ``"gain"`` a
+        gain with the range of its describing function; ``"both"``. Where left out, a gain where an amplitude is given,
+        else an input.
     pade
         Order of the Padé approximation of delays, 1..8.
     unnamed
         Bound and origin of a force at the first joint that nothing explains; none where left out.
+    tied
+        Groups of parameters that move together, as `robustlab.dynamics.tied_parameters.tied_plant` takes them.
 
     Raises
     ------
@@ -176,11 +205,14 @@ def effect_blocks(
         if amplitude:
             raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")
         loads = _unnamed(port_model(plant), unnamed)
-        whole = _told(with_forces(plant, [port for _, port in loads], 0).uncertain(), plant)
+        inner = tied_plant(plant, tied)
+        whole = _told(with_forces(inner, [port for _, port in loads]).uncertain(), inner)
         return _kept(_with_noise(plant, whole, loads, ()), outputs)
     if not isinstance(plant, ExtendedPlant):
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
-    return _kept(_of_extended(plant, width, dict(amplitude or {}), pade, unnamed), outputs)
+    if dry not in (None, *get_args(Dry)):
+        raise InputError("effect_blocks: dry", f"{dry!r}", f"one of {', '.join(get_args(Dry))}")
+    return _kept(_of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed, tied), outputs)
 
 
 def _kept(made: EffectBlocks, outputs: Sequence[str] | None) -> EffectBlocks:
@@ -192,51 +224,93 @@ def _kept(made: EffectBlocks, outputs: Sequence[str] | None) -> EffectBlocks:
 
 
 def _of_extended(
-    plant: ExtendedPlant, width: float, amplitude: dict[str, float], pade: int, unnamed: tuple[float, str] | None
+    plant: ExtendedPlant,
+    width: float,
+    amplitude: dict[str, Amplitude],
+    dry: Dry | None,
+    pade: int,
+    unnamed: tuple[float, str] | None,
+    tied: Sequence[tuple[str, tuple[str, ...]]],
 ) -> EffectBlocks:
-    _require_amplitudes(plant, amplitude)
-    linear = plant.linear_model(None, amplitude, 0)
+    check_amplitudes(plant, amplitude)
+    parts = force_parts(plant, amplitude, dry, width)
+    levels = _signal_amplitudes(plant, amplitude)
+    linear = linear_model(plant, None, levels, 0, parts.stand_in)
     point = linear.operating_point
     assert point is not None
-    sectors = [
-        (e, port, s) for e, _, port in plant.laws for s in [sector(e, amplitude, ("speed", "current"))] if s is not None
-    ]
-    loads = [
-        (NoiseInput(f"load {e.site.name}: {e.effect.id}", f.offset, plant.model.ports[e.site.name].unit, _bounded(e)),
-         plant.model.ports[e.site.name])
-        for e in plant.effects for f in [_load(e)] if f is not None
-    ]  # fmt: skip
-    loads += _unnamed(plant.model, unnamed)
-    inner = without_signals(plant, linear, width)
-    ways = [*(port for _, port, _ in sectors), *(port for _, port in loads)]
-    whole = _told(with_forces(inner, ways, len(sectors)).uncertain(), inner)
-    whole = _with_sectors(whole, sectors, len(plant.inputs))
+    loads = [*_loads(parts), *_unnamed(plant.model, unnamed)]
+    drivers = _driver_errors(plant, amplitude, width)
+    inner = tied_plant(without_signals(plant, linear, width), tied)
+    ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
+    whole = _told(with_forces(inner, ways, parts.sectors).uncertain(), inner)
+    whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
     signals = signal_levels(plant, point.x, point.u)
     for e, k, level in reversed([s for s in signals if s[0].site.kind == "input"]):
-        for gadget in _gadgets(e, level, amplitude, width, pade):
+        for gadget in _gadgets(e, level, levels, width, pade):
             whole = product(whole, _at_channel(gadget, whole.inputs, k))
     for e, k, level in [s for s in signals if s[0].site.kind == "output"]:
-        for gadget in _gadgets(e, level, amplitude, width, pade):
+        for gadget in _gadgets(e, level, levels, width, pade):
             whole = product(_at_channel(gadget, whole.outputs, k), whole)
-    made = _with_noise(plant, whole, loads, signals)
-    _check(plant, made, amplitude, pade)
-    return dataclasses.replace(made, left_out=_left_out(plant, sectors, signals))
+    made = _with_noise(plant, whole, loads, signals, width, drivers)
+    _check(linear_model(plant, None, levels, pade, parts.stand_in), plant.name, made)
+    left = {**parts.left_out, **_left_out(signals)}
+    return dataclasses.replace(made, left_out=left, approximate=tuple(approximate))
 
 
-def _require_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, float]) -> None:
+def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> dict[str, float]:
+    """The amplitudes of drivers and sensors; those with a sector must have one."""
     missing = {
         e.site.name: e.effect.title
         for e in plant.effects
-        if e.site.name not in amplitude
-        and sector(e, {e.site.name: 1.0}, ("speed", "current", "input", "output")) is not None
-        and (e.site.kind in ("joint", "current") or e.effect.id not in GAINS)
+        if e.site.kind in ("input", "output")
+        and e.site.name not in amplitude
+        and sector(e, {e.site.name: 1.0}, ("input", "output")) is not None
+        and e.effect.id not in GAINS
+        and not _is_bounded_error(plant, e)
     }
     if missing:
         name, title = next(iter(missing.items()))
         raise InputError(
             "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
-            "the amplitude of the speed or signal there at which the effect is to be described",
+            "the amplitude of the signal there at which the effect is to be described",
         )  # fmt: skip
+    places = {e.site.name for e in plant.effects if e.site.kind in ("input", "output")}
+    return {n: float(a[1] if isinstance(a, (tuple, list)) else a) for n, a in amplitude.items() if n in places}
+
+
+def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
+    """Whether a driver adds no more than a bounded error to an input that nothing else scales."""
+    others = [o for o in plant.effects if o.site == e.site and o is not e and o.effect.id in GAINS]
+    return e.site.kind == "input" and e.effect.input_error(e.values) is not None and not others
+
+
+def _driver_errors(
+    plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], width: float
+) -> list[tuple[NoiseInput, int]]:
+    """A driver without an amplitude as what it adds to its input at most, and the number of the input."""
+    found = []
+    for e in plant.effects:
+        if e.site.name in amplitude or not _is_bounded_error(plant, e):
+            continue
+        k = [s.name for s in plant.inputs].index(e.site.name)
+        largest = {n: v + width * e.std.get(n, 0.0) for n, v in e.values.items()}
+        bound = e.effect.input_error(largest)
+        assert bound is not None
+        words = f"{e.effect.title} at {e.site.name} as a bounded error, for every motion; {values_in_words(e)}"
+        found.append((NoiseInput(f"load {e.site.name}: {e.effect.id}", bound, plant.inputs[k].unit, words), k))
+    return found
+
+
+def _loads(parts: ForceParts) -> list[tuple[NoiseInput, Any]]:
+    """An input for every bounded force."""
+    found, taken = [], []
+    for b in parts.bounded:
+        e = b.effect
+        (name,) = _free([f"load {e.site.name}: {e.effect.id}"], taken)
+        taken.append(name)
+        words = f"{e.effect.title} at {e.site.name} as a bounded force, for every motion; {values_in_words(e)}"
+        found.append((NoiseInput(name, b.bound, b.port.unit, words), b.port))
+    return found
 
 
 def _unnamed(model: Any, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Any]]:
@@ -252,39 +326,29 @@ def _unnamed(model: Any, given: tuple[float, str] | None) -> list[tuple[NoiseInp
     return [(NoiseInput(f"load {port.name}: unnamed", bound, port.unit, given[1]), port)]
 
 
-def _load(e: AttachedEffect) -> Footprint | None:
-    """The bounded force that an effect at a joint is, where it is no gain at all."""
-    if e.site.kind != "joint" or not e.effect.laws(e.site, e.values):
-        return None
-    seen = e.effect.footprint(e.site, e.values, 1.0)
-    if seen is None or not seen.offset or seen.gain_upper > seen.gain_lower or seen.signal != "speed":
-        return None
-    return seen
-
-
 # --- the plant between drivers and sensors ---------------------------------------------------------------------------
 
 
-def with_forces(plant: LinearPlant, ports: Sequence[Any], seen: int) -> LinearPlant:
-    """The plant with a force at each port as further inputs, and the speeds of the first ``seen`` as outputs, too."""
+def with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[ForceSector] = ()) -> LinearPlant:
+    """The plant with a force at each port as further inputs, and what the first ones' sectors see as outputs, too."""
     if not ports:
         return plant
-    inertia = plant.matrices(plant.values)[0]
-    push = inertia @ np.array([p.force for p in ports]).T
-    speeds = np.array([p.velocity for p in ports[:seen]]).reshape(seen, len(plant.states))
+    nominal = np.asarray(plant.matrices(plant.values)[0], dtype=np.float64)
     original = plant.equations
 
     def equations(p: Mapping[str, float]) -> Descriptor:
         given = original(p)
         e, f, g, c = (np.asarray(m, dtype=np.float64) for m in (given.E, given.F, given.G, given.C))
         d = np.zeros((len(c), g.shape[1])) if given.D is None else np.asarray(given.D, dtype=np.float64)
-        wide = np.zeros((len(c) + seen, g.shape[1] + len(ports)))
-        wide[: len(c), : g.shape[1]] = d
-        return Descriptor(e, f, np.hstack([g, push]), np.vstack([c, speeds]), wide)
+        push, seen_c, seen_d = force_columns((nominal, f, g), ports, sectors)
+        wide = np.vstack([np.hstack([d, np.zeros((len(c), len(ports)))]), seen_d])
+        return Descriptor(e, f, np.hstack([g, push]), np.vstack([c, seen_c]), wide)
 
     inputs = (*plant.inputs, *(Signal(f"force {i} at {p.name}", p.unit) for i, p in enumerate(ports)))
-    shown = (*plant.outputs, *(Signal(f"speed {i} at {p.name}", p.speed_unit) for i, p in enumerate(ports[:seen])))
-    return LinearPlant(plant.name, plant.parameters, inputs, shown, plant.states, equations, plant.exact)
+    seen = (Signal(f"{s.signal} {i} at {s.port.name}", s.port.speed_unit) for i, s in enumerate(sectors))
+    return LinearPlant(
+        plant.name, plant.parameters, inputs, (*plant.outputs, *seen), plant.states, equations, plant.exact
+    )
 
 
 def _told(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
@@ -294,28 +358,28 @@ def _told(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
         p = plant.parameters[b.name]
         text = f"parameter {b.name} = {p.value:.6g} {p.unit}".rstrip()
         text += f", {p.meaning}" if p.meaning else ""
-        blocks.append(dataclasses.replace(b, origin=text + (f"; from {p.source}" if p.source else "")))
+        blocks.append(dataclasses.replace(b, origin=text + (f"; {p.source}" if p.source else "")))
     return UncertainModel(uncertain.M, blocks, uncertain.operating_point)
 
 
-def _with_sectors(
-    whole: UncertainModel, sectors: Sequence[tuple[AttachedEffect, Any, Footprint]], n_u: int
-) -> UncertainModel:
-    """The forces of the sectors closed over the speeds: ``f = -r delta v``; the middle is in the plant already."""
+def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: int) -> tuple[UncertainModel, list[str]]:
+    """The forces of the sectors closed over what they see: ``f = -r delta s``; the middle is in the plant already.
+
+    Also the names of the blocks that hold by harmonic balance only.
+    """
     k = len(sectors)
     if not k:
-        return whole
+        return whole, []
     m, (q, p) = whole.M, whole.delta_shape
     n_y = len(whole.outputs)
     force = list(range(q + n_u, q + n_u + k))
     rest_in = [j for j in range(m.n_inputs) if j not in force]
-    speed = list(range(p + n_y - k, p + n_y))
-    radius = np.array([0.5 * (s.gain_upper - s.gain_lower) for _, _, s in sectors])
+    seen = list(range(p + n_y - k, p + n_y))
     columns = rest_in[:q] + force + rest_in[q:]
-    rows = [*range(p), *speed, *range(p, p + n_y - k)]
+    rows = [*range(p), *seen, *range(p, p + n_y - k)]
     scale = np.ones(m.n_inputs)
-    scale[q : q + k] = -radius
-    names = _free([f"{e.effect.id}@{e.site.name}" for e, _, _ in sectors], [b.name for b in whole.blocks])
+    scale[q : q + k] = [s.radius if s.signal == "force" else -s.radius for s in sectors]
+    names = _free([f"{s.effect.effect.id}@{s.effect.site.name}" for s in sectors], [b.name for b in whole.blocks])
     ins, outs = list(m.inputs), list(m.outputs)
     model = StateSpaceModel(
         m.A, m.B[:, columns] * scale, m.C[rows], m.D[np.ix_(rows, columns)] * scale, m.dt,
@@ -324,13 +388,17 @@ def _with_sectors(
         m.states, where="effect_blocks",
     )  # fmt: skip
     blocks = [
-        RealScalar(
-            name, 1, ParameterRange(0.5 * (s.gain_lower + s.gain_upper), r, f"{port.unit}/({port.speed_unit})"),
-            origin=f"{e.effect.title} at {e.site.name} as a sector of its speed; {values_in_words(e)}",
-        )
-        for name, r, (e, port, s) in zip(names, radius.tolist(), sectors, strict=True)
-    ]  # fmt: skip
-    return UncertainModel(model, [*whole.blocks, *blocks], whole.operating_point)
+        RealScalar(name, 1, ParameterRange(s.middle, s.radius, s.unit), origin=_sector_words(s))
+        for name, s in zip(names, sectors, strict=True)
+    ]
+    found = UncertainModel(model, [*whole.blocks, *blocks], whole.operating_point)
+    return found, [name for name, s in zip(names, sectors, strict=True) if s.approximate]
+
+
+def _sector_words(s: ForceSector) -> str:
+    e = s.effect
+    seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
+    return f"{e.effect.title} at {e.site.name} as a sector {seen}; {s.valid}; {values_in_words(e)}"
 
 
 # --- drivers and sensors ---------------------------------------------------------------------------------------------
@@ -434,6 +502,8 @@ def _with_noise(
     whole: UncertainModel,
     loads: Sequence[tuple[NoiseInput, Any]],
     signals: Sequence[tuple[AttachedEffect, int, float]],
+    width: float = 0.0,
+    drivers: Sequence[tuple[NoiseInput, int]] = (),
 ) -> EffectBlocks:
     """Bounded errors as inputs of size one, before the plant's own."""
     m, (q, p) = whole.M, whole.delta_shape
@@ -445,13 +515,17 @@ def _with_noise(
         noise.append(load)
         columns_b.append(load.bound * m.B[:, j])
         columns_d.append(load.bound * m.D[:, j])
+    for load, k in drivers:
+        noise.append(load)
+        columns_b.append(load.bound * m.B[:, q + k])
+        columns_d.append(load.bound * m.D[:, q + k])
     for e, k, _ in signals:
-        seen = e.effect.footprint(e.site, e.values, 1.0)
-        if e.site.kind == "output" and seen is not None and seen.offset:
+        bound = largest_offset(e, width)
+        if e.site.kind == "output" and bound:
             signal = plant.outputs[k]
-            noise.append(NoiseInput(f"noise {signal.name}: {e.effect.id}", seen.offset, signal.unit, _bounded(e)))
+            noise.append(NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, _bounded(e)))
             columns_b.append(np.zeros(m.n_states))
-            columns_d.append(seen.offset * np.eye(m.n_outputs)[p + k])
+            columns_d.append(bound * np.eye(m.n_outputs)[p + k])
     between_b = np.array(columns_b).reshape(len(noise), m.n_states).T
     between_d = np.array(columns_d).reshape(len(noise), m.n_outputs).T
     model = StateSpaceModel(
@@ -472,12 +546,6 @@ def _bounded(e: AttachedEffect) -> str:
     return f"{e.effect.title} at {e.site.name} as a bounded error; {values_in_words(e)}"
 
 
-def values_in_words(e: AttachedEffect) -> str:
-    """The effect's equation with its numbers and where they come from."""
-    said = ", ".join(f"{name} = {value:.6g}" for name, value in e.values.items())
-    return f"{e.effect.equation} with {said}" + (f"; from {e.source}" if e.source else "")
-
-
 def _free(names: list[str], taken: Sequence[str]) -> list[str]:
     found: list[str] = []
     for name in names:
@@ -490,29 +558,22 @@ def _free(names: list[str], taken: Sequence[str]) -> list[str]:
 # --- is it so? -------------------------------------------------------------------------------------------------------
 
 
-def _check(plant: ExtendedPlant, made: EffectBlocks, amplitude: Mapping[str, float], pade: int) -> None:
+def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
     """The nominal member is the plant's own linear model."""
-    own = plant.linear_model(None, amplitude, pade)
-    nominal = made.model.nominal
-    found = nominal.select(own.input_names, own.output_names)
+    found = made.model.nominal.select(own.input_names, own.output_names)
     size = np.abs(own.poles())
     omega = np.geomspace(max(size[size > 0].min(initial=1.0), 1e-6), max(size.max(initial=1.0), 1e-5), 7) * 1.0371
     a, b = (frequency_response(m, omega) for m in (found, own))
     off = float(np.abs(a - b).max() / max(float(np.abs(b).max()), 1e-300))
     if off > EXACT:
         raise NoTrustworthyNumber(
-            f"{plant.name}: effect_blocks", f"the nominal member is off the linear model by {off:.2g} of its response"
+            f"{name}: effect_blocks", f"the nominal member is off the linear model by {off:.2g} of its response"
         )
 
 
-def _left_out(
-    plant: ExtendedPlant,
-    sectors: Sequence[tuple[AttachedEffect, Any, Footprint]],
-    signals: Sequence[tuple[AttachedEffect, int, float]],
-) -> dict[str, str]:
-    """Force laws that have neither a sector of the speed nor a bound: only their slope at the point is in the model."""
-    held = {id(e) for e, *_ in sectors} | {id(e) for e in plant.effects if _load(e) is not None}
-    left = {f"{e!r}": "only its slope at rest is in the model" for e, _, _ in plant.laws if id(e) not in held}
+def _left_out(signals: Sequence[tuple[AttachedEffect, int, float]]) -> dict[str, str]:
+    """Bounded errors of drivers."""
+    left = {}
     for e, _, _ in signals:
         seen = e.effect.footprint(e.site, e.values, 1.0)
         if e.site.kind == "input" and seen is not None and seen.offset:

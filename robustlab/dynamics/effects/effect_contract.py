@@ -167,6 +167,9 @@ class Footprint:
         Pure delay in s that it stands for (0: none).
     offset
         Bound of the part that is no gain of the signal at all (a constant load), in units of the effect.
+    describing
+        Gain of the describing function at just this amplitude, of a law whose gain only falls with it; NaN where it is
+        not known, or no number.
     """
 
     port: str
@@ -175,6 +178,7 @@ class Footprint:
     gain_upper: float
     delay: float = 0.0
     offset: float = 0.0
+    describing: float = math.nan
 
 
 class Effect(ABC):

@@ -44,7 +44,13 @@ HIGHEST_PADE = 8
 DEFAULT_AMPLITUDE = 1.0
 
 
-def linear_model(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], pade: int) -> StateSpaceModel:
+def linear_model(
+    plant: ExtendedPlant,
+    at: Any,
+    amplitude: Mapping[str, float],
+    pade: int,
+    stand_in: Mapping[int, Array] | None = None,
+) -> StateSpaceModel:
     """A, B, C, D with the operating point.
 
     Parameters
@@ -55,6 +61,8 @@ def linear_model(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], 
         Name of a site -> amplitude of its speed or signal: effects there that have a sector are taken as its middle.
     pade
         Order of the Padé approximation of delays; 0 leaves them out.
+    stand_in
+        Index of a law -> row (n_x,) with which it is ``f = -row x`` here, whatever its slope or sector.
 
     Raises
     ------
@@ -65,7 +73,10 @@ def linear_model(plant: ExtendedPlant, at: Any, amplitude: Mapping[str, float], 
     _check_options(plant, amplitude, pade)
     model = plant.model
     a = model.A.copy()
-    for e, law, port in plant.laws:
+    for j, (e, law, port) in enumerate(plant.laws):
+        if stand_in is not None and j in stand_in:
+            a -= np.outer(port.force, stand_in[j])
+            continue
         q = 0.0 if port.position is None else float(port.position @ x)
         v = float(port.velocity @ x)
         middle = sector(e, amplitude, ("speed", "current"))

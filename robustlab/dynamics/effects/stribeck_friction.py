@@ -60,7 +60,8 @@ class StribeckFriction(Effect):
 
         ratio = amplitude / values["vs"]
         gain = 4.0 * (values["Fc"] + values["dF"] * float(dawsn(ratio)) / ratio) / (math.pi * amplitude)
-        return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"] + values["dF"])
+        level = values["Fc"] + values["dF"]
+        return Footprint(site.name, "speed", 0.0, gain, offset=level, describing=gain)
 
 
 EFFECT = StribeckFriction()

@@ -10,7 +10,18 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, campaign, control, design, discovery, measurement, models, published, story
+from robustlab.recipe.steps import (
+    analysis,
+    campaign,
+    control,
+    covers,
+    design,
+    discovery,
+    measurement,
+    models,
+    published,
+    story,
+)
 
 __all__ = ["EXECUTORS"]
 
@@ -23,6 +34,9 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "steady-state": models.steady_state,
     "uncertain": models.uncertain,
     "elementwise": models.elementwise,
+    "cover-models": covers.cover_models,
+    "uncertain-from": covers.uncertain_from,
+    "with-loads": covers.with_loads,
     "sample": analysis.sample,
     "worst-case": analysis.worst_case,
     "violation-probability": analysis.violation_probability,

@@ -34,6 +34,7 @@ def discover(step: DiscoverStep, work: Workspace) -> Outcome:
         exclude=[effect(name).id for name in step.exclude],
     )
     work.keep(found)
+    work.discoveries[work.step] = found
     for name, figure in discovery_figures(found).items():
         work.draw(figure, name, caption(name))
     notes = [f.message for f in found.findings]

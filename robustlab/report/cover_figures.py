@@ -1,0 +1,173 @@
+"""Figures of covers: the weight over the models' errors, the cloud of parameters in its box, what each block does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.cover import Cover
+from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import FullBlock
+from robustlab.uncertainty.parametric_cover import least_ellipsoid
+from robustlab.uncertainty.unstructured import Form
+from robustlab.uncertainty.unstructured_cover import error_sizes
+
+if TYPE_CHECKING:
+    from robustlab.dynamics.effects.effect_blocks import EffectBlocks
+
+__all__ = ["blocks_figure", "cloud_figure", "cover_figures", "weight_figure"]
+
+Array = NDArray[np.float64]
+
+SHOWN = 24  # parameters side by side
+MODELS = 60  # errors drawn one by one
+LIGHTEST = 1e-7  # share of a curve's largest value at which it leaves the picture
+
+
+def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, tuple[Figure, str]]:
+    """``weight`` of an unstructured form, ``cloud`` of a parametric one, each with its caption."""
+    if cover.fit is not None:
+        text = "The weight, and below it the error of every model against the nominal one."
+        return {"weight": (weight_figure(cover, models), text)}
+    if not cover.model.blocks:
+        return {}
+    text = "Every model as a point in the box of the parameters."
+    return {"cloud": (cloud_figure(cover), text)}
+
+
+def weight_figure(cover: Cover, models: Sequence[StateSpaceModel]) -> Figure:
+    """Errors of the models, their bound, and the weight above it; below, by how much it lies above."""
+    fit = cover.fit
+    assert fit is not None
+    errors = error_sizes(tuple(models), cover.model.nominal, cast(Form, cover.form), fit.omega)
+    figure, (above, below) = new_figure(
+        2, 1, width=7.6, height=2.3, sharex=True, gridspec_kw={"height_ratios": [2.2, 1.0]}
+    )
+    with house_style():
+        for k, row in enumerate(errors[:MODELS]):
+            label = "error of a model" if k == 0 else None
+            above.plot(
+                fit.omega, np.maximum(row, LIGHTEST * fit.bound.max()), color=COLOURS["sample"], lw=0.8, label=label
+            )
+        above.plot(fit.omega, fit.bound, color=COLOURS["reference"], lw=1.0, ls=(0, (5, 1.5)), label="their bound")
+        above.plot(fit.omega, fit.magnitude, color=COLOURS["nominal"], label=f"weight of order {fit.order}")
+        low = max(float(fit.bound.min()) / 10.0, LIGHTEST * float(fit.bound.max()))
+        logarithmic(above.xaxis)
+        logarithmic(above.yaxis)
+        above.set_ylim(low, 2.0 * float(fit.magnitude.max()))
+        above.set_ylabel("gain")
+        above.set_title(plain_label(f"{cover.form}: weight over the errors of {len(models)} models"))
+        below.plot(fit.omega, 100.0 * (fit.magnitude / fit.bound - 1.0), color=COLOURS["nominal"])
+        below.set_ylim(bottom=0.0)
+        below.set_ylabel("above the\nbound [%]")
+        below.set_xlabel("frequency [rad/s]")
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def cloud_figure(cover: Cover) -> Figure:
+    """Left: the models over the two parameters that are least tied to each other. Right: over all parameters."""
+    names = [b.name for b in cover.model.blocks]
+    deltas = np.array([[float(d[name]) for name in names] for d in cover.deltas])
+    wide = len(names) > 1
+    figure, axes = new_figure(1, 1 + wide, width=8.2 if wide else 5.0, height=3.4)
+    with house_style():
+        if wide:
+            _plane(axes[0], deltas, names, cover.form)
+        rows = axes[-1]
+        shown = deltas[:, :SHOWN]
+        for k in range(shown.shape[1]):
+            rows.plot([-1, 1], [k, k], color=COLOURS["band"], lw=5, alpha=0.35, solid_capstyle="butt")
+            rows.plot(shown[:, k], np.full(len(shown), k), "o", ms=3.5, color=COLOURS["nominal"], alpha=0.7)
+        rows.set_yticks(range(shown.shape[1]), [plain_label(n)[:24] for n in names[:SHOWN]])
+        rows.set_ylim(shown.shape[1] - 0.4, -0.6)
+        rows.set_xlim(-1.12, 1.12)
+        rows.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])
+        rows.set_xlabel("normalised value")
+        more = f", {SHOWN} of {len(names)} shown" if len(names) > SHOWN else ""
+        rows.set_title(f"{len(names)} parameter{'s' * (len(names) > 1)}{more}")
+    return figure
+
+
+def _plane(axes, deltas: Array, names: Sequence[str], form: str) -> None:  # type: ignore[no-untyped-def]
+    i, j = _least_tied(deltas)
+    if form == "ellipsoid" and len(deltas) > 2:
+        centre, shape = least_ellipsoid(deltas[:, [i, j]])
+        angle = np.linspace(0, 2 * np.pi, 181)
+        value, vector = np.linalg.eigh(shape)
+        edge = centre[:, None] + vector @ (np.sqrt(value)[:, None] * np.array([np.cos(angle), np.sin(angle)]))
+        axes.plot(*edge, color=COLOURS["good"], lw=1.2, label="least ellipse")
+    box = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+    axes.fill(*box, color=COLOURS["band"], alpha=0.2, lw=0)
+    axes.plot(*box, color=COLOURS["band"], lw=1.2, label="box of the cover")
+    axes.plot(deltas[:, i], deltas[:, j], "o", ms=4, color=COLOURS["nominal"], label="models", ls="none")
+    axes.set_aspect("equal")
+    reach = 1.7 if form == "ellipsoid" else 1.3
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    axes.set_xlabel(plain_label(names[i]))
+    axes.set_ylabel(plain_label(names[j]))
+    axes.set_title("The two that are least tied" if len(names) > 2 else "The cloud in its box")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
+
+
+def _least_tied(deltas: Array) -> tuple[int, int]:
+    """The pair of columns of least correlation among the first ones, the larger of equals first."""
+    part = deltas[:, :SHOWN] - deltas[:, :SHOWN].mean(axis=0)
+    size = np.linalg.norm(part, axis=0)
+    tied = np.abs(part.T @ part) / np.maximum(np.outer(size, size), 1e-300)
+    tied[np.tril_indices(len(tied))] = 2.0
+    i, j = np.unravel_index(int(np.argmin(np.round(tied, 6))), tied.shape)
+    return int(i), int(j)
+
+
+def blocks_figure(made: EffectBlocks) -> Figure | None:
+    """How far each block alone moves the response of the nominal model, of its size, over frequency.
+
+    A real parameter at both of its ends, a dynamic block at the largest gain that it can add. None without blocks.
+    """
+    model = made.model
+    if not model.blocks:
+        return None
+    q, p = model.delta_shape
+    omega = default_grid(model.nominal, 240)
+    m = frequency_response(model.M, omega)
+    plant = slice(q + len(made.noise), None)
+    nominal = m[:, p:, plant]
+    size = np.linalg.norm(nominal, 2, axis=(1, 2))
+    figure, (axes,) = new_figure(1, 1, width=7.6, height=3.4)
+    with house_style():
+        row = col = 0
+        for k, block in enumerate(model.blocks):
+            w, z = slice(row, row + block.rows), slice(col, col + block.cols)
+            row, col = row + block.rows, col + block.cols
+            m11, m12, m21 = m[:, z, w], m[:, z, plant], m[:, p:, w]
+            moved = _moved(m11, m12, m21, isinstance(block, FullBlock))
+            style = ("-", (0, (5, 1.5)), (0, (1, 1)))[k // 10 % 3]
+            percent = np.maximum(100.0 * moved / size, 1e-12)
+            axes.plot(omega, percent, label=plain_label(block.name), lw=1.4, color=f"C{k % 10}", ls=style)
+        logarithmic(axes.xaxis)
+        logarithmic(axes.yaxis)
+        top = max(float(line.get_ydata().max()) for line in axes.lines)  # type: ignore[union-attr]
+        axes.set_ylim(max(1e-3, 1e-6 * top), 2.0 * top)
+        axes.set_xlabel("frequency [rad/s]")
+        axes.set_ylabel("change of the response [%]")
+        axes.set_title("What each block alone does")
+        figure.legend(loc="outside right upper")
+    return figure
+
+
+def _moved(m11, m12, m21, full: bool) -> Array:  # type: ignore[no-untyped-def]
+    """Largest change ``||m21 (I - Delta m11)^-1 Delta m12||`` over Delta = +-1 (a full block: its bound)."""
+    if full:
+        loop = np.linalg.norm(m11, 2, axis=(1, 2))
+        gain = np.linalg.norm(m21, 2, axis=(1, 2)) * np.linalg.norm(m12, 2, axis=(1, 2))
+        return np.where(loop < 1.0, gain / np.maximum(1.0 - loop, 1e-12), np.inf)
+    eye = np.eye(m11.shape[1])
+    changes = [m21 @ np.linalg.solve(eye - sign * m11, sign * m12) for sign in (-1.0, 1.0)]
+    return np.max([np.linalg.norm(c, 2, axis=(1, 2)) for c in changes], axis=0)

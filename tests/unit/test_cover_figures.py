@@ -1,0 +1,71 @@
+"""What the figures of covers draw: ellipses around the points, weights over the errors, the effect of each block."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.effects.effect_blocks import effect_blocks
+from robustlab.report.cover_figures import blocks_figure, cloud_figure, cover_figures, weight_figure
+from robustlab.uncertainty.parametric_cover import least_ellipsoid
+from robustlab.uncertainty.unstructured_cover import error_sizes
+
+
+def lags():
+    return [rl.StateSpaceModel([[-1 / t]], [[g / t]], [[1.0]], [[0.0]]) for g, t in ((1, 1), (1.2, 1.3), (0.9, 0.8))]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_least_ellipsoid_holds_all_points_and_is_small(seed):
+    """For the corners of a rectangle it is known: semi-axes sqrt(2) times the half widths."""
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((40, 3)) @ rng.standard_normal((3, 3))
+    centre, shape = least_ellipsoid(points)
+    off = points - centre
+    level = np.einsum("nk,nk->n", off, np.linalg.solve(shape, off.T).T)
+    assert level.max() == pytest.approx(1.0)
+    ball = points - points.mean(axis=0)
+    cov = np.cov(ball.T)
+    own = cov * np.einsum("nk,nk->n", ball, np.linalg.solve(cov, ball.T).T).max()
+    assert np.linalg.det(shape) <= np.linalg.det(own) * 1.05
+    corners = np.array([[3.0, 1.0], [3.0, -1.0], [-3.0, 1.0], [-3.0, -1.0]])
+    centre, shape = least_ellipsoid(corners + np.array([10.0, 5.0]))
+    np.testing.assert_allclose(centre, [10.0, 5.0], atol=1e-9)
+    np.testing.assert_allclose(shape, np.diag([18.0, 2.0]), rtol=0.02, atol=1e-9)
+
+
+def test_the_weight_lies_above_every_error_that_is_drawn():
+    found = rl.cover(lags(), "additive", gain=False)
+    assert found.fit is not None
+    errors = error_sizes(tuple(lags()), found.model.nominal, "additive", found.fit.omega)
+    (above, below) = weight_figure(found, lags()).axes
+    drawn = [line.get_ydata() for line in above.lines]
+    np.testing.assert_allclose(drawn[0], errors[0], atol=1e-6 * errors.max())
+    assert all((drawn[-1] >= y * (1 - 1e-9)).all() for y in drawn[:-1])
+    assert below.lines[0].get_ydata().max() == pytest.approx(100 * found.fit.excess, rel=1e-6)
+    assert set(cover_figures(found, lags())) == {"weight"}
+
+
+@pytest.mark.parametrize("form", ["elements", "ellipsoid"])
+def test_every_model_is_drawn_inside_the_box(form):
+    found = rl.cover(lags(), form, gain=False)
+    for axes in cloud_figure(found).axes:
+        points = [line for line in axes.lines if line.get_marker() == "o"]
+        assert points
+        assert all(np.abs(line.get_xdata()).max() <= 1 + 1e-12 for line in points)
+    same = rl.cover([lags()[0], lags()[0]], "elements", gain=False)
+    assert cover_figures(same, lags()[:1] * 2) == {}
+
+
+def test_what_a_block_does_is_the_change_at_its_ends():
+    """(M s + Fv) v = gain u: the mass of +10 % alone changes the response by 0.1 M s / (1.1 M s + Fv)."""
+    made = effect_blocks(rl.plant("servo-axis", M=(95.0, 0.1), Fv=(200.0, 0.05)), ["v"])
+    figure = blocks_figure(made)
+    assert figure is not None
+    lines = {line.get_label(): line for line in figure.axes[0].lines}
+    s = 1j * np.asarray(lines["M"].get_xdata())
+    wanted = np.max([np.abs(0.1 * 95 * s / ((1 + k) * 95 * s + 200)) for k in (-0.1, 0.1)], axis=0)
+    np.testing.assert_allclose(lines["M"].get_ydata(), 100 * wanted, rtol=1e-6)
+    assert set(lines) == {"M", "Fv"}
+    assert blocks_figure(effect_blocks(rl.plant("servo-axis"))) is None
