@@ -10,7 +10,17 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, campaign, control, design, discovery, measurement, models, published
+from robustlab.recipe.steps import (
+    analysis,
+    campaign,
+    control,
+    design,
+    digital,
+    discovery,
+    measurement,
+    models,
+    published,
+)
 
 __all__ = ["EXECUTORS"]
 
@@ -36,6 +46,8 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "dk": design.dk,
     "fixed": design.fixed,
     "reduce-controller": design.reduce_controller,
+    "discretise": digital.discretise,
+    "export": digital.export,
     "close-loop": design.close_loop,
     "tracking-problem": control.tracking_problem,
     "cascade": control.cascade,
