@@ -56,7 +56,7 @@ def export(step: ExportStep, work: Workspace) -> Outcome:
     digests: dict[str, str] = {}
     for suffix in FORMATS:
         path = work.folder / f"{work.step}{suffix}"
-        options = {"prefix": step.prefix, "saturation": limits} if suffix in (".c", ".json") else {}
+        options: dict[str, Any] = {"prefix": step.prefix, "saturation": limits} if suffix in (".c", ".json") else {}
         rl.export_controller(path, given, provenance=origin, **options)
         work.files.append(path.name)
         digests[suffix[1:]] = file_sha256(path)

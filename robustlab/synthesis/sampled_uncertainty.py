@@ -1,0 +1,335 @@
+r"""An uncertain continuous plant behind sampler, computation delay and hold, as an uncertain discrete plant.
+
+A member's discretisation is no LFT of its Delta, and the LFT's discretisation holds no member: Delta acts between the
+samples too. Therefore the signals of Delta are carried over whole periods (lifted): on every interval of constant
+control they are Legendre polynomials of degree below m plus a rest.
+
+====================  ==================================================================================================
+real parameter        the same real number acts on every coefficient: a repeated real block; the rest is multiplied by
+                      it as well, which is covered by a full block
+dynamic block         a contraction of whole signals: one full block on coefficients and rest together. It covers
+                      every linear Delta of that norm whose action repeats from period to period
+performance           disturbances and performance over a period: coefficients and rest together
+====================  ==================================================================================================
+
+What a rest :math:`w_0` does to the state and the coefficients has finite rank and is exact; what it does to other rests
+in the same interval is covered by its norm. For weights :math:`\theta` of sum one
+
+.. math:: |z_{0,i}|^2 = \Big| R_i v + \sum_j H_{ij} w_{0,j} \Big|^2 \le
+   \frac{|R_i v|^2}{\theta_{i0}} + \sum_j \frac{\|H_{ij}\|^2}{\theta_{ij}} |w_{0,j}|^2
+
+so that a full block sees the rows of the right side. All of it is sound for every m; larger m is tighter, the error of
+the cover falls like :math:`(\omega T)^{2 m}`.
+
+References
+----------
+Dullerud, Glover, "Robust stabilization of sampled-data systems to structured LTI perturbations", IEEE TAC 38 (1993);
+Sivashankar, Khargonekar, "Robust stability and performance analysis of sampled-data systems", IEEE TAC 38 (1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.held_intervals import ChannelGroup, held_interval, thin_rows
+from robustlab.synthesis.lifting import whole_and_part
+from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, block_slices
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["REST", "SampledUncertainPlant", "sample_uncertain_plant"]
+
+Array = NDArray[Any]
+
+REST = "rest of "
+# Share of the right side above that is left for R v where the rests' gains on each other are large.
+ROOM = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class SampledUncertainPlant:
+    """The uncertain discrete plant over whole periods.
+
+    Attributes
+    ----------
+    uncertain
+        From [w of the blocks; disturbances; u] to [z of the blocks; performance; y], discrete. Real blocks keep their
+        names, with more repetitions; ``"rest of <name>"`` covers what they do beyond the polynomials.
+    degree
+        m, the number of polynomials on each interval.
+    held
+        Names of the disturbances that are taken as constant over a period, because they reach the sampler directly.
+    widened
+        Names of blocks that a larger one covers: repeated complex scalars became full.
+    """
+
+    uncertain: UncertainModel
+    degree: int
+    held: tuple[str, ...]
+    widened: tuple[str, ...]
+
+
+def sample_uncertain_plant(plant: GeneralizedPlant, dt: float, degree: int, delay: float) -> SampledUncertainPlant:
+    """The plant with its controls held from ``k dt + delay`` on.
+
+    Parameters
+    ----------
+    plant
+        Continuous generalised plant with its blocks; the channels of Delta come first.
+    dt
+        Sample time in s.
+    degree
+        Number of polynomials, at least one.
+    delay
+        Time in s from the sample to the change of the control, of any number of periods.
+
+    Raises
+    ------
+    InputError
+        A dynamic block that reaches the sampler directly: samples of its output have no bound.
+    NoTrustworthyNumber
+        See `held_interval`.
+    """
+    channels = _Channels.of(plant)
+    period = _Period(plant, channels, dt, degree, delay)
+    return period.assembled()
+
+
+# --- who is who -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Channels:
+    """Groups of channels (the blocks', then performance), and what the sampler sees directly."""
+
+    groups: tuple[ChannelGroup, ...]
+    held: NDArray[np.intp]
+    at_samples: tuple[int, ...]  # blocks
+    point_w: NDArray[np.intp]
+    point_z: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, plant: GeneralizedPlant) -> _Channels:
+        m, blocks = plant.model, plant.blocks
+        n_w, n_z = m.n_inputs - plant.n_con, m.n_outputs - plant.n_meas
+        slices = block_slices(blocks)
+        q, p = (slices[-1][0].stop, slices[-1][1].stop) if slices else (0, 0)
+        seen = m.D[n_z:, :n_w]
+        direct = [i for i, (w, _) in enumerate(slices) if seen[:, w].any()]
+        for i in direct:  # grows while it is walked through
+            direct += [j for j, (w, _) in enumerate(slices) if j not in direct and m.D[slices[i][1], w].any()]
+        for i in direct:
+            if not isinstance(blocks[i], RealScalar):
+                raise InputError(
+                    f"block {blocks[i].name!r}", "dynamic, and it reaches the sampler directly",
+                    "a path of low-pass character", "a filter before the sampler: antialiasing=",
+                )  # fmt: skip
+        point_w, point_z = (
+            np.array([k for i in sorted(direct) for k in range(slices[i][side].start, slices[i][side].stop)], dtype=int)
+            for side in (0, 1)
+        )
+        reaching = seen.any(axis=0) | m.D[point_z, :n_w].any(axis=0)
+        held = np.flatnonzero(reaching)
+        held = held[held >= q]
+        free = np.setdiff1d(np.arange(q, n_w), held)
+        groups = [ChannelGroup(np.arange(w.start, w.stop), np.arange(z.start, z.stop)) for w, z in slices]
+        groups.append(ChannelGroup(free, np.arange(p, n_z)))
+        return cls(tuple(groups), held, tuple(sorted(direct)), point_w, point_z)
+
+
+# --- one period -------------------------------------------------------------------------------------------------------
+
+
+class _Period:
+    """All signals of one period as linear maps of one vector.
+
+    The vector: (x, past controls, coefficients of each interval, held disturbances, kicks of each interval and group,
+    the size of what each group's rest has beyond its kicks, Delta's outputs at the sample, u).
+    """
+
+    def __init__(self, plant: GeneralizedPlant, channels: _Channels, dt: float, degree: int, delay: float) -> None:
+        self.plant, self.channels, self.dt, self.degree = plant, channels, dt, degree
+        m = plant.model
+        self.n, self.n_u = m.n_states, plant.n_con
+        self.n_z = m.n_outputs - plant.n_meas
+        self.free = np.concatenate([g.w for g in channels.groups])
+        self.whole, part = whole_and_part(delay, dt)
+        self.n_past = self.whole + (part > 0)
+        controls = np.arange(m.n_inputs - self.n_u, m.n_inputs)
+        constant = np.concatenate([channels.held, controls])
+        lengths = [part, dt - part] if part else [dt]
+        self.intervals = [held_interval(m, channels.groups, constant, self.n_z, h, degree) for h in lengths]
+        self._lay_out()
+        self._run()
+
+    def _lay_out(self) -> None:
+        """Where everything stands in the vector."""
+        at = 0
+
+        def take(count: int) -> slice:
+            nonlocal at
+            at += count
+            return slice(at - count, at)
+
+        self.x, self.past = take(self.n), take(self.n_past * self.n_u)
+        self.coefficients = [take(self.degree * len(self.free)) for _ in self.intervals]
+        self.b = take(len(self.channels.held))
+        self.kicks = [[take(k.shape[1]) for k in interval.kicks] for interval in self.intervals]
+        self.beyond = [take(1) for _ in self.channels.groups]
+        self.point, self.u = take(len(self.channels.point_w)), take(self.n_u)
+        self.width = at
+
+    def _control(self, index: int) -> Array:
+        """The control that acts in an interval, as a map of the vector."""
+        age = self.whole + 1 if index < len(self.intervals) - 1 else self.whole
+        control = np.zeros((self.n_u, self.width))
+        start = self.u.start if age == 0 else self.past.start + (age - 1) * self.n_u
+        control[:, start : start + self.n_u] = np.eye(self.n_u)
+        return control
+
+    def _run(self) -> None:
+        """State, coefficients and rests through the intervals."""
+        state = np.zeros((self.n, self.width))
+        state[:, self.x] = np.eye(self.n)
+        self.means: list[Array] = []
+        rests: list[list[Array]] = [[] for _ in self.channels.groups]
+        for i, interval in enumerate(self.intervals):
+            v = np.vstack([state, self._rows(self.coefficients[i]), self._held(), self._control(i)])
+            state, means = interval.move @ v, interval.means @ v
+            for j, kick in enumerate(interval.kicks):
+                state[:, self.kicks[i][j]] += kick[: self.n]
+                means[:, self.kicks[i][j]] += kick[self.n :]
+                rests[j].append(interval.rests[j] @ v)
+            self.means.append(means)
+        self.end, self.rests = state, [thin_rows(np.vstack(rows)) for rows in rests]
+
+    def _rows(self, part: slice) -> Array:
+        rows = np.zeros((part.stop - part.start, self.width))
+        rows[:, part] = np.eye(len(rows))
+        return rows
+
+    def _held(self) -> Array:
+        return self._rows(self.b) / np.sqrt(self.dt)
+
+    def _sampled(self, rows: NDArray[np.intp]) -> Array:
+        """Outputs of the plant at the moment of the sample."""
+        m, c = self.plant.model, self.channels
+        found = np.zeros((len(rows), self.width))
+        found[:, self.x] = m.C[rows]
+        found += m.D[rows][:, c.held] @ self._held() + m.D[rows][:, m.n_inputs - self.n_u :] @ self._control(0)
+        return found + m.D[np.ix_(rows, c.point_w)] @ self._rows(self.point)
+
+    # --- the rests ----------------------------------------------------------------------------------------------------
+
+    def _gains(self) -> Array:
+        """Bounds of the gains among the rests, direct terms included; none for a rest that is zero or does nothing."""
+        m, groups = self.plant.model, self.channels.groups
+        gains = np.max([interval.gains for interval in self.intervals], axis=0)
+        for i, to in enumerate(groups):
+            for j, by in enumerate(groups):
+                direct = m.D[np.ix_(to.z, by.w)]
+                gains[i, j] += float(np.linalg.norm(direct, 2)) if direct.size else 0.0
+        for j in range(len(groups) - 1):  # the rest of a block is driven by its own z only
+            if not self.rests[j].size and not gains[j].any():
+                gains[:, j] = 0.0
+        return gains
+
+    def rest_rows(self) -> list[Array]:
+        """For each group the rows whose norm bounds that of its outputs' rest."""
+        gains = self._gains()
+        shares = _shares(gains)
+        found = []
+        for i, rest in enumerate(self.rests):
+            rows = [rest / np.sqrt(1 - shares[i].sum())]
+            for j in np.flatnonzero(gains[i]):
+                scale = gains[i, j] / np.sqrt(shares[i, j])
+                rows += [scale * self._rows(part) for part in self._rest_inputs(int(j))]
+            found.append(np.vstack(rows))
+        return found
+
+    def _rest_inputs(self, group: int) -> list[slice]:
+        return [*(kicks[group] for kicks in self.kicks), self.beyond[group]]
+
+    # --- the model ----------------------------------------------------------------------------------------------------
+
+    def assembled(self) -> SampledUncertainPlant:
+        """The uncertain discrete plant."""
+        given, groups = self.plant.blocks, self.channels.groups
+        rest_rows = self.rest_rows()
+        blocks: list[Block] = []
+        rows: list[Array] = []
+        columns: list[Array] = []
+        widened = []
+        used = np.vstack([*rest_rows, *self.means, self.end]).any(axis=0)
+        for i, group in enumerate(groups):
+            block = given[i] if i < len(given) else None
+            mean_rows = np.vstack([means.reshape(self.degree, self.n_z, -1)[:, group.z].reshape(-1, self.width)
+                                   for means in self.means])  # fmt: skip
+            mean_columns = np.concatenate([self._coefficients_of(k, group) for k in range(len(self.intervals))])
+            rest_columns = np.concatenate([np.arange(s.start, s.stop) for s in self._rest_inputs(i)])
+            rest_columns = rest_columns[np.take(used, rest_columns)]
+            if isinstance(block, RealScalar):
+                if i in self.channels.at_samples:
+                    here = np.isin(self.channels.point_w, group.w)
+                    mean_rows = np.vstack([mean_rows, self._sampled(self.channels.point_z[here])])
+                    mean_columns = np.concatenate([mean_columns, self.point.start + np.flatnonzero(here)])
+                blocks.append(RealScalar(block.name, len(mean_columns), block.parameter, origin=block.origin))
+                rows.append(mean_rows)
+                columns.append(mean_columns)
+                if len(rest_columns) and rest_rows[i].any():
+                    wide = max(1.0, block.ratio) * rest_rows[i]
+                    blocks.append(FullBlock(f"{REST}{block.name}", len(rest_columns), len(wide)))
+                    rows.append(wide)
+                    columns.append(rest_columns)
+                continue
+            if block is None:
+                held = np.arange(self.b.start, self.b.stop)
+                mean_columns = np.concatenate([mean_columns, held])
+            rows.append(np.vstack([mean_rows, rest_rows[i]]))
+            columns.append(np.concatenate([mean_columns, rest_columns]))
+            if block is not None:
+                blocks.append(FullBlock(block.name, len(columns[-1]), len(rows[-1]), origin=block.origin))
+                widened += [block.name] if isinstance(block, ComplexScalar) and block.repeats > 1 else []
+        model = self._model(rows, columns)
+        names = tuple(self.plant.model.input_names[i] for i in self.channels.held)
+        return SampledUncertainPlant(UncertainModel(model, blocks), self.degree, names, tuple(widened))
+
+    def _coefficients_of(self, interval: int, group: ChannelGroup) -> NDArray[np.intp]:
+        start, k = self.coefficients[interval].start, len(self.free)
+        places = np.array([np.flatnonzero(self.free == i)[0] for i in group.w], dtype=int)
+        return np.concatenate([start + d * k + places for d in range(self.degree)])
+
+    def _model(self, rows: Sequence[Array], columns: Sequence[Array]) -> StateSpaceModel:
+        m = self.plant.model
+        shifted = np.zeros((self.n_past * self.n_u, self.width))
+        if self.n_past:
+            shifted[: self.n_u, self.u] = np.eye(self.n_u)
+            shifted[self.n_u :, self.past.start : self.past.stop - self.n_u] = np.eye((self.n_past - 1) * self.n_u)
+        measured = self._sampled(np.arange(self.n_z, m.n_outputs))
+        states = np.vstack([self.end, shifted])
+        outputs = np.vstack([*rows, measured])
+        inputs = np.concatenate([*columns, np.arange(self.u.start, self.u.stop)])
+        x = slice(0, self.n + self.n_past * self.n_u)
+        return StateSpaceModel(states[:, x], states[:, inputs], outputs[:, x], outputs[:, inputs], self.dt)
+
+
+def _shares(gains: Array) -> Array:
+    r"""Weights :math:`\theta_{ij}`, for which the rests' gains on each other cost least: by Perron's vector.
+
+    With it all rows have the same sum, the spectral radius; where that leaves less than ROOM, the rows are made
+    smaller, and the bound is looser, not wrong.
+    """
+    if not gains.any():
+        return np.zeros_like(gains)
+    values, vectors = np.linalg.eig(gains + 1e-9 * gains.max())
+    s = np.abs(np.real(vectors[:, int(np.argmax(np.real(values)))]))
+    shares = gains * s[None, :] / s[:, None]
+    total = shares.sum(axis=1, keepdims=True)
+    return shares * np.minimum(1.0, (1 - ROOM) / np.maximum(total, 1e-300))
