@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,7 +35,7 @@ from robustlab.mu_analysis.pole_migration import (
 from robustlab.mu_analysis.upper import upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, delta_values
+from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["robust_stability"]
@@ -74,6 +74,7 @@ def robust_stability(
     time_limit: float = 60.0,
     seed: int = 0,
     tolerance: float = 0.01,
+    known: Mapping[str, Any] | None = None,
 ) -> Margin:
     r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
 
@@ -104,6 +105,8 @@ def robust_stability(
         Seed of the search for the critical Delta.
     tolerance
         Relative gap between the bounds that branch and bound aims at; inf: no branch and bound.
+    known
+        A destabilising Delta by block name: its smallest destabilising multiple counts as ``delta``, none is sought.
 
     Raises
     ------
@@ -129,7 +132,8 @@ def robust_stability(
         return _margin(uncertain, nothing, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
     until = time.monotonic() + time_limit
     with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
-        found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed)
+        given = None if known is None else delta_matrix(blocks, known).astype(complex)
+        found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed, given)
         response = frequency_response(uncertain.delta_channels, grid)
         mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
         mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
@@ -143,15 +147,26 @@ _SYMMETRIC_CURVES = (
 
 
 def _bounds(
-    model: StateSpaceModel, blocks: Sequence[Block], accuracy: float, tolerance: float, until: float, seed: int
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    accuracy: float,
+    tolerance: float,
+    until: float,
+    seed: int,
+    known: NDArray[np.complexfloating[Any, Any]] | None,
 ) -> _Found:
     seeds = seed_frequencies(model)
-    worst = smallest_destabilising(model, blocks, seeds, seed)
     symmetric = bool((lowest(blocks) == -1).all())
-    if not symmetric:
-        worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
+    if known is not None:
+        worst = first_crossing(model, blocks, known)
+    else:
+        worst = smallest_destabilising(model, blocks, seeds, seed)
+        if not symmetric:
+            worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
     worst = worst and _as_seen(model, worst)
-    if worst and symmetric:  # the search below measures entries of Delta, not their share of each side of a range
+    if (
+        worst and symmetric and known is None
+    ):  # the search below measures entries of Delta, not their share of each side of a range
         worst = _sharpened(model, blocks, worst, seed)
     found = _Found(model, blocks, worst, 0.0, AxisCover())
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,19 +17,23 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.sampled_data import check_sampling, sampled_loop_norm, with_antialiasing
-from robustlab.synthesis.sampled_uncertainty import REST, sample_uncertain_plant
+from robustlab.synthesis.sampled_uncertainty import REST, SampledUncertainPlant, sample_uncertain_plant
 from robustlab.synthesis.tracking_problem import TrackingProblem
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks import RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["SampledRobustness", "sampled_robustness"]
 
 WHERE = "sampled_robustness"
 DEGREES = (1, 2, 3)
-# Accuracy of the proofs, and of the norm of a member.
-PROOF, MEMBER = 1e-3, 1e-2
-# Sizes of the worst direction that are tried for the member that attains most.
-SIZES = 6
+# Accuracy of the proofs, of the search for a critical Delta, and of the norm of a member.
+PROOF, SEARCH, MEMBER = 1e-3, 1e-2, 1e-2
+# Sizes of the worst direction that are tried for the member that attains most, and when they have settled.
+SIZES, SETTLED = 6, 1e-3
+# Multiples of a critical Delta at which its member is tried for instability.
+BEYOND = (1.0, 1.0 + 1e-6, 1.001)
+# A member may attain more than was proved by rounding, and no more.
+AGREE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,17 +43,19 @@ class SampledRobustness:
     Attributes
     ----------
     stability
-        Margin of robust stability: the loop is stable for every Delta of norm below ``stability.lower``.
+        Margin of robust stability: the loop is stable for every Delta of norm below ``stability.lower``; the member at
+        ``stability.delta``, of size ``stability.upper``, is not (inf: none was found).
     performance
         Margin of robust performance: for every Delta of norm below k = ``performance.lower`` the gain from disturbances
-        to performance is below 1 / k; None where the plant has no such channels.
+        to performance is below 1 / k; ``performance.delta`` is the member that attains ``mu_lower`` (dynamic blocks are
+        zero in it). None where the plant has no such channels.
     mu_lower
-        Attained by ``member``: ``min(1 / size, gain)`` of it. Dynamic blocks are zero in it.
-    member, member_gain
-        The Delta of real parameters that attains ``mu_lower``, and a lower bound of its sampled-data norm.
-    loop
-        The uncertain discrete loop that was proved: ``rl.robust_performance(loop)`` proves it again. Its blocks are those
-        of the plant on the signals of a period, and the covers called ``"rest of ..."``.
+        Attained by a member of the set in its own exact sampled loop: ``min(1 / size, gain)`` of the one at ``member``.
+    member_gain
+        Lower bound of the sampled-data norm of that member; inf where it is not stable.
+    loop, stability_loop
+        The uncertain discrete loops that were proved: ``rl.robust_performance(loop)`` proves it again. Their blocks are
+        those of the plant on the signals of a period, and the covers called ``"rest of ..."``.
     degree
         Number of polynomials on each interval of constant control, in ``loop``.
     history
@@ -69,9 +75,9 @@ class SampledRobustness:
     stability: Margin
     performance: Margin | None
     mu_lower: float
-    member: Mapping[str, float]
     member_gain: float
     loop: UncertainModel
+    stability_loop: UncertainModel
     degree: int
     history: tuple[tuple[int, float], ...]
     dt: float
@@ -86,6 +92,11 @@ class SampledRobustness:
     def margin(self) -> float:
         """Proved margin: of robust performance, or of stability where there is no performance."""
         return (self.performance or self.stability).lower
+
+    @property
+    def member(self) -> Mapping[str, float]:
+        """The Delta of real parameters that attains ``mu_lower``; empty where none was found, or there is none."""
+        return (self.performance or self.stability).delta
 
     @property
     def mu_upper(self) -> float:
@@ -109,8 +120,8 @@ class SampledRobustness:
         return [row for row in rows if row[1]] + [("note", text) for text in self.notes]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but the loop, and the margin."""
-        names = [name for name in self.__dataclass_fields__ if name != "loop"]
+        """All attributes but the loops, the margin, and mu from above."""
+        names = [name for name in self.__dataclass_fields__ if not name.endswith("loop")]
         data = {name: getattr(self, name) for name in names}
         return {"type": "SampledRobustness", **data, "margin": self.margin, "mu_upper": self.mu_upper}
 
@@ -155,9 +166,10 @@ def sampled_robustness(
     n_meas, n_con
         Numbers of measurements and controls, where an uncertain model is given.
     degree
-        Number of polynomials; where left out 1, 2, 3 are tried until mu changes by less than ``accuracy``.
+        Number of polynomials; where left out 1, 2, 3 are tried until mu is within ``accuracy`` of what is attained, or
+        changes by less.
     accuracy
-        Relative change of mu that ends the refinement.
+        Relative distance or change of mu that ends the refinement.
     time_limit
         Time in s for all proofs.
     seed
@@ -180,7 +192,8 @@ def sampled_robustness(
     Examples
     --------
     >>> M = StateSpaceModel([[-1.0]], [[-0.3, 1.0, 1.0]], [[1.0]] * 3, [[0.0] * 3] * 3)
-    >>> robust = sampled_robustness(UncertainModel(M, [RealScalar("pole")]), StateSpaceModel([], [], [], [[-3.0]], 0.05))
+    >>> K = StateSpaceModel([], [], [], [[-3.0]], 0.05)
+    >>> robust = sampled_robustness(UncertainModel(M, [RealScalar("pole")]), K)
     >>> robust.status.value, robust.mu_lower <= robust.mu_upper <= 1.01 * robust.mu_lower
     ('certified', True)
     """
@@ -194,8 +207,7 @@ def sampled_robustness(
 
     with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
         proofs = _Proofs(filtered, k, float(delay), time.monotonic() + time_limit, seed, progress)
-        proofs.refine(DEGREES if degree is None else (degree,), accuracy)
-        return proofs.result(antialiasing)
+        return proofs.run(DEGREES if degree is None else (degree,), accuracy, antialiasing)
 
 
 def _checked(
@@ -235,68 +247,38 @@ class _Proofs:
     ) -> None:
         self.plant, self.K, self.delay, self.until, self.seed = plant, K, delay, until, seed
         self.progress = progress or (lambda _: None)
+        self.real = [b.name for b in plant.blocks if isinstance(b, RealScalar)]
         self.history: list[tuple[int, float]] = []
-        self.best: tuple[Any, UncertainModel, Margin] | None = None
 
-    def refine(self, degrees: tuple[int, ...], accuracy: float) -> None:
+    def run(self, degrees: tuple[int, ...], accuracy: float, antialiasing: float | None) -> SampledRobustness:
         """Prove with one degree after another, as long as it brings something and there is time."""
-        begun = time.monotonic()
-        for degree in degrees:
-            took, begun = time.monotonic() - begun, time.monotonic()
-            if self.best is not None and begun + 2 * took > self.until:
-                return
-            sampled = sample_uncertain_plant(self.plant, self.K.dt, degree, self.delay)
-            loop = sampled.uncertain.close(self.K)
-            margin = self._margin(loop)
-            mu = _inverse(margin.lower)
-            self.history.append((degree, mu))
-            self.progress(f"degree {degree}: mu at most {mu:.6g}")
-            before = np.inf if self.best is None else _inverse(self.best[2].lower)
-            if self.best is None or mu < before:
-                self.best = sampled, loop, margin
-            if np.isfinite(before) and mu > before * (1 - accuracy):
-                return
-
-    def _margin(self, loop: UncertainModel) -> Margin:
-        """The margin that is asked for: of performance, where there are channels for it."""
-        stable = loop.M.is_stable() or not loop.M.n_states
-        if not stable:
-            radius = float(np.abs(loop.M.poles()).max())
-            raise NoTrustworthyNumber(
-                WHERE, f"the nominal sampled loop is not stable (a pole of modulus {radius:.6g})",
-                "a controller that stabilises the sampled plant", "a shorter sample time, or discretise_controller",
-            )  # fmt: skip
-        options: dict[str, Any] = {"accuracy": PROOF, "tolerance": np.inf, "seed": self.seed}
-        options["time_limit"] = max(self.until - time.monotonic(), 1.0)
-        has_performance = len(loop.inputs) and len(loop.outputs)
-        return robust_performance(loop, **options) if has_performance else robust_stability(loop, **options)
-
-    def result(self, antialiasing: float | None) -> SampledRobustness:
-        """What is known in the end, with the member that comes closest."""
-        assert self.best is not None
-        sampled, loop, margin = self.best
-        performance = margin if len(loop.inputs) and len(loop.outputs) else None
-        left = max(self.until - time.monotonic(), 1.0)
-        stability = margin
-        if performance is not None:
-            stability = robust_stability(loop, accuracy=PROOF, tolerance=np.inf, time_limit=left, seed=self.seed)
-        mu_lower, member, gain = self._attained(margin, performance is not None)
-        if mu_lower > _inverse(margin.lower) * (1 + MEMBER):
-            found = f"a member attains mu = {mu_lower:.6g} above the proved {_inverse(margin.lower):.6g}"
-            raise NoTrustworthyNumber(WHERE, f"{found}: digits were lost")
-        statuses = (margin.status, stability.status)
-        notes = []
-        if sampled.widened:
-            notes.append(f"covered by full blocks: {', '.join(sampled.widened)}")
-        if any(not isinstance(b, RealScalar) for b in self.plant.blocks):
-            notes.append("dynamic blocks are covered by every linear operator that repeats with the sample time")
+        first = sample_uncertain_plant(self.plant, self.K.dt, degrees[0], self.delay)
+        loop = first.uncertain.close(self.K)
+        _check_stable(loop)
+        core = _without_rests(loop)
+        performance = len(loop.inputs) > 0 and len(loop.outputs) > 0
+        proof, sampled, loop, (mu_lower, member, gain) = self._refined(core, performance, degrees, accuracy)
+        stability_loop, margins = loop, dict[str, Margin]()
+        if performance:
+            margins["performance"] = self._with_member(proof, mu_lower, member)
+            size = _inverse(self._level(core, performance=False))
+            stability_loop = self._loop(sampled.degree, size)[1] if np.isfinite(size) else loop
+            proof = self._proof(stability_loop, performance=False)
+            mu_lower_s, unstable, _ = self._unstable_member(core)
+            margins["stability"] = self._with_member(proof, mu_lower_s, unstable)
+        else:
+            margins["stability"] = self._with_member(proof, mu_lower, member)
+        notes = [f"covered by full blocks: {', '.join(sampled.widened)}"] if sampled.widened else []
+        if len(self.real) < len(self.plant.blocks):
+            notes.append("dynamic blocks: every linear operator that repeats with the sample time; zero in the member")
+        certified = all(m.status is Status.CERTIFIED for m in margins.values())
         return SampledRobustness(
-            stability=stability,
-            performance=performance,
-            mu_lower=min(mu_lower, _inverse(margin.lower)),
-            member=member,
+            stability=margins["stability"],
+            performance=margins.get("performance"),
+            mu_lower=mu_lower,
             member_gain=gain,
             loop=loop,
+            stability_loop=stability_loop,
             degree=sampled.degree,
             history=tuple(self.history),
             dt=self.K.dt,
@@ -304,39 +286,135 @@ class _Proofs:
             antialiasing=antialiasing,
             held=sampled.held,
             widened=sampled.widened,
-            status=Status.CERTIFIED if all(s is Status.CERTIFIED for s in statuses) else Status.TIMEOUT,
+            status=Status.CERTIFIED if certified else Status.TIMEOUT,
             notes=tuple(notes),
         )
 
-    def _attained(self, margin: Margin, performance: bool) -> tuple[float, dict[str, float], float]:
+    def _refined(
+        self, core: UncertainModel, performance: bool, degrees: tuple[int, ...], accuracy: float
+    ) -> tuple[Margin, SampledUncertainPlant, UncertainModel, tuple[float, dict[str, float], float]]:
+        """The best proof, its loop, and the member that attains most."""
+        level = self._level(core, performance)
+        member = self._attained(core) if performance else self._unstable_member(core)
+        # Without covers the loop is no bound, but it shows what is left to gain.
+        enough = max(level, member[0]) * (1 + accuracy)
+        best: tuple[Margin, SampledUncertainPlant, UncertainModel] | None = None
+        begun = time.monotonic()
+        for degree in degrees:
+            took, begun = time.monotonic() - begun, time.monotonic()
+            if best is not None and begun + 3 * took > self.until:
+                break
+            sampled, loop = self._loop(degree, _inverse(level))
+            margin = self._proof(loop, performance)
+            mu, before = _inverse(margin.lower), np.inf if best is None else _inverse(best[0].lower)
+            self.history.append((degree, mu))
+            self.progress(f"degree {degree}: mu at most {mu:.6g}")
+            if best is None or mu < before:
+                best = margin, sampled, loop
+            if mu <= enough or (np.isfinite(before) and mu > before * (1 - accuracy)):
+                break
+        assert best is not None
+        return *best, member
+
+    def _loop(self, degree: int, size: float) -> tuple[SampledUncertainPlant, UncertainModel]:
+        """The closed loop, with the rests covered best for Delta of that size."""
+        size = size if 0 < size < np.inf else 1.0
+        sampled = sample_uncertain_plant(self.plant, self.K.dt, degree, self.delay, size)
+        return sampled, sampled.uncertain.close(self.K)
+
+    def _proof(self, loop: UncertainModel, performance: bool, accuracy: float = PROOF) -> Margin:
+        """The margin from below alone: nothing is sought that attains it."""
+        left = max(self.until - time.monotonic(), 1.0)
+        analyse = robust_performance if performance else robust_stability
+        return analyse(loop, accuracy=accuracy, tolerance=np.inf, time_limit=left, known={})
+
+    def _level(self, core: UncertainModel, performance: bool) -> float:
+        """An estimate of mu: that of the loop without covers."""
+        return _inverse(self._proof(core, performance, SEARCH).lower)
+
+    def _with_member(self, margin: Margin, mu: float, member: Mapping[str, float]) -> Margin:
+        """The proved margin with the member that attains ``mu``."""
+        proved = _inverse(margin.lower)
+        if mu > proved * (1 + AGREE):
+            found = f"a member attains mu = {mu:.6g} above the proved {proved:.6g}"
+            raise NoTrustworthyNumber(WHERE, f"{found}: digits were lost")
+        known = UncertainModel(self.plant.model, self.plant.blocks)
+        upper = max(_inverse(mu), margin.lower)
+        return replace(margin, upper=upper, delta=dict(member), physical=known.physical(member) if member else {})
+
+    # --- members ------------------------------------------------------------------------------------------------------
+
+    def _critical(self, core: UncertainModel, performance: bool) -> dict[str, float]:
+        """Real parameters of a critical Delta of the loop without covers."""
+        if not self.real:
+            return {}
+        analyse = robust_performance if performance else robust_stability
+        found = analyse(core, accuracy=SEARCH, tolerance=np.inf, time_limit=1.0, seed=self.seed)
+        return {name: float(found.delta.get(name, 0.0)) for name in self.real}
+
+    def _unstable_member(self, core: UncertainModel) -> tuple[float, dict[str, float], float]:
+        """One over the size of the smallest Delta of real parameters found whose exact sampled loop is not stable."""
+        delta = self._critical(core, performance=False)
+        for factor in BEYOND:
+            tried = {name: factor * value for name, value in delta.items()}
+            size = max((abs(v) for v in tried.values()), default=0.0)
+            if size > 0 and not np.isfinite(self._gain(tried)):
+                return 1 / size, tried, np.inf
+        return 0.0, {}, 0.0
+
+    def _attained(self, core: UncertainModel) -> tuple[float, dict[str, float], float]:
         """The largest ``min(1 / size, gain)`` on the way through the critical real parameters."""
-        real = {b.name: float(margin.delta.get(b.name, 0.0)) for b in self.plant.blocks if isinstance(b, RealScalar)}
-        size = max((abs(v) for v in real.values()), default=0.0)
-        direction = {name: value / size for name, value in real.items()} if size > 0 else real
+        delta = self._critical(core, performance=True)
+        size = max((abs(v) for v in delta.values()), default=0.0)
+        if size == 0:
+            gain = self._gain({})
+            return gain, {}, gain
+        direction = {name: value / size for name, value in delta.items()}
         best = 0.0, dict[str, float](), 0.0
         low, high, at = 0.0, np.inf, size
-        for _ in range(SIZES if size > 0 else 1):
-            delta = {name: at * value for name, value in direction.items()}
-            gain = self._gain(delta, performance)
-            attained = min(_inverse(at), gain)
-            if attained > best[0]:
-                best = attained, delta, gain
-            if size == 0 or not performance:
+        for _ in range(SIZES):
+            tried = {name: at * value for name, value in direction.items()}
+            gain = self._gain(tried)
+            if min(1 / at, gain) > best[0]:
+                best = min(1 / at, gain), tried, gain
+            low, high = (at, high) if gain < 1 / at else (low, at)
+            wanted = float(np.sqrt(at / gain)) if 0 < gain < np.inf else 0.5 * at
+            inside = wanted if low < wanted < high else np.sqrt(low * high) if low > 0 else 0.5 * high
+            if not np.isfinite(inside) or abs(inside - at) <= SETTLED * at:
                 break
-            low, high = (at, high) if gain < _inverse(at) else (low, at)
-            wanted = np.sqrt(at / gain) if 0 < gain < np.inf else 0.5 * at
-            following = float(wanted if low < wanted < high else np.sqrt(low * high) if low > 0 else 0.5 * high)
-            if abs(following - at) <= 1e-3 * at or not np.isfinite(following):
-                break
-            at = following
+            at = float(inside)
         return best
 
-    def _gain(self, delta: Mapping[str, float], performance: bool) -> float:
+    def _gain(self, delta: Mapping[str, float]) -> float:
         """Lower bound of the sampled-data norm of a member; inf where it is not stable, 0 where it is ill-posed."""
         given = self.plant
         try:
             member = UncertainModel(given.model, given.blocks).evaluate(delta)
-            norm = sampled_loop_norm(GeneralizedPlant(member, given.n_meas, given.n_con), self.K, self.delay, MEMBER)
+            reduced = GeneralizedPlant(member, given.n_meas, given.n_con)
+            return sampled_loop_norm(reduced, self.K, self.delay, MEMBER).lower
         except (InputError, NoTrustworthyNumber):
             return 0.0
-        return norm.lower if performance or not np.isfinite(norm.lower) else 0.0
+
+
+def _check_stable(loop: UncertainModel) -> None:
+    if loop.M.n_states and not loop.M.is_stable():
+        radius = float(np.abs(loop.M.poles()).max())
+        raise NoTrustworthyNumber(
+            WHERE, f"the nominal sampled loop is not stable (a pole of modulus {radius:.6g})",
+            "a controller that stabilises the sampled plant", "a shorter sample time, or discretise_controller",
+        )  # fmt: skip
+
+
+def _without_rests(loop: UncertainModel) -> UncertainModel:
+    """The loop with the blocks of the plant alone."""
+    q, p = loop.delta_shape
+    ins, outs, blocks = list[int](), list[int](), []
+    for block, (w, z) in zip(loop.blocks, block_slices(loop.blocks), strict=True):
+        if not block.name.startswith(REST):
+            ins += range(w.start, w.stop)
+            outs += range(z.start, z.stop)
+            blocks.append(block)
+    ins += range(q, loop.M.n_inputs)
+    outs += range(p, loop.M.n_outputs)
+    m = loop.M
+    return UncertainModel(StateSpaceModel(m.A, m.B[:, ins], m.C[outs], m.D[np.ix_(outs, ins)], m.dt), blocks)

@@ -76,7 +76,9 @@ class SampledUncertainPlant:
     widened: tuple[str, ...]
 
 
-def sample_uncertain_plant(plant: GeneralizedPlant, dt: float, degree: int, delay: float) -> SampledUncertainPlant:
+def sample_uncertain_plant(
+    plant: GeneralizedPlant, dt: float, degree: int, delay: float, size: float = 1.0
+) -> SampledUncertainPlant:
     """The plant with its controls held from ``k dt + delay`` on.
 
     Parameters
@@ -89,6 +91,8 @@ def sample_uncertain_plant(plant: GeneralizedPlant, dt: float, degree: int, dela
         Number of polynomials, at least one.
     delay
         Time in s from the sample to the change of the control, of any number of periods.
+    size
+        Norm of Delta for which the cover of the rests is tightest; it holds for every norm.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def sample_uncertain_plant(plant: GeneralizedPlant, dt: float, degree: int, dela
     """
     channels = _Channels.of(plant)
     period = _Period(plant, channels, dt, degree, delay)
-    return period.assembled()
+    return period.assembled(size)
 
 
 # --- who is who -------------------------------------------------------------------------------------------------------
@@ -241,10 +245,10 @@ class _Period:
                 gains[:, j] = 0.0
         return gains
 
-    def rest_rows(self) -> list[Array]:
+    def rest_rows(self, size: float) -> list[Array]:
         """For each group the rows whose norm bounds that of its outputs' rest."""
         gains = self._gains()
-        shares = _shares(gains)
+        shares = _shares(size * gains)
         found = []
         for i, rest in enumerate(self.rests):
             rows = [rest / np.sqrt(1 - shares[i].sum())]
@@ -259,15 +263,17 @@ class _Period:
 
     # --- the model ----------------------------------------------------------------------------------------------------
 
-    def assembled(self) -> SampledUncertainPlant:
+    def assembled(self, size: float) -> SampledUncertainPlant:
         """The uncertain discrete plant."""
         given, groups = self.plant.blocks, self.channels.groups
-        rest_rows = self.rest_rows()
+        rest_rows = self.rest_rows(size)
+        balance = np.ones(self.width)
         blocks: list[Block] = []
         rows: list[Array] = []
         columns: list[Array] = []
         widened = []
-        used = np.vstack([*rest_rows, *self.means, self.end]).any(axis=0)
+        acting = np.vstack([*self.means, self.end])
+        used = np.vstack([*rest_rows, acting]).any(axis=0)
         for i, group in enumerate(groups):
             block = given[i] if i < len(given) else None
             mean_rows = np.vstack([means.reshape(self.degree, self.n_z, -1)[:, group.z].reshape(-1, self.width)
@@ -288,6 +294,11 @@ class _Period:
                     blocks.append(FullBlock(f"{REST}{block.name}", len(rest_columns), len(wide)))
                     rows.append(wide)
                     columns.append(rest_columns)
+                    # What goes in is as large as what comes out: searches for Delta meet no tiny numbers.
+                    into, out = np.linalg.norm(acting[:, rest_columns]), np.linalg.norm(wide)
+                    if into > 0 and out > 0:
+                        rows[-1] = wide * np.sqrt(into / out)
+                        balance[rest_columns] = np.sqrt(out / into)
                 continue
             if block is None:
                 held = np.arange(self.b.start, self.b.stop)
@@ -297,7 +308,7 @@ class _Period:
             if block is not None:
                 blocks.append(FullBlock(block.name, len(columns[-1]), len(rows[-1]), origin=block.origin))
                 widened += [block.name] if isinstance(block, ComplexScalar) and block.repeats > 1 else []
-        model = self._model(rows, columns)
+        model = self._model(rows, columns, balance)
         names = tuple(self.plant.model.input_names[i] for i in self.channels.held)
         return SampledUncertainPlant(UncertainModel(model, blocks), self.degree, names, tuple(widened))
 
@@ -306,15 +317,14 @@ class _Period:
         places = np.array([np.flatnonzero(self.free == i)[0] for i in group.w], dtype=int)
         return np.concatenate([start + d * k + places for d in range(self.degree)])
 
-    def _model(self, rows: Sequence[Array], columns: Sequence[Array]) -> StateSpaceModel:
+    def _model(self, rows: Sequence[Array], columns: Sequence[Array], balance: Array) -> StateSpaceModel:
         m = self.plant.model
         shifted = np.zeros((self.n_past * self.n_u, self.width))
         if self.n_past:
             shifted[: self.n_u, self.u] = np.eye(self.n_u)
             shifted[self.n_u :, self.past.start : self.past.stop - self.n_u] = np.eye((self.n_past - 1) * self.n_u)
         measured = self._sampled(np.arange(self.n_z, m.n_outputs))
-        states = np.vstack([self.end, shifted])
-        outputs = np.vstack([*rows, measured])
+        states, outputs = np.vstack([self.end, shifted]) * balance, np.vstack([*rows, measured]) * balance
         inputs = np.concatenate([*columns, np.arange(self.u.start, self.u.stop)])
         x = slice(0, self.n + self.n_past * self.n_u)
         return StateSpaceModel(states[:, x], states[:, inputs], outputs[:, x], outputs[:, inputs], self.dt)
