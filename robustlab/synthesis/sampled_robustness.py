@@ -14,7 +14,8 @@ from robustlab.mu_analysis.margin import Margin
 from robustlab.mu_analysis.stability import robust_stability
 from robustlab.mu_analysis.worst_gain import PERFORMANCE, robust_performance
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.synthesis.lifting import lift
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.sampled_data import check_sampling, sampled_loop_norm, with_antialiasing
 from robustlab.synthesis.sampled_uncertainty import REST, SampledUncertainPlant, sample_uncertain_plant
@@ -31,7 +32,7 @@ PROOF, SEARCH, MEMBER = 1e-3, 1e-2, 1e-2
 # Sizes of the worst direction that are tried for the member that attains most, and when they have settled.
 SIZES, SETTLED = 6, 1e-3
 # Multiples of a critical Delta at which its member is tried for instability.
-BEYOND = (1.0, 1.0 + 1e-6, 1.001)
+BEYOND = (1.0, 1.001, 1.01, 1.05, 1.2, 1.6)
 # A member may attain more than was proved by rounding, and no more.
 AGREE = 1e-5
 
@@ -55,7 +56,7 @@ class SampledRobustness:
         Lower bound of the sampled-data norm of that member; inf where it is not stable.
     loop, stability_loop
         The uncertain discrete loops that were proved: ``rl.robust_performance(loop)`` proves it again. Their blocks are
-        those of the plant on the signals of a period, and the covers called ``"rest of ..."``.
+        those of the plant on the signals of a period, and a cover called ``"rest of the real blocks"``.
     degree
         Number of polynomials on each interval of constant control, in ``loop``.
     history
@@ -223,7 +224,7 @@ def _checked(
     needed = sum(b.rows for b in p.blocks), sum(b.cols for b in p.blocks)
     if channels[0] < needed[0] or channels[1] < needed[1]:
         raise InputError(WHERE, f"{channels[0]} and {channels[1]} channels beside u and y", f"at least {needed}")
-    taken = [b.name for b in p.blocks if b.name == PERFORMANCE or b.name.startswith(REST)]
+    taken = [b.name for b in p.blocks if b.name in (PERFORMANCE, REST)]
     if taken:
         raise InputError(WHERE, f"a block is called {taken[0]!r}", "another name for it")
     return p, StateSpaceModel(k.A, k.B, k.C, k.D, k.dt)
@@ -355,12 +356,37 @@ class _Proofs:
     def _unstable_member(self, core: UncertainModel) -> tuple[float, dict[str, float], float]:
         """One over the size of the smallest Delta of real parameters found whose exact sampled loop is not stable."""
         delta = self._critical(core, performance=False)
+        size = max((abs(v) for v in delta.values()), default=0.0)
+        if size == 0:
+            return 0.0, {}, 0.0
+        stable, unstable = 0.0, 0.0
         for factor in BEYOND:
-            tried = {name: factor * value for name, value in delta.items()}
-            size = max((abs(v) for v in tried.values()), default=0.0)
-            if size > 0 and not np.isfinite(self._gain(tried)):
-                return 1 / size, tried, np.inf
-        return 0.0, {}, 0.0
+            if not self._is_stable({name: factor * value for name, value in delta.items()}):
+                unstable = factor
+                break
+            stable = factor
+        while unstable - stable > SETTLED * unstable:
+            middle = 0.5 * (stable + unstable)
+            if self._is_stable({name: middle * value for name, value in delta.items()}):
+                stable = middle
+            else:
+                unstable = middle
+        if not unstable:
+            return 0.0, {}, 0.0
+        return 1 / (unstable * size), {name: unstable * value for name, value in delta.items()}, np.inf
+
+    def _is_stable(self, delta: Mapping[str, float]) -> bool:
+        """Whether a member is stable in its own exact sampled loop; True where that cannot be told."""
+        try:
+            lifted = lift(self._member(delta), self.K.dt, 1, self.delay)
+            return lower_lft(lifted.model, self.K).is_stable()
+        except (InputError, NoTrustworthyNumber):
+            return True
+
+    def _member(self, delta: Mapping[str, float]) -> GeneralizedPlant:
+        given = self.plant
+        member = UncertainModel(given.model, given.blocks).evaluate(delta)
+        return GeneralizedPlant(member, given.n_meas, given.n_con)
 
     def _attained(self, core: UncertainModel) -> tuple[float, dict[str, float], float]:
         """The largest ``min(1 / size, gain)`` on the way through the critical real parameters."""
@@ -387,11 +413,8 @@ class _Proofs:
 
     def _gain(self, delta: Mapping[str, float]) -> float:
         """Lower bound of the sampled-data norm of a member; inf where it is not stable, 0 where it is ill-posed."""
-        given = self.plant
         try:
-            member = UncertainModel(given.model, given.blocks).evaluate(delta)
-            reduced = GeneralizedPlant(member, given.n_meas, given.n_con)
-            return sampled_loop_norm(reduced, self.K, self.delay, MEMBER).lower
+            return sampled_loop_norm(self._member(delta), self.K, self.delay, MEMBER).lower
         except (InputError, NoTrustworthyNumber):
             return 0.0
 
@@ -410,7 +433,7 @@ def _without_rests(loop: UncertainModel) -> UncertainModel:
     q, p = loop.delta_shape
     ins, outs, blocks = list[int](), list[int](), []
     for block, (w, z) in zip(loop.blocks, block_slices(loop.blocks), strict=True):
-        if not block.name.startswith(REST):
+        if block.name != REST:
             ins += range(w.start, w.stop)
             outs += range(z.start, z.stop)
             blocks.append(block)

@@ -5,8 +5,8 @@ samples too. Therefore the signals of Delta are carried over whole periods (lift
 control they are Legendre polynomials of degree below m plus a rest.
 
 ====================  ==================================================================================================
-real parameter        the same real number acts on every coefficient: a repeated real block; the rest is multiplied by
-                      it as well, which is covered by a full block
+real parameter        the same real number acts on every coefficient: a repeated real block; the rests of all of them,
+                      multiplied by the same numbers, are covered by one full block
 dynamic block         a contraction of whole signals: one full block on coefficients and rest together. It covers
                       every linear Delta of that norm whose action repeats from period to period
 performance           disturbances and performance over a period: coefficients and rest together
@@ -48,7 +48,7 @@ __all__ = ["REST", "SampledUncertainPlant", "sample_uncertain_plant"]
 
 Array = NDArray[Any]
 
-REST = "rest of "
+REST = "rest of the real blocks"
 # Share of the right side above that is left for R v where the rests' gains on each other are large.
 ROOM = 0.05
 
@@ -61,7 +61,7 @@ class SampledUncertainPlant:
     ----------
     uncertain
         From [w of the blocks; disturbances; u] to [z of the blocks; performance; y], discrete. Real blocks keep their
-        names, with more repetitions; ``"rest of <name>"`` covers what they do beyond the polynomials.
+        names, with more repetitions; one more block covers what they do beyond the polynomials.
     degree
         m, the number of polynomials on each interval.
     held
@@ -170,8 +170,38 @@ class _Period:
         constant = np.concatenate([channels.held, controls])
         lengths = [part, dt - part] if part else [dt]
         self.intervals = [held_interval(m, channels.groups, constant, self.n_z, h, degree) for h in lengths]
+        self._join_rests()
         self._lay_out()
         self._run()
+
+    def _join_rests(self) -> None:
+        """Units whose rests are covered together: all real blocks, each dynamic block, the disturbances.
+
+        The rests of the real blocks are scaled first, so that each acts on the rest of the loop as strongly as it is
+        driven; ``wide`` is the largest entry of Delta.
+        """
+        blocks, groups = self.plant.blocks, self.channels.groups
+        real = [i for i, b in enumerate(blocks) if isinstance(b, RealScalar)]
+        self.units = [real] * bool(real) + [[i] for i in range(len(groups)) if i not in real]
+        self.real_unit = bool(real)
+        gains = np.max([interval.gains for interval in self.intervals], axis=0)
+        m = self.plant.model
+        for i, to in enumerate(groups):
+            for j, by in enumerate(groups):
+                direct = m.D[np.ix_(to.z, by.w)]
+                gains[i, j] += float(np.linalg.norm(direct, 2)) if direct.size else 0.0
+        wide = np.array([max(1.0, b.ratio) if isinstance(b, RealScalar) else 1.0 for b in blocks] + [1.0])
+        out = np.array([max(_norm(v.rests[i]) for v in self.intervals) for i in range(len(groups))]) * wide
+        into = np.array([max(_norm(v.kicks[i]) for v in self.intervals) for i in range(len(groups))])
+        self.scale = np.ones(len(groups))
+        self.scale[real] = _scales(into[real], out[real], (wide[:, None] * gains)[np.ix_(real, real)])
+        scaled = (wide * self.scale)[:, None] * gains / self.scale
+        self.gains = np.array([[_norm(scaled[np.ix_(to, by)]) for by in self.units] for to in self.units])
+        self.row_scale = wide * self.scale
+        self.joint_kicks = [
+            [thin_rows(np.hstack([v.kicks[i] / self.scale[i] for i in unit]).T).T for unit in self.units]
+            for v in self.intervals
+        ]
 
     def _lay_out(self) -> None:
         """Where everything stands in the vector."""
@@ -185,8 +215,8 @@ class _Period:
         self.x, self.past = take(self.n), take(self.n_past * self.n_u)
         self.coefficients = [take(self.degree * len(self.free)) for _ in self.intervals]
         self.b = take(len(self.channels.held))
-        self.kicks = [[take(k.shape[1]) for k in interval.kicks] for interval in self.intervals]
-        self.beyond = [take(1) for _ in self.channels.groups]
+        self.kicks = [[take(k.shape[1]) for k in interval] for interval in self.joint_kicks]
+        self.beyond = [take(1) for _ in self.units]
         self.point, self.u = take(len(self.channels.point_w)), take(self.n_u)
         self.width = at
 
@@ -203,14 +233,14 @@ class _Period:
         state = np.zeros((self.n, self.width))
         state[:, self.x] = np.eye(self.n)
         self.means: list[Array] = []
-        rests: list[list[Array]] = [[] for _ in self.channels.groups]
+        rests: list[list[Array]] = [[] for _ in self.units]
         for i, interval in enumerate(self.intervals):
             v = np.vstack([state, self._rows(self.coefficients[i]), self._held(), self._control(i)])
             state, means = interval.move @ v, interval.means @ v
-            for j, kick in enumerate(interval.kicks):
+            for j, (unit, kick) in enumerate(zip(self.units, self.joint_kicks[i], strict=True)):
                 state[:, self.kicks[i][j]] += kick[: self.n]
                 means[:, self.kicks[i][j]] += kick[self.n :]
-                rests[j].append(interval.rests[j] @ v)
+                rests[j] += [self.row_scale[g] * interval.rests[g] @ v for g in unit]
             self.means.append(means)
         self.end, self.rests = state, [thin_rows(np.vstack(rows)) for rows in rests]
 
@@ -232,22 +262,9 @@ class _Period:
 
     # --- the rests ----------------------------------------------------------------------------------------------------
 
-    def _gains(self) -> Array:
-        """Bounds of the gains among the rests, direct terms included; none for a rest that is zero or does nothing."""
-        m, groups = self.plant.model, self.channels.groups
-        gains = np.max([interval.gains for interval in self.intervals], axis=0)
-        for i, to in enumerate(groups):
-            for j, by in enumerate(groups):
-                direct = m.D[np.ix_(to.z, by.w)]
-                gains[i, j] += float(np.linalg.norm(direct, 2)) if direct.size else 0.0
-        for j in range(len(groups) - 1):  # the rest of a block is driven by its own z only
-            if not self.rests[j].size and not gains[j].any():
-                gains[:, j] = 0.0
-        return gains
-
     def rest_rows(self, size: float) -> list[Array]:
-        """For each group the rows whose norm bounds that of its outputs' rest."""
-        gains = self._gains()
+        """For each unit the rows whose norm bounds that of its outputs' rest."""
+        gains = self.gains
         shares = _shares(size * gains)
         found = []
         for i, rest in enumerate(self.rests):
@@ -258,76 +275,89 @@ class _Period:
             found.append(np.vstack(rows))
         return found
 
-    def _rest_inputs(self, group: int) -> list[slice]:
-        return [*(kicks[group] for kicks in self.kicks), self.beyond[group]]
+    def _rest_inputs(self, unit: int) -> list[slice]:
+        return [*(kicks[unit] for kicks in self.kicks), self.beyond[unit]]
 
     # --- the model ----------------------------------------------------------------------------------------------------
 
     def assembled(self, size: float) -> SampledUncertainPlant:
         """The uncertain discrete plant."""
-        given, groups = self.plant.blocks, self.channels.groups
+        given = self.plant.blocks
         rest_rows = self.rest_rows(size)
-        balance = np.ones(self.width)
+        used = np.vstack([*rest_rows, *self.means, self.end]).any(axis=0)
         blocks: list[Block] = []
-        rows: list[Array] = []
-        columns: list[Array] = []
-        widened = []
-        acting = np.vstack([*self.means, self.end])
-        used = np.vstack([*rest_rows, acting]).any(axis=0)
-        for i, group in enumerate(groups):
-            block = given[i] if i < len(given) else None
-            mean_rows = np.vstack([means.reshape(self.degree, self.n_z, -1)[:, group.z].reshape(-1, self.width)
-                                   for means in self.means])  # fmt: skip
-            mean_columns = np.concatenate([self._coefficients_of(k, group) for k in range(len(self.intervals))])
-            rest_columns = np.concatenate([np.arange(s.start, s.stop) for s in self._rest_inputs(i)])
-            rest_columns = rest_columns[np.take(used, rest_columns)]
+        rows, columns = list[Array](), list[Array]()
+        for i, block in enumerate(given):
             if isinstance(block, RealScalar):
-                if i in self.channels.at_samples:
-                    here = np.isin(self.channels.point_w, group.w)
-                    mean_rows = np.vstack([mean_rows, self._sampled(self.channels.point_z[here])])
-                    mean_columns = np.concatenate([mean_columns, self.point.start + np.flatnonzero(here)])
+                mean_rows, mean_columns = self._coefficient_channels(i)
                 blocks.append(RealScalar(block.name, len(mean_columns), block.parameter, origin=block.origin))
                 rows.append(mean_rows)
                 columns.append(mean_columns)
-                if len(rest_columns) and rest_rows[i].any():
-                    wide = max(1.0, block.ratio) * rest_rows[i]
-                    blocks.append(FullBlock(f"{REST}{block.name}", len(rest_columns), len(wide)))
-                    rows.append(wide)
+        for rest, unit in zip(rest_rows, self.units, strict=True):
+            rest_columns = np.concatenate(
+                [np.arange(s.start, s.stop) for s in self._rest_inputs(self.units.index(unit))]
+            )
+            rest_columns = rest_columns[np.take(used, rest_columns)]
+            if self.real_unit and unit is self.units[0]:
+                if len(rest_columns) and rest.any():
+                    blocks.append(FullBlock(REST, len(rest_columns), len(rest)))
+                    rows.append(rest)
                     columns.append(rest_columns)
-                    # What goes in is as large as what comes out: searches for Delta meet no tiny numbers.
-                    into, out = np.linalg.norm(acting[:, rest_columns]), np.linalg.norm(wide)
-                    if into > 0 and out > 0:
-                        rows[-1] = wide * np.sqrt(into / out)
-                        balance[rest_columns] = np.sqrt(out / into)
                 continue
-            if block is None:
-                held = np.arange(self.b.start, self.b.stop)
-                mean_columns = np.concatenate([mean_columns, held])
-            rows.append(np.vstack([mean_rows, rest_rows[i]]))
+            mean_rows, mean_columns = self._coefficient_channels(unit[0])
+            rows.append(np.vstack([mean_rows, rest]))
             columns.append(np.concatenate([mean_columns, rest_columns]))
-            if block is not None:
+            if unit[0] < len(given):
+                block = given[unit[0]]
                 blocks.append(FullBlock(block.name, len(columns[-1]), len(rows[-1]), origin=block.origin))
-                widened += [block.name] if isinstance(block, ComplexScalar) and block.repeats > 1 else []
-        model = self._model(rows, columns, balance)
         names = tuple(self.plant.model.input_names[i] for i in self.channels.held)
-        return SampledUncertainPlant(UncertainModel(model, blocks), self.degree, names, tuple(widened))
+        widened = tuple(b.name for b in given if isinstance(b, ComplexScalar) and b.repeats > 1)
+        return SampledUncertainPlant(UncertainModel(self._model(rows, columns), blocks), self.degree, names, widened)
+
+    def _coefficient_channels(self, index: int) -> tuple[Array, NDArray[np.intp]]:
+        """Coefficients of a group's outputs and inputs, with what Delta does at the sample, or what is held."""
+        group = self.channels.groups[index]
+        rows = [means.reshape(self.degree, self.n_z, -1)[:, group.z].reshape(-1, self.width) for means in self.means]
+        columns = [self._coefficients_of(k, group) for k in range(len(self.intervals))]
+        if index in self.channels.at_samples:
+            here = np.isin(self.channels.point_w, group.w)
+            rows.append(self._sampled(self.channels.point_z[here]))
+            columns.append(self.point.start + np.flatnonzero(here))
+        if index == len(self.channels.groups) - 1:
+            columns.append(np.arange(self.b.start, self.b.stop))
+        return np.vstack(rows), np.concatenate(columns)
 
     def _coefficients_of(self, interval: int, group: ChannelGroup) -> NDArray[np.intp]:
         start, k = self.coefficients[interval].start, len(self.free)
         places = np.array([np.flatnonzero(self.free == i)[0] for i in group.w], dtype=int)
         return np.concatenate([start + d * k + places for d in range(self.degree)])
 
-    def _model(self, rows: Sequence[Array], columns: Sequence[Array], balance: Array) -> StateSpaceModel:
+    def _model(self, rows: Sequence[Array], columns: Sequence[Array]) -> StateSpaceModel:
         m = self.plant.model
         shifted = np.zeros((self.n_past * self.n_u, self.width))
         if self.n_past:
             shifted[: self.n_u, self.u] = np.eye(self.n_u)
             shifted[self.n_u :, self.past.start : self.past.stop - self.n_u] = np.eye((self.n_past - 1) * self.n_u)
         measured = self._sampled(np.arange(self.n_z, m.n_outputs))
-        states, outputs = np.vstack([self.end, shifted]) * balance, np.vstack([*rows, measured]) * balance
+        states, outputs = np.vstack([self.end, shifted]), np.vstack([*rows, measured])
         inputs = np.concatenate([*columns, np.arange(self.u.start, self.u.stop)])
         x = slice(0, self.n + self.n_past * self.n_u)
         return StateSpaceModel(states[:, x], states[:, inputs], outputs[:, x], outputs[:, inputs], self.dt)
+
+
+def _norm(matrix: Array) -> float:
+    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+
+def _scales(into: Array, out: Array, gains: Array) -> Array:
+    """Scales d of rests that drive the loop by ``into / d``, are driven by it by ``d out``, by each other by gains."""
+    from scipy.linalg import matrix_balance
+
+    loop = np.zeros((len(into) + 1,) * 2)
+    loop[0, 1:], loop[1:, 0] = into, out
+    loop[1:, 1:] = gains
+    _, (scale, _) = matrix_balance(loop, permute=False, separate=True)
+    return scale[0] / scale[1:]
 
 
 def _shares(gains: Array) -> Array:
