@@ -234,6 +234,14 @@ def _inverse(value: float) -> float:
     return 1 / value if value > 0 else float("inf")
 
 
+@dataclass(frozen=True)
+class _Aim:
+    """Expected margin, and the real parameters of a critical Delta."""
+
+    size: float
+    delta: Mapping[str, float]
+
+
 class _Proofs:
     """The loop over a period with polynomials of growing degree, and what was proved of it."""
 
@@ -258,24 +266,22 @@ class _Proofs:
         _check_stable(loop)
         core = _without_rests(loop)
         performance = len(loop.inputs) > 0 and len(loop.outputs) > 0
-        proof, sampled, loop, (mu_lower, member, gain) = self._refined(core, performance, degrees, accuracy)
-        stability_loop, margins = loop, dict[str, Margin]()
+        aim = self._aim(core, performance)
+        proof, sampled, loop, (mu_lower, member, gain) = self._refined(aim, performance, degrees, accuracy)
+        shown = self._with_member(proof, mu_lower, member)
+        stability, stability_loop = shown, loop
         if performance:
-            margins["performance"] = self._with_member(proof, mu_lower, member)
-            size = _inverse(self._level(core, performance=False))
-            stability_loop = self._loop(sampled.degree, size)[1] if np.isfinite(size) else loop
-            proof = self._proof(stability_loop, performance=False)
-            mu_lower_s, unstable, _ = self._unstable_member(core)
-            margins["stability"] = self._with_member(proof, mu_lower_s, unstable)
-        else:
-            margins["stability"] = self._with_member(proof, mu_lower, member)
+            aim = self._aim(core, performance=False)
+            stability_loop = self._loop(sampled.degree, aim.size)[1]
+            proof = self._proof(stability_loop, False, aim.size)
+            stability = self._with_member(proof, *self._unstable_member(aim.delta)[:2])
         notes = [f"covered by full blocks: {', '.join(sampled.widened)}"] if sampled.widened else []
         if len(self.real) < len(self.plant.blocks):
             notes.append("dynamic blocks: every linear operator that repeats with the sample time; zero in the member")
-        certified = all(m.status is Status.CERTIFIED for m in margins.values())
+        certified = all(m.status is Status.CERTIFIED for m in (shown, stability))
         return SampledRobustness(
-            stability=margins["stability"],
-            performance=margins.get("performance"),
+            stability=stability,
+            performance=shown if performance else None,
             mu_lower=mu_lower,
             member_gain=gain,
             loop=loop,
@@ -291,22 +297,29 @@ class _Proofs:
             notes=tuple(notes),
         )
 
+    def _aim(self, core: UncertainModel, performance: bool) -> _Aim:
+        """What the loop without covers says: no bound, but an estimate, and where to look for members."""
+        if not self.real:
+            return _Aim(self._proof(core, performance, 1.0, SEARCH).lower or 1.0, {})
+        analyse = robust_performance if performance else robust_stability
+        found = analyse(core, accuracy=SEARCH, tolerance=np.inf, time_limit=self._left(), seed=self.seed)
+        size = min(max(found.lower, 1e-12), 1e12)
+        return _Aim(size, {name: float(found.delta.get(name, 0.0)) for name in self.real})
+
     def _refined(
-        self, core: UncertainModel, performance: bool, degrees: tuple[int, ...], accuracy: float
+        self, aim: _Aim, performance: bool, degrees: tuple[int, ...], accuracy: float
     ) -> tuple[Margin, SampledUncertainPlant, UncertainModel, tuple[float, dict[str, float], float]]:
         """The best proof, its loop, and the member that attains most."""
-        level = self._level(core, performance)
-        member = self._attained(core) if performance else self._unstable_member(core)
-        # Without covers the loop is no bound, but it shows what is left to gain.
-        enough = max(level, member[0]) * (1 + accuracy)
+        member = self._attained(aim.delta) if performance else self._unstable_member(aim.delta)
+        enough = max(1 / aim.size, member[0]) * (1 + accuracy)
         best: tuple[Margin, SampledUncertainPlant, UncertainModel] | None = None
         begun = time.monotonic()
         for degree in degrees:
             took, begun = time.monotonic() - begun, time.monotonic()
             if best is not None and begun + 3 * took > self.until:
                 break
-            sampled, loop = self._loop(degree, _inverse(level))
-            margin = self._proof(loop, performance)
+            sampled, loop = self._loop(degree, aim.size)
+            margin = self._proof(loop, performance, aim.size)
             mu, before = _inverse(margin.lower), np.inf if best is None else _inverse(best[0].lower)
             self.history.append((degree, mu))
             self.progress(f"degree {degree}: mu at most {mu:.6g}")
@@ -317,21 +330,19 @@ class _Proofs:
         assert best is not None
         return *best, member
 
+    def _left(self) -> float:
+        return max(self.until - time.monotonic(), 1.0)
+
     def _loop(self, degree: int, size: float) -> tuple[SampledUncertainPlant, UncertainModel]:
         """The closed loop, with the rests covered best for Delta of that size."""
-        size = size if 0 < size < np.inf else 1.0
         sampled = sample_uncertain_plant(self.plant, self.K.dt, degree, self.delay, size)
         return sampled, sampled.uncertain.close(self.K)
 
-    def _proof(self, loop: UncertainModel, performance: bool, accuracy: float = PROOF) -> Margin:
-        """The margin from below alone: nothing is sought that attains it."""
-        left = max(self.until - time.monotonic(), 1.0)
+    def _proof(self, loop: UncertainModel, performance: bool, size: float, accuracy: float = PROOF) -> Margin:
+        """The margin from below alone, where about ``size`` is expected."""
+        options: dict[str, Any] = {"accuracy": accuracy, "tolerance": np.inf, "time_limit": self._left()}
         analyse = robust_performance if performance else robust_stability
-        return analyse(loop, accuracy=accuracy, tolerance=np.inf, time_limit=left, known={})
-
-    def _level(self, core: UncertainModel, performance: bool) -> float:
-        """An estimate of mu: that of the loop without covers."""
-        return _inverse(self._proof(core, performance, SEARCH).lower)
+        return analyse(loop, expected=size * (1 + SEARCH), **options)
 
     def _with_member(self, margin: Margin, mu: float, member: Mapping[str, float]) -> Margin:
         """The proved margin with the member that attains ``mu``."""
@@ -345,17 +356,8 @@ class _Proofs:
 
     # --- members ------------------------------------------------------------------------------------------------------
 
-    def _critical(self, core: UncertainModel, performance: bool) -> dict[str, float]:
-        """Real parameters of a critical Delta of the loop without covers."""
-        if not self.real:
-            return {}
-        analyse = robust_performance if performance else robust_stability
-        found = analyse(core, accuracy=SEARCH, tolerance=np.inf, time_limit=1.0, seed=self.seed)
-        return {name: float(found.delta.get(name, 0.0)) for name in self.real}
-
-    def _unstable_member(self, core: UncertainModel) -> tuple[float, dict[str, float], float]:
-        """One over the size of the smallest Delta of real parameters found whose exact sampled loop is not stable."""
-        delta = self._critical(core, performance=False)
+    def _unstable_member(self, delta: Mapping[str, float]) -> tuple[float, dict[str, float], float]:
+        """One over the size of a multiple of Delta whose exact sampled loop is not stable; 0 where none was found."""
         size = max((abs(v) for v in delta.values()), default=0.0)
         if size == 0:
             return 0.0, {}, 0.0
@@ -388,9 +390,8 @@ class _Proofs:
         member = UncertainModel(given.model, given.blocks).evaluate(delta)
         return GeneralizedPlant(member, given.n_meas, given.n_con)
 
-    def _attained(self, core: UncertainModel) -> tuple[float, dict[str, float], float]:
+    def _attained(self, delta: Mapping[str, float]) -> tuple[float, dict[str, float], float]:
         """The largest ``min(1 / size, gain)`` on the way through the critical real parameters."""
-        delta = self._critical(core, performance=True)
         size = max((abs(v) for v in delta.values()), default=0.0)
         if size == 0:
             gain = self._gain({})
