@@ -136,13 +136,13 @@ def held_interval(
         to_state = kernel_x @ b
         to_means = signs[None, :, None, None] * (y.transpose(0, 1, 3, 2) @ b)
         kernels.append(to_means)
-        stack = np.concatenate([to_state, to_means.reshape(len(s), -1, len(group.w))], axis=1)
+        stack = np.concatenate([to_state, to_means.reshape(len(s), degree * n_z, len(group.w))], axis=1)
         stack = stack - np.tensordot(phi.T, np.tensordot(phi * weights, stack, 1), 1)
         rows = np.sqrt(weights)[:, None, None] * stack
-        kicks.append(thin_rows(rows.transpose(0, 2, 1).reshape(-1, stack.shape[1])).T)
-    rests = tuple(thin_rows(rest[:, g.z].reshape(-1, rest.shape[2])) for g in groups)
+        kicks.append(thin_rows(rows.transpose(0, 2, 1).reshape(len(s) * len(group.w), stack.shape[1])).T)
+    rests = tuple(thin_rows(rest[:, g.z].reshape(len(s) * len(g.z), rest.shape[2])) for g in groups)
     gains = _gains(groups, free, phi, weights, s, length, pulse, kernels, state_part)
-    return HeldInterval(length, move, means.reshape(-1, means.shape[2]), rests, tuple(kicks), gains)
+    return HeldInterval(length, move, means.reshape(degree * n_z, means.shape[2]), rests, tuple(kicks), gains)
 
 
 class _Forward:

@@ -33,6 +33,8 @@ PROOF, SEARCH, MEMBER = 1e-3, 1e-2, 1e-2
 SIZES, SETTLED = 6, 1e-3
 # Multiples of a critical Delta at which its member is tried for instability.
 BEYOND = (1.0, 1.001, 1.01, 1.05, 1.2, 1.6)
+# Margins beyond this, or below its inverse, are none to prepare for.
+LARGEST = 1e6
 # A member may attain more than was proved by rounding, and no more.
 AGREE = 1e-5
 
@@ -234,6 +236,11 @@ def _inverse(value: float) -> float:
     return 1 / value if value > 0 else float("inf")
 
 
+def _sensible(size: float) -> float:
+    """A margin as the size of Delta to prepare for; one where the margin says nothing."""
+    return size if 1 / LARGEST < size < LARGEST else 1.0
+
+
 @dataclass(frozen=True)
 class _Aim:
     """Expected margin, and the real parameters of a critical Delta."""
@@ -300,11 +307,10 @@ class _Proofs:
     def _aim(self, core: UncertainModel, performance: bool) -> _Aim:
         """What the loop without covers says: no bound, but an estimate, and where to look for members."""
         if not self.real:
-            return _Aim(self._proof(core, performance, 1.0, SEARCH).lower or 1.0, {})
+            return _Aim(_sensible(self._proof(core, performance, 1.0, SEARCH).lower), {})
         analyse = robust_performance if performance else robust_stability
         found = analyse(core, accuracy=SEARCH, tolerance=np.inf, time_limit=self._left(), seed=self.seed)
-        size = min(max(found.lower, 1e-12), 1e12)
-        return _Aim(size, {name: float(found.delta.get(name, 0.0)) for name in self.real})
+        return _Aim(_sensible(found.lower), {name: float(found.delta.get(name, 0.0)) for name in self.real})
 
     def _refined(
         self, aim: _Aim, performance: bool, degrees: tuple[int, ...], accuracy: float

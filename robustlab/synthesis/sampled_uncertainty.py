@@ -317,7 +317,9 @@ class _Period:
     def _coefficient_channels(self, index: int) -> tuple[Array, NDArray[np.intp]]:
         """Coefficients of a group's outputs and inputs, with what Delta does at the sample, or what is held."""
         group = self.channels.groups[index]
-        rows = [means.reshape(self.degree, self.n_z, -1)[:, group.z].reshape(-1, self.width) for means in self.means]
+        rows = [
+            means.reshape(self.degree, self.n_z, self.width)[:, group.z].reshape(-1, self.width) for means in self.means
+        ]
         columns = [self._coefficients_of(k, group) for k in range(len(self.intervals))]
         if index in self.channels.at_samples:
             here = np.isin(self.channels.point_w, group.w)

@@ -73,6 +73,21 @@ def test_all_requirements_are_met_and_all_files_are_there(finished):
     assert steps["files"]["numbers"]["order"] == rl.load(folder / "files.json").K.n_states
 
 
+def test_robust_performance_is_proved_before_and_after(finished):
+    _, folder, steps, files = finished
+    numbers = steps["digital"]["numbers"]
+    before, after = numbers["mu_before"], numbers["mu_after"]
+    assert steps["digital"]["status"] == "certified"
+    assert before["lower"] <= before["upper"] < 1.01 * before["lower"]
+    assert after["lower"] <= after["upper"] < 1.02 * after["lower"]
+    assert numbers["margin_after"] == pytest.approx(1 / after["upper"])
+    assert numbers["mu_growth"] == pytest.approx(after["upper"] / before["upper"] - 1)
+    assert 0 < numbers["mu_growth"] < 0.1
+    assert "evidence/digital-robustness.h5" in files
+    uncertain, K = rl.load(folder.parent / "task.h5"), rl.load(folder / "files.h5")
+    assert after["upper"] == pytest.approx(rl.sampled_robustness(uncertain, K, delay=2e-3).mu_upper)
+
+
 def test_all_formats_hold_the_same_controller(finished):
     _, folder, steps, _ = finished
     K = rl.load(folder / "files.h5")
