@@ -245,9 +245,14 @@ def _cover_asymmetric(found: _Found, first: Array, until: float, accuracy: float
         found.level, found.proof = 1 / size, tuple(cover.pieces)
         # Inside the box the level is one; what it says of the set is one over the size of the box.
         found.cover = AxisCover([replace(p, beta=found.level) for p in cover.pieces], [], found.level, cover.points)
-        if failed < size * (1 + 3 * accuracy) or not failed < np.inf:
+        if failed < np.inf:
+            if failed < size * (1 + 3 * accuracy):
+                break
+            size = float(np.sqrt(size * failed))
+        elif found.expected is None:
             break
-        size = float(np.sqrt(size * failed))
+        else:
+            size *= 2
     if not found.proof:
         found.level = float("inf")
 

@@ -32,7 +32,7 @@ PROOF, SEARCH, MEMBER = 1e-3, 1e-2, 1e-2
 # Sizes of the worst direction that are tried for the member that attains most, and when they have settled.
 SIZES, SETTLED = 6, 1e-3
 # Multiples of a critical Delta at which its member is tried for instability.
-BEYOND = (1.0, 1.001, 1.01, 1.05, 1.2, 1.6)
+BEYOND = (1.0, 1.001, *np.geomspace(1.01, 300.0, 24))
 # Margins beyond this, or below its inverse, are none to prepare for.
 LARGEST = 1e6
 # A member may attain more than was proved by rounding, and no more.
@@ -278,7 +278,7 @@ class _Proofs:
         shown = self._with_member(proof, mu_lower, member)
         stability, stability_loop = shown, loop
         if performance:
-            aim = self._aim(core, performance=False)
+            aim = _Aim(_sensible(self._proof(core, False, aim.size, SEARCH).lower), aim.delta)
             stability_loop = self._loop(sampled.degree, aim.size)[1]
             proof = self._proof(stability_loop, False, aim.size)
             stability = self._with_member(proof, *self._unstable_member(aim.delta)[:2])
@@ -369,10 +369,10 @@ class _Proofs:
             return 0.0, {}, 0.0
         stable, unstable = 0.0, 0.0
         for factor in BEYOND:
-            if not self._is_stable({name: factor * value for name, value in delta.items()}):
-                unstable = factor
+            if not self._is_stable({name: float(factor) * value for name, value in delta.items()}):
+                unstable = float(factor)
                 break
-            stable = factor
+            stable = float(factor)
         while unstable - stable > SETTLED * unstable:
             middle = 0.5 * (stable + unstable)
             if self._is_stable({name: middle * value for name, value in delta.items()}):

@@ -109,12 +109,10 @@ def test_all_formats_hold_the_same_controller(finished):
     [
         ("dt = 1e-2\n", "dt = 0.0\n", 3, "step.digital.dt"),
         ("dt = 1e-2\n", "dt = 1e-2\nmethod = 'tusting'\n", 3, "step.digital.method"),
-        ('of = "digital"', 'of = "k"', 3, "continuous controller"),
+        ("dt = 1e-2\n", "dt = 100.0\nmethod = 'tustin'\n", 4, "step 'digital' gave no number"),
         ('of = "digital"', 'of = "nosuch"', 3, "no step 'nosuch'"),
         ('of = "k"', 'of = "task"', 3, "n_con is 3"),
-        ("{ u = [-24.0, 24.0] }", "{ v = [-24.0, 24.0] }", 3, "no output 'v'"),
         ('prefix = "speed"', 'prefix = "a;b"', 3, "step.files.prefix"),
-        ("dt = 1e-2\n", "dt = 100.0\nmethod = 'tustin'\n", 4, "digital"),
     ],
 )
 def test_faults_are_named(old, new, code, words, tmp_path, capsys):
@@ -123,3 +121,19 @@ def test_faults_are_named(old, new, code, words, tmp_path, capsys):
     assert main_guard(lambda: run(["run", str(tmp_path / "r.toml"), "--out", str(tmp_path / "o")])) == code
     captured = capsys.readouterr()
     assert words in captured.err + captured.out
+
+
+@pytest.mark.parametrize(
+    ("dt", "limits", "words"),
+    [(0.0, "", "a continuous controller"), (0.1, "saturation = { v = [-24.0, 24.0] }", "no output 'v'")],
+)
+def test_what_cannot_be_exported(dt, limits, words, tmp_path, capsys):
+    K = rl.StateSpaceModel([], [], [], [[-3.0]], dt, [("omega", "rad/s")], [("u", "V")])
+    rl.save(tmp_path / "k.h5", rl.Controller(K))
+    head = RECIPE.split("[step.task]")[0]
+    (tmp_path / "r.toml").write_text(
+        f'{head}[step.k]\ndo = "load"\npath = "k.h5"\n[step.files]\ndo = "export"\nof = "k"\n{limits}\n'
+    )
+    assert main_guard(lambda: run(["run", str(tmp_path / "r.toml"), "--out", str(tmp_path / "o")])) == 3
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "o" / "files.json").exists()
