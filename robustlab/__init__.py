@@ -71,6 +71,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.synthesis.model_reduction import reduce_model as reduce_model
     from robustlab.synthesis.sampled_controller import discretise_controller as discretise_controller
     from robustlab.synthesis.sampled_data import sampled_data_norm as sampled_data_norm
+    from robustlab.synthesis.sampled_robustness import sampled_robustness as sampled_robustness
     from robustlab.uncertainty.algebra import beside as beside
     from robustlab.uncertainty.algebra import stacked as stacked
     from robustlab.uncertainty.algebra import star as star
@@ -184,6 +185,7 @@ _PUBLIC = {
     "discretise": "synthesis.discretisation",
     "discretise_controller": "synthesis.sampled_controller",
     "sampled_data_norm": "synthesis.sampled_data",
+    "sampled_robustness": "synthesis.sampled_robustness",
     # measurements
     "compare": "identification",
     "discover": "identification.discovery",

@@ -154,6 +154,9 @@ def discretise_controller(
 ) -> None:
     """Digital controller, with the proved norm of the sampled loop, between samples too, and what it loses.
 
+    Of an uncertain plant the norm is that of the nominal loop, and mu of robust performance is proved for the sampled
+    loop as well.
+
     Exit code 1: it loses more than --loss. Exit code 4: no method left the sampled loop stable.
 
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
@@ -164,14 +167,24 @@ def discretise_controller(
 
     K = as_model(load(controller), controller)
     method_given: Any = method
+    given = _plant(plant, K, measurements, controls)
     found = digital(
-        _plant(plant, K, measurements, controls), dt, K, method=method_given, loss=loss, delay=delay,
+        _nominal(given), dt, K, method=method_given, loss=loss, delay=delay,
         antialiasing=antialiasing, prewarp=prewarp, time_limit=time_limit, progress=_progress(),
     )  # fmt: skip
+    robust = None
+    if given.blocks:
+        from robustlab.synthesis.sampled_robustness import sampled_robustness
+
+        robust = sampled_robustness(
+            given, found.K, delay=delay, antialiasing=antialiasing, time_limit=time_limit, progress=_progress()
+        )
     files = {"plant": plant, "controller": controller}
-    rows = [*found.summary(), *_written("synth discretise", out, found.controller, files)]
-    emit("synth discretise", found.to_json(), table(rows), as_json)
-    if not found.status.trustworthy:
+    proved = [(f"sampled: {label}", text) for label, text in robust.summary()] if robust else []
+    rows = [*found.summary(), *proved, *_written("synth discretise", out, found.controller, files)]
+    data = found.to_json() | ({"robustness": robust.to_json()} if robust else {})
+    emit("synth discretise", data, table(rows), as_json)
+    if not (found.status.trustworthy and (robust is None or robust.status.trustworthy)):
         raise typer.Exit(4)
     if found.loss > loss:
         raise typer.Exit(1)
@@ -189,6 +202,14 @@ def _plant(file: str, K: Any, measurements: str | None, controls: str | None) ->
         return as_generalized_plant(loaded, K.n_inputs, K.n_outputs, file)
     names = [[part.strip() for part in text.split(",") if part.strip()] for text in (measurements, controls)]
     return generalized_plant(loaded, *names)
+
+
+def _nominal(plant: GeneralizedPlant) -> GeneralizedPlant:
+    """The plant at Delta = 0."""
+    from robustlab.synthesis.partition import GeneralizedPlant
+    from robustlab.uncertainty.lft import UncertainModel
+
+    return GeneralizedPlant(UncertainModel(plant.model, plant.blocks).nominal, plant.n_meas, plant.n_con)
 
 
 def _progress() -> Any:

@@ -210,6 +210,8 @@ def _on_the_axis(
             if slope.imag == 0:
                 break
             omega -= value.imag / slope.imag
+            if not np.isfinite(omega):
+                break
     return found
 
 

@@ -48,6 +48,8 @@ COARSE = 4e-3
 SHARPENED = (0.1, 0.02, 0.004, 8e-4)
 # Sizes of an asymmetric set that are tried for the largest one that D, G prove.
 SIZES = 12
+# The first of them where nothing is known.
+LARGE = 1e3
 
 
 @dataclass
@@ -60,6 +62,7 @@ class _Found:
     level: float
     cover: AxisCover
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+    expected: float | None = None
 
     @property
     def attained(self) -> float:
@@ -74,6 +77,7 @@ def robust_stability(
     time_limit: float = 60.0,
     seed: int = 0,
     tolerance: float = 0.01,
+    expected: float | None = None,
 ) -> Margin:
     r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
 
@@ -104,6 +108,9 @@ def robust_stability(
         Seed of the search for the critical Delta.
     tolerance
         Relative gap between the bounds that branch and bound aims at; inf: no branch and bound.
+    expected
+        Size at which the margin is expected: the proof alone is made, nothing is sought that attains it (``upper`` is
+        inf, ``delta`` empty).
 
     Raises
     ------
@@ -121,6 +128,8 @@ def robust_stability(
     if not 0 < accuracy < 1 or not tolerance > 0 or not time_limit >= 0:
         found = f"accuracy {accuracy}, tolerance {tolerance}, time_limit {time_limit}"
         raise InputError("robust_stability", found, "0 < accuracy < 1, tolerance > 0, time_limit >= 0")
+    if expected is not None and not 0 < expected < np.inf:
+        raise InputError("robust_stability", f"expected is {expected}", "a positive finite size")
     grid = frequencies(omega, "robust_stability")
     blocks = uncertain.blocks
     if not blocks:
@@ -129,7 +138,7 @@ def robust_stability(
         return _margin(uncertain, nothing, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
     until = time.monotonic() + time_limit
     with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
-        found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed)
+        found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed, expected)
         response = frequency_response(uncertain.delta_channels, grid)
         mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
         mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
@@ -143,17 +152,23 @@ _SYMMETRIC_CURVES = (
 
 
 def _bounds(
-    model: StateSpaceModel, blocks: Sequence[Block], accuracy: float, tolerance: float, until: float, seed: int
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    accuracy: float,
+    tolerance: float,
+    until: float,
+    seed: int,
+    expected: float | None,
 ) -> _Found:
     seeds = seed_frequencies(model)
-    worst = smallest_destabilising(model, blocks, seeds, seed)
     symmetric = bool((lowest(blocks) == -1).all())
-    if not symmetric:
+    worst = smallest_destabilising(model, blocks, seeds, seed) if expected is None else None
+    if not symmetric and expected is None:
         worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
     worst = worst and _as_seen(model, worst)
     if worst and symmetric:  # the search below measures entries of Delta, not their share of each side of a range
         worst = _sharpened(model, blocks, worst, seed)
-    found = _Found(model, blocks, worst, 0.0, AxisCover())
+    found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected)
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
     cover(found, first, until, max(accuracy, COARSE))
@@ -212,7 +227,7 @@ def _cover_symmetric(found: _Found, first: Array, until: float, accuracy: float)
 
 def _cover_asymmetric(found: _Found, first: Array, until: float, accuracy: float) -> None:
     """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
-    size = 1 / found.attained / (1 + accuracy) if found.attained else 1e3
+    size = 1 / found.attained / (1 + accuracy) if found.attained else found.expected or LARGE
     failed = 1 / found.attained if found.attained else np.inf
     for _ in range(SIZES):
         inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
@@ -230,9 +245,14 @@ def _cover_asymmetric(found: _Found, first: Array, until: float, accuracy: float
         found.level, found.proof = 1 / size, tuple(cover.pieces)
         # Inside the box the level is one; what it says of the set is one over the size of the box.
         found.cover = AxisCover([replace(p, beta=found.level) for p in cover.pieces], [], found.level, cover.points)
-        if failed < size * (1 + 3 * accuracy) or not failed < np.inf:
+        if failed < np.inf:
+            if failed < size * (1 + 3 * accuracy):
+                break
+            size = float(np.sqrt(size * failed))
+        elif found.expected is None:
             break
-        size = float(np.sqrt(size * failed))
+        else:
+            size *= 2
     if not found.proof:
         found.level = float("inf")
 

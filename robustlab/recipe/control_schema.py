@@ -23,7 +23,9 @@ from robustlab.recipe.vocabulary import (
 __all__ = [
     "CascadeStep",
     "DesignStep",
+    "DiscretiseStep",
     "DkStep",
+    "ExportStep",
     "FollowTrajectoryStep",
     "FixedStep",
     "H2Step",
@@ -171,6 +173,41 @@ class ReduceControllerStep(DesignStep):
     loss: Annotated[float, Field(ge=0, le=10)] = 0.01
     order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="The order wanted, whatever the loss.")
     measure: Literal["hinf", "h2", "mu"] = Field("hinf", description="mu: robust performance, with the plant's Delta.")
+
+
+class DiscretiseStep(StepBase):
+    """The digital form of a controller, with what the sampled loop loses; robust performance is proved for it anew.
+
+    The norm and mu are those of the continuous plant with sampler, computation delay and hold, between the samples too.
+    """
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["discretise"]
+    of: ToController
+    plant: ToDesignable = Field(description="The problem or generalised plant that the controller was designed for.")
+    dt: Positive = Field(description="Sample time in s.")
+    method: Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"] = "auto"
+    delay: Annotated[float, Field(ge=0)] = Field(0.0, description="Computation delay in s.")
+    prewarp: Positive | None = Field(None, description="rad/s; the peak of the continuous loop where left out.")
+    loss: Annotated[float, Field(ge=0, le=100)] = Field(
+        0.1, description="Share of the norm from which on auto designs for the sampled plant."
+    )
+    antialiasing: Positive | None = Field(None, description="Corner of a filter before the sampler in rad/s.")
+    time_limit: TimeLimit = Field(60.0, description="s, of the search and of each proof.")
+
+
+class ExportStep(StepBase):
+    """A controller for other programs: STEP.c (C99), STEP.json, STEP.mat and STEP.h5 in the output folder."""
+
+    gives: ClassVar[str] = "saved"
+    do: Literal["export"]
+    of: ToController
+    prefix: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")] = Field(
+        "controller", description="Of every name in the C code."
+    )
+    saturation: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
+        {}, description="Limits [low, high] of each control signal in the C code."
+    )
 
 
 class RobustPerformanceStep(StepBase):

@@ -13,7 +13,9 @@ from pydantic_core import PydanticCustomError
 
 from robustlab.recipe.control_schema import (
     CascadeStep,
+    DiscretiseStep,
     DkStep,
+    ExportStep,
     FixedStep,
     FollowTrajectoryStep,
     H2Step,
@@ -467,6 +469,8 @@ Step = Annotated[
     | DkStep
     | FixedStep
     | ReduceControllerStep
+    | DiscretiseStep
+    | ExportStep
     | TrackingProblemStep
     | CascadeStep
     | RobustPerformanceStep

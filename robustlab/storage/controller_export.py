@@ -10,9 +10,9 @@ from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
-from robustlab.result import plain
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import as_model
 from robustlab.storage.controller_code import c_source, saturation_limits
+from robustlab.storage.controller_json import controller_to_json
 from robustlab.storage.interchange import save
 from robustlab.synthesis.controller import Controller
 from robustlab.uncertainty.lft import UncertainModel
@@ -20,7 +20,6 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["EXPORTS", "export_controller"]
 
 EXPORTS = (".c", ".json", ".mat", ".h5", ".hdf5")
-SCHEMA = "robustlab.controller/1"
 
 
 def export_controller(
@@ -38,7 +37,7 @@ def export_controller(
         and units of all signals stand in the comment at the top, every number is exact (hexadecimal).
     ``.json``
         Matrices, sample time, signals with units, what was verified, provenance; numbers as their shortest exact
-        decimals.
+        decimals. `robustlab.load` reads it back.
     ``.mat``, ``.h5``
         As `robustlab.save` writes them.
 
@@ -79,7 +78,7 @@ def export_controller(
         text = c_source(held.K, prefix, limits, _notes(held, origin))
         return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
     if suffix == ".json":
-        text = json.dumps(_as_json(held, limits, origin), indent=1, allow_nan=False, ensure_ascii=True)
+        text = json.dumps(controller_to_json(held, limits, origin), indent=1, allow_nan=False, ensure_ascii=True)
         return atomic_write(path, lambda temporary: temporary.write_text(text + "\n", encoding="ascii"))
     return save(path, held, origin)
 
@@ -90,27 +89,3 @@ def _notes(controller: Controller, origin: Provenance) -> list[str]:
     version = origin.versions.get("robustlab", "")
     notes.append(f"Written by robustlab {version} on {origin.created}, {origin.created_by} {origin.note}".rstrip())
     return [*notes, *(f"From {name}, sha256 {digest}" for name, digest in origin.inputs.items())]
-
-
-def _as_json(
-    controller: Controller, limits: tuple[tuple[float, float], ...] | None, origin: Provenance
-) -> dict[str, Any]:
-    k: StateSpaceModel = controller.K
-    signals = {
-        side: [{"name": s.name, "unit": s.unit} for s in held]
-        for side, held in (("inputs", k.inputs), ("outputs", k.outputs), ("states", k.states))
-    }
-    if any(m.size == 0 for m in (k.A, k.B, k.C, k.D)) and not k.n_inputs * k.n_outputs:
-        raise InputError("JSON export", f"{k.n_inputs} inputs and {k.n_outputs} outputs", "at least one of each")
-    return {
-        "schema": SCHEMA,
-        "convention": "u = K y, positive feedback; x[k+1] = A x[k] + B y[k], u[k] = C x[k] + D y[k]; dx/dt if dt = 0",
-        "dt": k.dt,
-        **signals,
-        **{name: plain(getattr(k, name)) for name in "ABCD"},
-        "gamma": controller.gamma,
-        "status": controller.status.value,
-        "method": controller.method,
-        "saturation": None if limits is None else [list(pair) for pair in limits],
-        "provenance": plain(origin.to_json()),
-    }

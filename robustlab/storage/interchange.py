@@ -22,6 +22,7 @@ from robustlab.provenance import Provenance
 from robustlab.record import Record
 from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.storage.controller_json import is_json, read_controller_json
 from robustlab.storage.matrices import decode_model, encode_model
 from robustlab.storage.pairs import decode_pair, looks_like_a_pair
 from robustlab.storage.plants import decode_plant, encode_plant, is_known_plant
@@ -71,7 +72,7 @@ def load(
     limits: Limits | None = None,
     isolate: bool = True,
 ) -> Stored:
-    """Load the object in a file: HDF5 (format 1 or plain), MATLAB 5 or 7.3, or a text file (a Record).
+    """Load the object in a file: HDF5 (format 1 or plain), MATLAB 5 or 7.3, JSON (a Controller) or text (a Record).
 
     Parameters
     ----------
@@ -136,6 +137,12 @@ def read(
     """Like `load`, but with what is known about the file, and for a pair file with both models."""
     where = str(path)
     if content_of(path, limits) == "text":
+        if is_json(path):
+            if group or transpose:
+                raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
+            held = read_controller_json(path, limits)
+            warnings = (*held.warnings, *_unit_warnings(held.controller))
+            return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
         return Loaded(Record(**read_record(path, group=group, limits=limits)), "record", where, False)
     tree = _tree(path, group, limits, isolate)
     if is_stamped(tree) and group is None:

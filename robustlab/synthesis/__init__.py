@@ -47,6 +47,8 @@ from robustlab.synthesis.sampled_controller import SampledController as SampledC
 from robustlab.synthesis.sampled_controller import discretise_controller as discretise_controller
 from robustlab.synthesis.sampled_data import SampledDataNorm as SampledDataNorm
 from robustlab.synthesis.sampled_data import sampled_data_norm as sampled_data_norm
+from robustlab.synthesis.sampled_robustness import SampledRobustness as SampledRobustness
+from robustlab.synthesis.sampled_robustness import sampled_robustness as sampled_robustness
 from robustlab.synthesis.state_feedback import StateFeedback as StateFeedback
 from robustlab.synthesis.state_feedback import lqg as lqg
 from robustlab.synthesis.state_feedback import lqr as lqr
@@ -98,6 +100,7 @@ __all__ = [
     "ReducedModel",
     "SampledController",
     "SampledDataNorm",
+    "SampledRobustness",
     "balanced_truncation",
     "fixed_structure",
     "h2_hinf",
@@ -120,4 +123,5 @@ __all__ = [
     "reduce_controller",
     "reduce_model",
     "sampled_data_norm",
+    "sampled_robustness",
 ]

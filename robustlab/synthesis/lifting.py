@@ -30,7 +30,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.balancing import triangular_root
 from robustlab.synthesis.partition import GeneralizedPlant
 
-__all__ = ["LiftedPlant", "Rest", "lift", "mean_and_variance"]
+__all__ = ["LiftedPlant", "Rest", "lift", "mean_and_variance", "whole_and_part"]
 
 Array = NDArray[Any]
 
@@ -126,7 +126,7 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
     held = np.flatnonzero(m.D[n_z:, :n_w].any(axis=0))
     free = np.setdiff1d(np.arange(n_w), held)
-    whole, part = _whole_and_part(delay, dt)
+    whole, part = whole_and_part(delay, dt)
     ends = _breakpoints(dt, n_intervals, part)
     n_past = whole + (part > 0)
     past = [f"{name} {k + 1} samples ago" for k in range(n_past) for name in (s.name for s in plant.controls)]
@@ -170,7 +170,8 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
 
 
-def _whole_and_part(delay: float, dt: float) -> tuple[int, float]:
+def whole_and_part(delay: float, dt: float) -> tuple[int, float]:
+    """A delay as whole sample periods and the rest in s."""
     whole = int(np.floor(delay / dt + 1e-12))
     part = delay - whole * dt
     return whole, float(part) if part > 1e-9 * dt else 0.0

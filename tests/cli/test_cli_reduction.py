@@ -81,6 +81,20 @@ def test_a_digital_controller_and_its_loss_as_exit_code(files, capsys):
     assert run(synth.app, "discretise", p, k, "--dt", "0") == 3
 
 
+def test_robust_performance_of_the_sampled_loop_of_an_uncertain_plant(tmp_path, capsys):
+    M = rl.StateSpaceModel([[-1.0]], [[-0.3, 1.0, 1.0]], [[1.0]] * 3, [[0.0] * 3] * 3)
+    p, k = str(tmp_path / "p.h5"), str(tmp_path / "k.h5")
+    rl.save(p, rl.UncertainModel(M, [rl.RealScalar("pole")]))
+    rl.save(k, rl.StateSpaceModel([], [], [], [[-3.0]]))
+    assert run(synth.app, "discretise", p, k, "--dt", "0.05", "--method", "tustin", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    robust = result["robustness"]
+    assert (robust["status"], robust["dt"]) == ("certified", 0.05)
+    # A slow loop: mu is nearly that of x' = -(4 + 0.3 delta) x + d, 1.3 / 4; the norm is the nominal one, 1 / 4.
+    assert robust["mu_upper"] == pytest.approx(1.3 / 4, rel=1e-2)
+    assert result["gamma"] == pytest.approx(1 / 4, rel=1e-2)
+
+
 def test_the_real_command(files):
     p, k, _ = files
     done = subprocess.run(

@@ -56,7 +56,7 @@ def run(library, model, y, prefix="controller"):
 def test_the_compiled_controller_is_the_simulated_one(tmp_path, n, m, p):
     model = random_controller(n, n, m, p)
     path = rl.export_controller(tmp_path / "k.c", model)
-    y = np.random.default_rng(0).standard_normal((400, m))
+    y = np.random.default_rng(0).standard_normal((10_000, m))
     t = model.dt * np.arange(len(y))
     record = rl.simulate(model, t, y)
     wanted = np.column_stack([record[s.name] for s in model.outputs])

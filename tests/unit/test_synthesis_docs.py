@@ -49,6 +49,15 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
     assert names["small"].K.n_states <= robust.K.n_states
     assert names["small"].loss <= 0.05
     assert names["digital"].K.dt == 0.02
+    sampled = names["sampled"]
+    assert sampled.status is rl.Status.CERTIFIED
+    worst = names["spring"].evaluate({name: 0.99 * value for name, value in sampled.member.items()})
+    member = names["tracking_problem"](
+        worst, ["y1"], ["y1"], W1=rl.performance_weight(0.5, 0.02), W2=rl.control_weight(20.0), reference=1.0,
+        reference_bandwidth=1.0, noise=0.001, disturbance=0.1,
+    )  # fmt: skip
+    assert 0.97 * sampled.mu_lower < rl.sampled_data_norm(member.nominal, names["digital"]).lower < sampled.mu_upper
+    assert np.array_equal(names["again"].K.A, names["digital"].K.A)
     printed = capsys.readouterr().out
-    for number in ("2.0983", "2.28", "0.437", "0.778"):
+    for number in ("2.0983", "2.28", "0.437", "0.778", "0.4135", "0.414", "2.41"):
         assert number in printed

@@ -20,7 +20,7 @@ from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.vocabulary import ErrorWeight
 from robustlab.result import Status
 
-__all__ = ["Runs", "cascade", "follow_trajectory", "robust_performance", "simulate_control", "tracking_problem"]
+__all__ = ["Runs", "cascade", "follow_trajectory", "inverse", "robust_performance", "simulate_control", "tracking_problem"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
         grid = frequencies(loop.M, step.points)
         options = {"accuracy": step.accuracy, "time_limit": step.time_limit, "seed": work.seed, "tolerance": math.inf}
         margin = rl.robust_performance(loop, omega=grid, **options)
-        row |= {"mu_lower": _inverse(margin.upper), "mu_upper": _inverse(margin.lower), "frequency": margin.frequency}
+        row |= {"mu_lower": inverse(margin.upper), "mu_upper": inverse(margin.lower), "frequency": margin.frequency}
         margins[name] = margin
         statuses.append(margin.status)
         if step.gain:
@@ -346,7 +346,8 @@ def _sizes_of(given: Any, known: Sequence[str]) -> Any:
     return sizes
 
 
-def _inverse(value: float) -> float:
+def inverse(value: float) -> float:
+    """One over a margin; inf for none."""
     return 1 / value if value > 0 else math.inf
 
 

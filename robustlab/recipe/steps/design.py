@@ -17,7 +17,7 @@ from robustlab.recipe.control_schema import (
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import CloseLoopStep, MixsynStep
 
-__all__ = ["close_loop", "dk", "fixed", "h2", "hinf", "mixsyn", "ncf", "reduce_controller", "tracking_loop"]
+__all__ = ["close_loop", "designed", "dk", "fixed", "h2", "hinf", "mixsyn", "ncf", "reduce_controller", "tracking_loop"]
 
 
 def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
@@ -30,7 +30,7 @@ def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
     weights = [None if given is None else make(**given.model_dump()) for given, make in makers]
     found = rl.mixsyn(model, *weights)
     _draw_sensitivities(found, model, work)
-    return _designed(found, f"Mixed-sensitivity controller for {step.of}.", work)
+    return designed(found, f"Mixed-sensitivity controller for {step.of}.", work)
 
 
 def hinf(step: HinfStep, work: Workspace) -> Outcome:
@@ -41,7 +41,7 @@ def hinf(step: HinfStep, work: Workspace) -> Outcome:
     found = rl.hinf(P, *channels, gamma_rel=step.gamma_rel, time_limit=step.time_limit)
     _draw_loop(found, work)
     _draw_functions(found, step.of, work)
-    return _designed(found, f"H-infinity controller for {step.of}.", work)
+    return designed(found, f"H-infinity controller for {step.of}.", work)
 
 
 def h2(step: H2Step, work: Workspace) -> Outcome:
@@ -52,7 +52,7 @@ def h2(step: H2Step, work: Workspace) -> Outcome:
     found = rl.h2(P, *channels, time_limit=step.time_limit)
     _draw_loop(found, work)
     _draw_functions(found, step.of, work)
-    return _designed(found, f"H2 controller for {step.of}.", work)
+    return designed(found, f"H2 controller for {step.of}.", work)
 
 
 def ncf(step: NcfStep, work: Workspace) -> Outcome:
@@ -63,7 +63,7 @@ def ncf(step: NcfStep, work: Workspace) -> Outcome:
     found = rl.ncf(work.values[step.of], step.W1, step.W2, factor=step.factor)
     _draw_loop(found, work)
     work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
-    return _designed(found, f"Loop-shaping controller for {step.of}.", work)
+    return designed(found, f"Loop-shaping controller for {step.of}.", work)
 
 
 def dk(step: DkStep, work: Workspace) -> Outcome:
@@ -78,7 +78,7 @@ def dk(step: DkStep, work: Workspace) -> Outcome:
     _draw_loop(found, work)
     work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
     _draw_functions(found, step.of, work, proved=False)
-    return _designed(found, f"Robust controller for {step.of}.", work)
+    return designed(found, f"Robust controller for {step.of}.", work)
 
 
 def fixed(step: FixedStep, work: Workspace) -> Outcome:
@@ -92,7 +92,7 @@ def fixed(step: FixedStep, work: Workspace) -> Outcome:
     found = rl.fixed_structure(plant, structure_in_words(step.structure, plant), seed=work.seed, **options)
     _draw_loop(found, work)
     _draw_functions(found, step.of, work, proved=step.nominal and step.objective == "hinf")
-    return _designed(found, f"Controller of structure {step.structure} for {step.of}.", work)
+    return designed(found, f"Controller of structure {step.structure} for {step.of}.", work)
 
 
 def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
@@ -109,7 +109,7 @@ def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
         "time_limit": step.time_limit,
     }
     found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
-    return _designed(found, f"{step.controller} with fewer states.", work)
+    return designed(found, f"{step.controller} with fewer states.", work)
 
 
 def generalised(step: DesignStep, work: Workspace, nominal: bool = False) -> tuple[Any, int | None, int | None]:
@@ -184,7 +184,7 @@ def tracking_loop(system: Any, controller: Any) -> Any:
     return UncertainModel(plant, base.blocks).close(K)
 
 
-def _designed(found: Any, summary: str, work: Workspace) -> Outcome:
+def designed(found: Any, summary: str, work: Workspace) -> Outcome:
     """What a design leaves: every number of it that stands alone, and what a person wants to read."""
     from robustlab.synthesis.limits_of_design import limits_in_words
 
