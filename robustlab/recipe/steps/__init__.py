@@ -10,7 +10,17 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import analysis, campaign, control, design, discovery, measurement, models, published
+from robustlab.recipe.steps import (
+    analysis,
+    campaign,
+    control,
+    design,
+    discovery,
+    measurement,
+    models,
+    published,
+    validation,
+)
 
 __all__ = ["EXECUTORS"]
 
@@ -48,6 +58,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "discover": discovery.discover,
     "data-sheet": measurement.data_sheet,
     "cover": measurement.cover,
+    "validate": validation.validate,
     "published-numbers": published.published_numbers,
     "thesis-case": published.thesis_case,
 }
