@@ -46,9 +46,11 @@ STEPS = 120
 # A step keeps at least this share of the way to the boundary before it.
 KEPT = 0.85
 ROUNDS = 8
-FASTER = 10.0
-# A point counts as centred where the Newton decrement is below this share of the barrier's parameter.
-CENTRED, WELL_CENTRED, MORE = 0.01, 0.3, 3
+# The path's parameter grows by the larger factor; by the smaller one after a centring that took more steps than usual,
+# as it does where many singular values come to the bound together (an all-pass).
+FASTER, SLOWER, USUAL = 10.0, 3.0, 7
+# A point counts as centred where the squared Newton decrement is below this: Newton steps converge from there.
+CENTRED = 0.3
 # What the linearised problem leaves of the noise bound to the error of the linearisation.
 RESERVE = 1e-4
 SLACK = 1e-9
@@ -271,20 +273,19 @@ class _Path:
         sigma = 1.1 * self._excess(self.e - self.J @ theta)
         inside = sigma < 1.1 * 0.995
         sigma = 1.0 if inside else sigma
-        t, penalty, more = 8.0 * self.count, 0, 0
+        t, penalty, steps = 8.0 * self.count, 0, 0
         for _ in range(STEPS):
             if time.monotonic() > deadline and not inside:
                 return None
             weight = None if inside else max(t, self.count / sigma) * PENALTIES[penalty]
             theta, gamma, sigma, decrement = self._newton(theta, gamma, sigma, t / unit, weight)
+            steps += 1
             if not inside and sigma < 0.995:
-                inside, sigma = True, 1.0
+                inside, sigma, steps = True, 1.0, 0
                 continue
-            if decrement > CENTRED * self.count:
+            if decrement > CENTRED:
                 continue
             if not inside:
-                if decrement > 1.0:
-                    continue
                 penalty += 1
                 if penalty == len(PENALTIES):
                     return None
@@ -292,17 +293,15 @@ class _Path:
             left = self.count / t * unit
             wanted = precision * max(gamma, SMALLEST)
             late = time.monotonic() > deadline
-            if left < 8 * wanted or late:
-                if not dual and (left < 0.3 * wanted or late):
+            if dual and (left < 8 * wanted or late):
+                self._bound()
+                if gamma - self.lower < 0.7 * wanted or left < 1e-3 * wanted or late:
                     return theta
-                if dual:
-                    self._bound()
-                    if gamma - self.lower < 0.7 * wanted or left < 1e-3 * wanted or late:
-                        return theta
-                    if decrement > WELL_CENTRED and more < MORE:  # the bound may be poor for want of centring alone
-                        more += 1
-                        continue
-            t, more = t * FASTER, 0
+            elif left < 0.3 * wanted or late:
+                return theta
+            aim = left / (0.4 * wanted if dual else 0.25 * wanted)
+            faster = FASTER if steps <= USUAL else SLOWER
+            t, steps = t * (min(faster, aim) if aim > 1 else faster), 0
         return theta if inside else None
 
     def _regularised(self) -> Array:
