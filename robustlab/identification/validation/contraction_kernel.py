@@ -69,8 +69,11 @@ def barrier_value(h: Array, gamma: float) -> float:
         h = h.transpose(0, 2, 1)
     lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
     factor, info = lapack.dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
-    if info:
-        return np.inf
+    return np.inf if info else _value_of(factor, h, gamma)
+
+
+def _value_of(factor: Array, h: Array, gamma: float) -> float:
+    """The barrier from a Cholesky factor of the room."""
     more = len(h) * (h.shape[2] - h.shape[1])
     return float(-2 * np.log(np.diag(factor)).sum() - more * np.log(gamma))
 
@@ -104,6 +107,8 @@ class Barrier:
 
     Attributes
     ----------
+    value
+        The barrier itself.
     slope, curve
         (n r c,) and (n r c, n r c).
     slope_gamma, curve_gamma, cross
@@ -112,6 +117,7 @@ class Barrier:
         ``2 (gamma^2 I - T T')^-1 T``, whose diagonal sums are the slope; the matrix of the dual norm.
     """
 
+    value: float
     slope: Array
     curve: Array
     slope_gamma: float
@@ -127,14 +133,16 @@ def barrier(h: Array, gamma: float) -> Barrier:
     n, r, c = h.shape
     T = toeplitz(h)
     left, info = lapack.dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
-    half, info_inverse = lapack.dpotri(left, lower=1, overwrite_c=1)
+    value = _value_of(left, h, gamma)
+    half, info_inverse = lapack.dpotri(left, lower=1, overwrite_c=1)  # LAPACK has left zeros above the diagonal
     if info or info_inverse:
         raise np.linalg.LinAlgError("outside of the barrier's domain")
-    Q = np.tril(half) + np.tril(half, -1).T  # (gamma^2 I - T T')^-1
-    S12 = -Q @ T
+    Q = half + half.T  # (gamma^2 I - T T')^-1
+    Q.flat[:: r * n + 1] *= 0.5
+    S12 = -(Q @ T)
     S11 = gamma * Q
     if r == c == 1:  # T' is T turned upside down in both directions
-        S22 = S11[::-1, ::-1]
+        S22 = S11
         curve = _single_curvature(S11, S12)
     else:  # (gamma^2 I - T'T)^-1 = (I + T' Q T) / gamma^2
         S22 = (np.eye(c * n) - T.T @ S12) / gamma
@@ -143,10 +151,11 @@ def barrier(h: Array, gamma: float) -> Barrier:
     slope = diagonal_sums(pull, n, r, c).ravel()
     # phi(s H, s gamma) = phi(H, gamma) - n (r + c) log s: its slope is homogeneous of degree -1.
     return Barrier(
+        value,
         slope,
         curve,
         float(-np.trace(S11) - np.trace(S22)),
-        float((S11**2).sum() + 2 * (S12**2).sum() + (S22**2).sum()),
+        float(np.vdot(S11, S11) + 2 * np.vdot(S12, S12) + np.vdot(S22, S22)),
         -(slope + curve @ h.ravel()) / gamma,
         pull,
     )
