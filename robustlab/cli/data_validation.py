@@ -23,9 +23,17 @@ def validate(
         list[str] | None,
         typer.Option("--noise", help="Noise bound of an output, in its unit: NAME=VALUE.", show_default=False),
     ] = None,
+    domain: Annotated[
+        str,
+        typer.Option("--domain", help="time, or frequency: whole periods in steady state, line by line."),
+    ] = "time",
+    period: Annotated[
+        float | None, typer.Option("--period", help="Frequency domain: period in s where no signal tells it.")
+    ] = None,
     noise_norm: Annotated[
-        str, typer.Option("--noise-norm", help="What the bound is of: peak or rms.", metavar="NORM")
-    ] = "peak",
+        str | None,
+        typer.Option("--noise-norm", help="What the bound is of: peak or rms (frequency domain: rms).", metavar="NORM"),
+    ] = None,
     delta: Annotated[
         str,
         typer.Option("--delta", help="Complex and full blocks are: time-invariant or time-varying.", metavar="KIND"),
@@ -94,6 +102,7 @@ def validate(
         allow_gaps=False,
     )
     norms: dict[str, Literal["peak", "rms"]] = {"peak": "peak", "rms": "rms"}
+    domains: dict[str, Literal["time", "frequency"]] = {"time": "time", "frequency": "frequency"}
     kinds: dict[str, Literal["time-invariant", "time-varying"]] = {
         "time-invariant": "time-invariant",
         "time-varying": "time-varying",
@@ -102,7 +111,9 @@ def validate(
         model,
         record,
         assignments("--noise", noise) if noise else None,
-        noise_norm=norms.get(noise_norm, noise_norm),  # pyright: ignore[reportArgumentType] refused there by name
+        domain=domains.get(domain, domain),  # pyright: ignore[reportArgumentType] refused there by name
+        period=period,
+        noise_norm=norms.get(noise_norm, noise_norm) if noise_norm else None,  # pyright: ignore[reportArgumentType]
         delta=kinds.get(delta, delta),  # pyright: ignore[reportArgumentType]
         at_rest=at_rest,
         window=window,
@@ -138,12 +149,12 @@ def _envelope(model: Any, record: Any, n: int, found: Validation) -> Any:
 
 def _draw(found: Validation, folder: str) -> list[str]:
     from robustlab.report.figures import save_figure
-    from robustlab.report.validation_figures import validation_figure
+    from robustlab.report.validation_figures import validation_figures
 
     return [
         str(path)
-        for name, _ in found.outputs
-        for path in save_figure(validation_figure(found, name), folder, f"validation-{name}")
+        for name, figure in validation_figures(found).items()
+        for path in save_figure(figure, folder, f"validation-{name}")
     ]
 
 

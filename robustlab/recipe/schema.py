@@ -423,7 +423,13 @@ class ValidateStep(StepBase):
     noise: dict[str, Annotated[float, Field(ge=0)]] = Field(
         {}, description="Noise bound of an output, in its unit; from the record's own repeats where all are left out."
     )
-    noise_norm: Literal["peak", "rms"] = "peak"
+    domain: Literal["time", "frequency"] = Field(
+        "time", description="frequency: whole periods of a record in steady state, line by line."
+    )
+    period: Positive | None = Field(None, description="s, frequency domain: where no recorded signal tells it.")
+    noise_norm: Literal["peak", "rms"] | None = Field(
+        None, description="peak where left out; in the frequency domain rms."
+    )
     delta: Literal["time-invariant", "time-varying"] = Field(
         "time-invariant", description="What complex and full blocks are; real ones are constants."
     )

@@ -30,7 +30,7 @@ from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["NoiseNorm", "Recorded", "SampledProblem", "prepared", "sampled", "with_delta_of"]
+__all__ = ["NoiseNorm", "Recorded", "SampledProblem", "noise_bounds", "prepared", "sampled", "with_delta_of"]
 
 Array = NDArray[np.float64]
 NoiseNorm = Literal["peak", "rms"]
@@ -122,7 +122,7 @@ def prepared(
         raise InputError(where, found, reason, "resample the record, or cut it where samples are missing")
     response = response_of(uncertain.nominal, record)
     names = response.output_names
-    bound = _bounds(noise, names, norm, where)
+    bound = noise_bounds(noise, names, norm, where)
     shifted, _ = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     n, n_x = record.n, uncertain.M.n_states
@@ -358,7 +358,8 @@ def _forced(A: Array, B: Array, C: Array, D: Array, u: Array) -> Array:
     return found
 
 
-def _bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
+def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
+    """Noise bounds (n_y,) in the order of ``names``; a bound of zero is a singular noise model."""
     if norm not in ("peak", "rms"):
         raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:

@@ -14,33 +14,37 @@ if TYPE_CHECKING:
 
 __all__ = ["validate"]
 
+_CAPTION = (
+    "{}: the record, the nominal model, and the member that explains it with the smallest Delta; below, what each of "
+    "them leaves, in the noise bound."
+)
+_LINES = "How large each block of Delta is at each frequency in the explanation."
 _NOTE = "Not invalidated is not proved: another record may still invalidate the set."
 
 
 def validate(step: ValidateStep, work: Workspace) -> Outcome:
     """Bounds of the smallest scaling of Delta that explains a record; ``gamma`` is the one that was shown to."""
     from robustlab.identification.validation import validate as validate_with
-    from robustlab.report.validation_figures import validation_figure
+    from robustlab.report.validation_figures import validation_figures
 
     found = validate_with(
         work.uncertain(step.of),
         work.record(step.record),
         step.noise or None,
+        domain=step.domain,
         noise_norm=step.noise_norm,
         delta=step.delta,
         at_rest=step.at_rest,
         window=step.window,
+        period=step.period,
         per_block=step.per_block,
         precision=step.precision,
         time_limit=step.time_limit,
     )
     work.keep(found)
-    for name, _ in found.outputs:
-        caption = (
-            f"{name}: the record, the nominal model, and the member that explains it with the smallest Delta; below, "
-            "what each of them leaves, in the noise bound."
-        )
-        work.draw(validation_figure(found, name), name, caption)
+    for name, figure in validation_figures(found).items():
+        caption = _LINES if name == "delta" and found.domain == "frequency" else _CAPTION.format(name)
+        work.draw(figure, name, caption)
     numbers = {**found.to_json(series=False), "gamma": found.upper}
     summary = f"{step.record} as a record of {step.of}: {found.verdict}."
     return Outcome(found, summary, numbers, _facts(found), found.status, (_NOTE,), found.summary())
