@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robustlab.identification.validation import Validation
-from robustlab.report.figures import COLOURS, axis_label, house_style, new_figure, plain_label
+from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
 
 __all__ = ["validation_figure", "validation_figures"]
 
@@ -53,10 +53,12 @@ def _response_figure(found: Validation, output: str) -> Figure:
     k = [name for name, _ in found.outputs].index(output)
     figure, (axes,) = new_figure(1, 1, width=7.6, height=3.4)
     with house_style():
-        axes.loglog(found.t, found.nominal[:, k], color=COLOURS["nominal"], lw=1.2, ls=(0, (5, 1.5)), label="nominal")
-        axes.loglog(found.t, found.measured[:, k], color=COLOURS["measured"], lw=1.4, label="measured")
+        axes.plot(found.t, found.nominal[:, k], color=COLOURS["nominal"], lw=1.2, ls=(0, (5, 1.5)), label="nominal")
+        axes.plot(found.t, found.measured[:, k], color=COLOURS["measured"], lw=1.4, label="measured")
         if np.isfinite(found.explained).all():
-            axes.loglog(found.t, found.explained[:, k], color=COLOURS["worst"], lw=1.1, label="with the smallest Delta")
+            axes.plot(found.t, found.explained[:, k], color=COLOURS["worst"], lw=1.1, label="with the smallest Delta")
+        logarithmic(axes.xaxis)
+        logarithmic(axes.yaxis)
         axes.set_xlabel("frequency [rad/s]")
         axes.set_ylabel(f"|{plain_label(output)}| per input")
         axes.set_title(plain_label(f"{found.record}: {found.verdict}"))
@@ -70,11 +72,10 @@ def _size_figure(found: Validation) -> Figure:
     kept = found.omega > 0
     with house_style():
         for i, name in enumerate(found.blocks):
-            axes.semilogx(
-                found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=plain_label(name)
-            )
+            axes.plot(found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=plain_label(name))
         axes.axhline(found.upper, color=COLOURS["limit"], lw=1.0, ls=(0, (5, 1.5)), label="gamma")
-        axes.set_ylim(bottom=0.0)
+        logarithmic(axes.xaxis)
+        axes.set_ylim(0.0, 1.15 * max(found.upper, 1e-9))
         axes.set_xlabel("frequency [rad/s]")
         axes.set_ylabel("size of the block")
         axes.set_title(plain_label(f"{found.record}: the Delta that explains it"))

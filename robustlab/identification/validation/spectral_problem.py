@@ -240,7 +240,8 @@ def spectrum_of_record(
     e = (Y - forced[:, p:]) / recorded.bound
     left, weight = np.sqrt(1 - changing), np.where(edge, 1.0, 2.0)[kept]
     problem = _problem(
-        uncertain, 2 * np.pi * f, response[:, :, :q], forced[:, :p], e, recorded.bound[None], left, True, weight, edge[kept]
+        uncertain, 2 * np.pi * f, response[:, :, :q], forced[:, :p], e, recorded.bound[None], left, True, weight,
+        edge[kept],
     )  # fmt: skip
     whole = np.zeros((n // 2 + 1, len(recorded.outputs)), dtype=complex)
     whole[kept] = forced[:, p:] * n
@@ -249,7 +250,15 @@ def spectrum_of_record(
         nominal = nominal + y.mean(axis=0)
     bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
     return Spectrum(
-        problem, recorded.outputs, bound, dt * np.arange(n), y, nominal, Y, recorded.bound[None], tuple(said)
+        problem,
+        recorded.outputs,
+        bound,
+        np.arange(n, dtype=np.float64) * dt,
+        y,
+        np.asarray(nominal, dtype=np.float64),
+        Y,
+        recorded.bound[None],
+        tuple(said),
     )
 
 
