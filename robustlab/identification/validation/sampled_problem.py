@@ -30,7 +30,17 @@ from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["NoiseNorm", "Recorded", "SampledProblem", "noise_bounds", "prepared", "sampled", "with_delta_of"]
+__all__ = [
+    "NoiseNorm",
+    "Recorded",
+    "SampledProblem",
+    "held",
+    "noise_bounds",
+    "prepared",
+    "sampled",
+    "shown",
+    "with_delta_of",
+]
 
 Array = NDArray[np.float64]
 NoiseNorm = Literal["peak", "rms"]
@@ -250,7 +260,7 @@ class SampledProblem:
 def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> SampledProblem:
     """The problem for a model whose Delta channels belong to the given (dynamic) blocks; zero-order hold on u and w."""
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-    A, B, C, D = _held(M, recorded.dt)
+    A, B, C, D = held(M, recorded.dt)
     n_u = B.shape[1] - q
     forced = _forced(A, B[:, q:], C, D[:, q:], recorded.u if n_u else np.zeros((len(recorded.t), 0)))
     z0, y0 = forced[:, :p], forced[:, p:]
@@ -277,7 +287,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         radius,
         recorded.starts,
         recorded.at_rest,
-        _shown(A, C[p:] / recorded.bound[:, None]),
+        shown(A, C[p:] / recorded.bound[:, None]),
         tuple(layout),
         tuple(b.name for b in blocks),
         np.array(scales),
@@ -319,7 +329,7 @@ def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tup
     return closed, tuple(uncertain.blocks[k] for k in kept)
 
 
-def _held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+def held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
     """The model at the record's sample time with all inputs held between samples."""
     if M.is_discrete or not M.n_states:
         return M.A, M.B, M.C, M.D
@@ -333,7 +343,7 @@ def _held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
     return both[:n, :n], both[:n, n:], M.C, M.D
 
 
-def _shown(A: Array, C: Array) -> Array:
+def shown(A: Array, C: Array) -> Array:
     """Orthonormal basis of the state directions that C shows: the row space of the observability matrix."""
     rows, found = C, [C]
     for _ in range(1, len(A)):
