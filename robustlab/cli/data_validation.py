@@ -46,8 +46,13 @@ def validate(
         bool, typer.Option("--per-block", help="Also the smallest scaling of each block alone.")
     ] = False,
     cover: Annotated[
-        int, typer.Option("--cover", help="Also the cheap test: the envelope of so many members.", min=0)
-    ] = 0,
+        int | None,
+        typer.Option(
+            "--cover",
+            help="Beside it the cheap test: the envelope of so many members; 20 for sets of constants.",
+            min=0,
+        ),
+    ] = None,
     at_most: Annotated[
         float | None, typer.Option("--at-most", help="Exit code 1 where gamma is not shown to be at most this.")
     ] = None,
@@ -122,7 +127,8 @@ def validate(
         time_limit=time_limit,
         progress=note,
     )
-    envelope = _envelope(model, record, cover, found) if cover else None
+    members = (20 if all(b.kind == "constant" for b in found.blocks.values()) else 0) if cover is None else cover
+    envelope = _envelope(model, record, members, found) if members else None
     files = [*(_draw(found, figures) if figures else []), *([_keep(found, out, (uncertain, data))] if out else [])]
     for file in files:
         note(f"wrote {file}")

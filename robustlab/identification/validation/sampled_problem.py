@@ -118,10 +118,9 @@ def prepared(
     Raises
     ------
     InputError
-        Signals that do not fit, a clock that is not uniform, an output without a noise bound, windows that are too
-        short.
+        Signals that do not fit, an output without a noise bound, windows that are too short.
     NoTrustworthyNumber
-        A noise bound of zero: the noise model is singular.
+        A clock that is not uniform, or a noise bound of zero: the noise model is singular.
     """
     where = f"validate {record.name}"
     if not record.is_uniform:
@@ -129,7 +128,7 @@ def prepared(
         k = int(np.abs(step - record.dt).argmax())
         found = f"irregular sampling: {step.min():.6g} to {step.max():.6g} s between samples (worst at sample {k + 1})"
         reason = "a uniform clock: Delta acts on samples, and between unequal ones a contraction has no meaning"
-        raise InputError(where, found, reason, "resample the record, or cut it where samples are missing")
+        raise NoTrustworthyNumber(where, found, reason, "resample the record, or cut it where samples are missing")
     response = response_of(uncertain.nominal, record)
     names = response.output_names
     bound = noise_bounds(noise, names, norm, where)

@@ -133,9 +133,10 @@ def validate(
     Raises
     ------
     InputError
-        Irregular sampling, signals that do not fit, no noise bound.
+        Signals that do not fit, an output without a noise bound, blocks that a domain cannot judge.
     NoTrustworthyNumber
-        A noise bound of zero, no noise bound and no repeats to take it from, a solver that gives no answer.
+        Irregular sampling, a noise bound of zero, a record that is not steady, no noise bound and no repeats to take it
+        from, a solver that gives no answer.
 
     Examples
     --------
