@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.recursion import powers, states
-from robustlab.identification.validation.sampled_problem import Recorded, held, shown, with_delta_of
+from robustlab.identification.validation.sampled_problem import Recorded, held, shown
 from robustlab.uncertainty.blocks import RealScalar
 
 __all__ = ["WindowFit", "Windows", "chebyshev"]
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 ENOUGH = 1e-9
 EXCHANGES = 60
+KEPT_NUMBERS = 4_000_000  # of simulated members that are kept
+ILL_POSED = 1e12
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,17 @@ class Windows:
     basis: tuple[Array, ...]
 
 
+@dataclass(frozen=True)
+class Member:
+    """State-space matrices and the sample time (0: continuous)."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    dt: float
+
+
 class WindowFit:
     """Noise of a record for values of its real blocks."""
 
@@ -47,6 +60,9 @@ class WindowFit:
         ends = [*recorded.starts[1:], len(recorded.t)]
         self.cuts = [slice(a, b) for a, b in zip(recorded.starts, ends, strict=True)]
         self.count = np.maximum(recorded.used.sum(axis=0), 1)
+        self._repeats = [b.repeats for b in blocks]
+        self._known: dict[tuple[bytes, tuple[int, ...]], Windows | None] = {}
+        self._kept = max(16, KEPT_NUMBERS // (recorded.used.size + 1))
 
     @property
     def every(self) -> tuple[int, ...]:
@@ -55,11 +71,21 @@ class WindowFit:
 
     def windows(self, delta: Array, which: Sequence[int] | None = None) -> Windows | None:
         """The windows at delta, or the named ones; None where delta is ill-posed."""
-        record, chosen = self.recorded, self.every if which is None else tuple(which)
+        chosen = self.every if which is None else tuple(which)
+        key = np.asarray(delta, dtype=np.float64).tobytes(), chosen
+        if key not in self._known:  # boxes that touch share their corners
+            if len(self._known) >= self._kept:
+                self._known.clear()
+            self._known[key] = self._simulated(delta, chosen)
+        return self._known[key]
+
+    def _simulated(self, delta: Array, chosen: tuple[int, ...]) -> Windows | None:
+        record = self.recorded
+        closed = self._member(delta)
+        if closed is None:
+            return None
         try:
-            values = {b.name: float(d) for b, d in zip(self.blocks, delta, strict=True)}
-            M, _ = with_delta_of(record.uncertain, values)
-            A, B, C, D = held(M, record.dt)
+            A, B, C, D = held(closed, record.dt)
         except NoTrustworthyNumber:
             return None
         C, D = C / record.bound[:, None], D / record.bound[:, None]
@@ -84,6 +110,21 @@ class WindowFit:
                 bases[key] = _orthonormal(moved[: used.shape[1]].transpose(1, 0, 2)[used])
             basis.append(bases[key])
         return Windows(tuple(e), tuple(basis))
+
+    def _member(self, delta: Array) -> Member | None:
+        """``F_u(M, Delta)`` as plain matrices; None where it is (nearly) ill-posed."""
+        M = self.recorded.uncertain.M
+        each = np.repeat(np.asarray(delta, dtype=np.float64), self._repeats)
+        q = len(each)
+        loop = np.eye(q) - each[:, None] * M.D[:q, :q]
+        if np.linalg.cond(loop) > ILL_POSED:
+            return None
+        gain = np.linalg.solve(loop, np.diag(each))  # w = gain (C1 x + D12 u)
+        B1, C1, D12, D21 = M.B[:, :q], M.C[:q], M.D[:q, q:], M.D[q:, :q]
+        return Member(
+            M.A + B1 @ gain @ C1, M.B[:, q:] + B1 @ gain @ D12, M.C[q:] + D21 @ gain @ C1,
+            M.D[q:, q:] + D21 @ gain @ D12, M.dt,
+        )  # fmt: skip
 
     def _forced(self, A: Array, B: Array, C: Array, D: Array, which: Sequence[int]) -> list[Array]:
         """Response of each window from the state zero, (length, n_y); windows of one length run side by side."""
