@@ -228,7 +228,7 @@ def true_models(say):
     invalidated, undecided, runs = 0, 0, 0
     for seed in range(200):
         if seed % 4 == 3:
-            model, record, bound, options = _parametric(seed, hidden=0.0)
+            model, record, bound, options = _parametric(seed)
         else:
             model, inputs, y, noise, size = _plausible(seed)
             record, bound, options = _record(inputs, {"y": y + noise}), {"y": size}, {"at_rest": True}
@@ -238,46 +238,102 @@ def true_models(say):
         invalidated += found.invalidated
         undecided += not found.invalidated and found.upper > 1
     say(f"true models: invalidated {invalidated} of {runs}, undecided {undecided}")
+    judged = [rl.validate(*case[:3], **case[3]) for case in (_steady(seed, False) for seed in range(100))]
+    say(f"true models, frequency domain: invalidated {sum(f.invalidated for f in judged)} of 100,"
+        f" undecided {sum(not f.invalidated and f.upper > 1 for f in judged)}")  # fmt: skip
 
 
-def _parametric(seed, hidden, n=200):
-    """A mass-spring-damper with c, k within 25 %, and a hidden Coulomb force that moves q by hidden x the noise."""
+def _parametric(seed, effect="", n=200):
+    """A mass-spring-damper or a servo axis with constants within 25 %; a hidden effect that peaks at 3 x the noise."""
     rng = np.random.default_rng(seed)
-    plant = rl.plant("mass-spring-damper", m=2.0, c=(1.5, 0.25), k=(8.0, 0.25))
-    model = plant.uncertain()
     t = np.arange(n) * 0.05
-    f = np.repeat(rng.choice([-1.0, 1.0], -(-n // 16)) * rng.uniform(0.5, 1.5, -(-n // 16)), 16)[:n]
+    force = np.repeat(rng.choice([-1.0, 1.0], -(-n // 16)) * rng.uniform(0.5, 1.5, -(-n // 16)), 16)[:n]
+    if "axis" in effect:
+        plant, drive, output = rl.plant("servo-axis", M=(95.0, 0.25), Fv=(200.0, 0.25)), "u", "v"
+    else:
+        plant, drive, output = rl.plant("mass-spring-damper", m=2.0, c=(1.5, 0.25), k=(8.0, 0.25)), "f", "q"
+    model = plant.uncertain(outputs=[output])
     member = model.evaluate({b.name: rng.uniform(-1, 1) for b in model.blocks})
-    clean = rl.simulate(member, t, {"f": f})
-    bound = 0.02 * float(np.abs(clean["q"]).max())
-    q = clean["q"]
-    if hidden:
-        v = np.gradient(q, t)
-        shape = rl.simulate(member, t, {"f": -np.sign(v)})["q"]  # one sweep: the friction of the undisturbed motion
-        q = q + hidden * bound * shape / np.abs(shape).max()
-    return model, rl.Record(t, {"f": f}, {"q": q + bound * rng.uniform(-1, 1, n)}), {"q": bound}, {"at_rest": True}
+
+    def response(x):
+        return rl.simulate(member, t, {drive: x})[output]
+
+    y = response(force)
+    bound = 0.02 * float(np.abs(y).max())
+    if effect:  # one sweep: what the effect does along the undisturbed motion
+        v = y if "axis" in effect else np.gradient(y, t)
+        shape = {
+            "coulomb": lambda: response(-np.sign(v)),
+            "dead zone": lambda: response(-np.clip(force, -0.4, 0.4)),
+            "quadratic": lambda: response(-v * np.abs(v)),
+            "hardening": lambda: response(-(y**3)),
+            "offset": lambda: response(np.ones(n)),
+        }[effect.split(",")[0]]()
+        y = y + 3 * bound * shape / np.abs(shape).max()
+    noisy = y + bound * rng.uniform(-1, 1, n)
+    return model, rl.Record(t, {drive: force}, {output: noisy}), {output: bound}, {"at_rest": True}
+
+
+WRONG_CONSTANTS = (
+    "coulomb",
+    "coulomb, axis",
+    "dead zone",
+    "dead zone, axis",
+    "quadratic, axis",
+    "hardening",
+    "offset, axis",
+)
+
+
+def _wrong_system(seed, kind):
+    """An additive set of small weight and a record whose hidden part no member has; peaks at 3 x the noise."""
+    model, inputs, y, noise, size = _plausible(seed)
+    small = rl.UncertainModel(_scaled(model.M, 0.05), model.blocks)
+    u = inputs["u0"]
+    effect = {"rectifier": np.abs(u), "square": u**2, "product": u * np.roll(u, 1), "saturation": np.tanh(3 * u)}[kind]
+    record = _record(inputs, {"y": 0.05 * y + 3 * size * effect / effect.max() + noise})
+    return small, record, {"y": size}, {"at_rest": True}
+
+
+def _steady(seed, hidden, n=64, periods=4):
+    """Whole periods of a lag with one block of 20 %; hidden: a cube of the output that peaks at 3 x the noise."""
+    rng = np.random.default_rng(seed)
+    form = ["additive", "output-multiplicative", "inverse-output-multiplicative", "inverse-additive"][seed % 4]
+    G = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
+    model = rl.unstructured(G, 0.2, form)
+    lines = np.arange(1, 6)
+    phases = rng.uniform(0, 2 * np.pi, len(lines))
+    u = np.cos(2 * np.pi * np.outer(np.arange(n), lines) / n + phases).sum(axis=1)
+    many = np.tile(u, periods + 8)
+    y = rl.simulate(model.evaluate({"unmodelled": rng.uniform(-1, 1)}), np.arange(len(many)) * 0.2, {"u": many})["y"]
+    y, bound = y[-n * periods :], 0.02 * float(np.abs(y).max())
+    noise = rng.uniform(-1, 1, len(y))
+    noise *= bound * (1 - 1e-9) / np.sqrt(np.mean(noise**2))
+    wrong = 3 * bound * y**3 / np.abs(y**3).max() if hidden else 0.0
+    record = rl.Record(np.arange(len(y)) * 0.2, {"u": np.tile(u, periods)}, {"y": y + wrong + noise})
+    return model, record, {"y": bound}, {"domain": "frequency"}
 
 
 def wrong_models(say):
     """Hidden effects whose share of the output peaks at 3 x the noise bound."""
+    cases = [(f"{effect} | constants", _parametric(1000 + i, effect)) for effect in WRONG_CONSTANTS for i in range(6)]
+    cases += [
+        (f"{kind} | systems", _wrong_system(2000 + i, kind))
+        for kind in ("rectifier", "square", "product", "saturation")
+        for i in range(6)
+    ]
+    cases += [("cube | systems, frequency domain", _steady(3000 + i, True)) for i in range(12)]
     counts = {}
-    for seed in range(40):
-        for kind in ("coulomb, constants", "even, systems"):
-            if kind.startswith("coulomb"):
-                model, record, bound, options = _parametric(1000 + seed, hidden=3.0)
-            else:
-                # A rectified input cannot come from a causal system of size 1 beside a small weight.
-                model, inputs, y, noise, size = _plausible(2000 + seed)
-                small = rl.UncertainModel(_scaled(model.M, 0.05), model.blocks)
-                effect = np.abs(inputs["u0"])
-                y = 0.05 * y + 3 * size * effect / effect.max()
-                record, bound, options = _record(inputs, {"y": y + noise}), {"y": size}, {"at_rest": True}
-                model = small
-            found = rl.validate(model, record, bound, precision=0.02, time_limit=60, **options)
-            done, hits = counts.get(kind, (0, 0))
-            counts[kind] = done + 1, hits + bool(found.lower >= 1)
+    for kind, (model, record, bound, options) in cases:
+        found = rl.validate(model, record, bound, precision=0.02, time_limit=40, **options)
+        done, hits = counts.get(kind, (0, 0))
+        counts[kind] = done + 1, hits + found.invalidated
+        if not found.invalidated:
+            print(f"  {kind}: {found.lower:.3g} .. {found.upper:.3g}", file=sys.stderr, flush=True)
     for kind, (done, hits) in counts.items():
-        say(f"wrong models ({kind}): invalidated {hits} of {done}")
+        say(f"  wrong model, {kind}: invalidated {hits} of {done}")
+    done, hits = np.sum(list(counts.values()), axis=0)
+    say(f"wrong models (hidden effect of 3 x the noise bound): invalidated {hits} of {done}")
 
 
 def _scaled(M, share):
@@ -301,6 +357,20 @@ def speed(say):
             f" {time.process_time() - begun:.1f} s CPU")  # fmt: skip
 
 
+def _machine():
+    """Date, processor and versions of a run."""
+    import datetime
+    import os
+    import platform
+    from importlib.metadata import version
+
+    versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "clarabel"))
+    load = ", ".join(f"{x:.1f}" for x in os.getloadavg())
+    today = datetime.datetime.now(datetime.UTC).date()
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, load {load}"
+    return f"{today}  {machine}; Python {platform.python_version()}, {versions}"
+
+
 def main(wanted):
     jobs = {"known": known, "true": true_models, "wrong": wrong_models, "speed": speed}
     lines = []
@@ -315,7 +385,7 @@ def main(wanted):
             job(say)
             say(f"({name}: {time.process_time() - begun:.0f} s CPU)")
     if not wanted:
-        RESULTS.write_text("\n".join(["benchmarks/validate.py", *lines]) + "\n", encoding="utf-8")
+        RESULTS.write_text("\n".join([f"benchmarks/validate.py  {_machine()}", *lines]) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # the same table for type checkers and editors, which do not 
     from robustlab.identification import compare as compare
     from robustlab.identification.discovery import discover as discover
     from robustlab.identification.remaining_uncertainty import uncertain_from as uncertain_from
+    from robustlab.identification.validation import FrequencyData as FrequencyData
     from robustlab.identification.validation import validate as validate
     from robustlab.mu_analysis import mu as mu
     from robustlab.mu_analysis import robust_performance as robust_performance
@@ -193,6 +194,7 @@ _PUBLIC = {
     "data_cover": "identification.data_cover",
     "uncertain_from": "identification.remaining_uncertainty",
     "validate": "identification.validation",
+    "FrequencyData": "identification.validation",
     # trust
     "Status": "result",
     "RobustlabError": "errors",

@@ -23,9 +23,17 @@ def validate(
         list[str] | None,
         typer.Option("--noise", help="Noise bound of an output, in its unit: NAME=VALUE.", show_default=False),
     ] = None,
+    domain: Annotated[
+        str,
+        typer.Option("--domain", help="time, or frequency: whole periods in steady state, line by line."),
+    ] = "time",
+    period: Annotated[
+        float | None, typer.Option("--period", help="Frequency domain: period in s where no signal tells it.")
+    ] = None,
     noise_norm: Annotated[
-        str, typer.Option("--noise-norm", help="What the bound is of: peak or rms.", metavar="NORM")
-    ] = "peak",
+        str | None,
+        typer.Option("--noise-norm", help="What the bound is of: peak or rms (frequency domain: rms).", metavar="NORM"),
+    ] = None,
     delta: Annotated[
         str,
         typer.Option("--delta", help="Complex and full blocks are: time-invariant or time-varying.", metavar="KIND"),
@@ -38,8 +46,13 @@ def validate(
         bool, typer.Option("--per-block", help="Also the smallest scaling of each block alone.")
     ] = False,
     cover: Annotated[
-        int, typer.Option("--cover", help="Also the cheap test: the envelope of so many members.", min=0)
-    ] = 0,
+        int | None,
+        typer.Option(
+            "--cover",
+            help="Beside it the cheap test: the envelope of so many members; 20 for sets of constants.",
+            min=0,
+        ),
+    ] = None,
     at_most: Annotated[
         float | None, typer.Option("--at-most", help="Exit code 1 where gamma is not shown to be at most this.")
     ] = None,
@@ -94,6 +107,7 @@ def validate(
         allow_gaps=False,
     )
     norms: dict[str, Literal["peak", "rms"]] = {"peak": "peak", "rms": "rms"}
+    domains: dict[str, Literal["time", "frequency"]] = {"time": "time", "frequency": "frequency"}
     kinds: dict[str, Literal["time-invariant", "time-varying"]] = {
         "time-invariant": "time-invariant",
         "time-varying": "time-varying",
@@ -102,7 +116,9 @@ def validate(
         model,
         record,
         assignments("--noise", noise) if noise else None,
-        noise_norm=norms.get(noise_norm, noise_norm),  # pyright: ignore[reportArgumentType] refused there by name
+        domain=domains.get(domain, domain),  # pyright: ignore[reportArgumentType] refused there by name
+        period=period,
+        noise_norm=norms.get(noise_norm, noise_norm) if noise_norm else None,  # pyright: ignore[reportArgumentType]
         delta=kinds.get(delta, delta),  # pyright: ignore[reportArgumentType]
         at_rest=at_rest,
         window=window,
@@ -111,7 +127,8 @@ def validate(
         time_limit=time_limit,
         progress=note,
     )
-    envelope = _envelope(model, record, cover, found) if cover else None
+    members = (20 if all(b.kind == "constant" for b in found.blocks.values()) else 0) if cover is None else cover
+    envelope = _envelope(model, record, members, found) if members else None
     files = [*(_draw(found, figures) if figures else []), *([_keep(found, out, (uncertain, data))] if out else [])]
     for file in files:
         note(f"wrote {file}")
@@ -138,12 +155,12 @@ def _envelope(model: Any, record: Any, n: int, found: Validation) -> Any:
 
 def _draw(found: Validation, folder: str) -> list[str]:
     from robustlab.report.figures import save_figure
-    from robustlab.report.validation_figures import validation_figure
+    from robustlab.report.validation_figures import validation_figures
 
     return [
         str(path)
-        for name, _ in found.outputs
-        for path in save_figure(validation_figure(found, name), folder, f"validation-{name}")
+        for name, figure in validation_figures(found).items()
+        for path in save_figure(figure, folder, f"validation-{name}")
     ]
 
 

@@ -418,6 +418,32 @@ class CoverStep(StepBase):
     seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
 
 
+class ValidateStep(StepBase):
+    """The smallest scaling gamma of Delta for which an uncertain model could have produced a record."""
+
+    do: Literal["validate"]
+    of: ToUncertain
+    record: ToRecord
+    noise: dict[str, Annotated[float, Field(ge=0)]] = Field(
+        {}, description="Noise bound of an output, in its unit; from the record's own repeats where all are left out."
+    )
+    domain: Literal["time", "frequency"] = Field(
+        "time", description="frequency: whole periods of a record in steady state, line by line."
+    )
+    period: Positive | None = Field(None, description="s, frequency domain: where no recorded signal tells it.")
+    noise_norm: Literal["peak", "rms"] | None = Field(
+        None, description="peak where left out; in the frequency domain rms."
+    )
+    delta: Literal["time-invariant", "time-varying"] = Field(
+        "time-invariant", description="What complex and full blocks are; real ones are constants."
+    )
+    at_rest: bool = Field(False, description="The record starts at rest; otherwise its initial state is free.")
+    window: Positive | None = Field(None, description="s; windows with a free start each, for long records.")
+    per_block: bool = Field(False, description="Also the smallest scaling of each block alone.")
+    precision: Annotated[float, Field(ge=1e-4, le=0.2)] = 0.01
+    time_limit: Positive = Field(120.0, description="s")
+
+
 # --- published numbers -----------------------------------------------------------------------------------------------
 
 
@@ -482,6 +508,7 @@ Step = Annotated[
     | DiscoverStep
     | DataSheetStep
     | CoverStep
+    | ValidateStep
     | PublishedNumbersStep
     | ThesisCaseStep,
     Field(discriminator="do"),

@@ -1,4 +1,4 @@
-"""Figure of a record with what the smallest Delta makes of it, and the noise that is left."""
+"""Figures of a record with what the smallest Delta makes of it, and the noise that is left."""
 
 from __future__ import annotations
 
@@ -6,9 +6,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robustlab.identification.validation import Validation
-from robustlab.report.figures import COLOURS, axis_label, house_style, new_figure, plain_label
+from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
 
-__all__ = ["validation_figure"]
+__all__ = ["validation_figure", "validation_figures"]
+
+
+def validation_figures(found: Validation) -> dict[str, Figure]:
+    """All figures of a validation: one for each output, and ``delta`` in the frequency domain."""
+    figures = {}
+    for name, _ in found.outputs:
+        measured_response = found.domain == "frequency" and found.noise_norm == "peak"
+        figures[name] = _response_figure(found, name) if measured_response else validation_figure(found, name)
+    if found.domain == "frequency" and np.isfinite(found.upper):
+        figures["delta"] = _size_figure(found)
+    return figures
 
 
 def validation_figure(found: Validation, output: str) -> Figure:
@@ -30,8 +41,43 @@ def validation_figure(found: Validation, output: str) -> Figure:
         below.axhspan(-bound, bound, color=COLOURS["band"], alpha=0.35, lw=0, label=word)
         above.set_ylabel(axis_label(output, unit))
         below.set_ylabel(axis_label("record minus model", unit))
-        below.set_xlabel("time [s]")
+        below.set_xlabel("time in the mean period [s]" if found.domain == "frequency" else "time [s]")
         above.set_title(plain_label(f"{found.record}: {found.verdict}"))
         handles = [*above.get_legend_handles_labels()[0], *below.get_legend_handles_labels()[0]]
         figure.legend(handles, [str(h.get_label()) for h in handles], loc="outside lower center", ncols=4)
+    return figure
+
+
+def _response_figure(found: Validation, output: str) -> Figure:
+    """Magnitude of a measured frequency response, of the nominal model, and of the explanation."""
+    k = [name for name, _ in found.outputs].index(output)
+    figure, (axes,) = new_figure(1, 1, width=7.6, height=3.4)
+    with house_style():
+        axes.plot(found.t, found.nominal[:, k], color=COLOURS["nominal"], lw=1.2, ls=(0, (5, 1.5)), label="nominal")
+        axes.plot(found.t, found.measured[:, k], color=COLOURS["measured"], lw=1.4, label="measured")
+        if np.isfinite(found.explained).all():
+            axes.plot(found.t, found.explained[:, k], color=COLOURS["worst"], lw=1.1, label="with the smallest Delta")
+        logarithmic(axes.xaxis)
+        logarithmic(axes.yaxis)
+        axes.set_xlabel("frequency [rad/s]")
+        axes.set_ylabel(f"|{plain_label(output)}| per input")
+        axes.set_title(plain_label(f"{found.record}: {found.verdict}"))
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def _size_figure(found: Validation) -> Figure:
+    """Size of each block over frequency, and gamma."""
+    figure, (axes,) = new_figure(1, 1, width=7.6, height=3.0)
+    kept = found.omega > 0
+    with house_style():
+        for i, name in enumerate(found.blocks):
+            axes.plot(found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=plain_label(name))
+        axes.axhline(found.upper, color=COLOURS["limit"], lw=1.0, ls=(0, (5, 1.5)), label="gamma")
+        logarithmic(axes.xaxis)
+        axes.set_ylim(0.0, 1.15 * max(found.upper, 1e-9))
+        axes.set_xlabel("frequency [rad/s]")
+        axes.set_ylabel("size of the block")
+        axes.set_title(plain_label(f"{found.record}: the Delta that explains it"))
+        figure.legend(loc="outside lower center", ncols=5)
     return figure

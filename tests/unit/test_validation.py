@@ -144,7 +144,7 @@ def test_what_is_refused():
     model, record = small()
     t = record.t.copy()
     t[5:] += 0.05
-    with pytest.raises(rl.InputError, match="irregular sampling"):
+    with pytest.raises(rl.NoTrustworthyNumber, match="irregular sampling"):
         rl.validate(model, rl.Record(t, record.inputs, record.outputs), {"y": 0.1})
     with pytest.raises(rl.NoTrustworthyNumber, match="singular noise model"):
         rl.validate(model, record, {"y": 0.0})
@@ -202,3 +202,54 @@ def test_the_command(files, capsys):
     assert command(capsys, *options, "--at-most", "0.3")[0] == 1
     assert command(capsys, files / "set.h5", files / "run.h5", "--noise", "y=0")[0] == 4
     assert command(capsys, files / "run.h5", files / "run.h5", "--noise", "y=0.1")[0] == 3
+
+
+def tall(x):
+    """The column Toeplitz matrix (n r, n) of a signal (n, r)."""
+    n, r = x.shape
+    T = np.zeros((n, r, n))
+    for k in range(n):
+        T[k:, :, k] = x[: n - k]
+    return T.reshape(n * r, n)
+
+
+@pytest.mark.parametrize(("r", "c"), [(1, 1), (2, 1), (1, 2), (2, 2)])
+def test_a_full_block_against_the_theorem(r, c):
+    """Poolla et al., theorem 3.1: without noise gamma^2 is the largest eigenvalue of Y'Y against U'U."""
+    from scipy.linalg import eigh
+
+    n, rng = 20, np.random.default_rng(3)
+    u = rng.standard_normal((n, c)) + 3 * (np.arange(n) == 0)[:, None]
+    D = np.block([[np.zeros((c, r)), np.eye(c)], [np.eye(r), np.zeros((r, c))]])
+    names = [[f"{letter}{i}" for i in range(k)] for letter, k in (("w", r), ("u", c), ("z", c), ("y", r))]
+    M = rl.StateSpaceModel([], [], [], D, 0.1, names[0] + names[1], names[2] + names[3])
+    h = rng.standard_normal((5, r, c)) * 0.5 ** np.arange(5)[:, None, None]
+    y = sum(np.vstack([np.zeros((k, r)), u[: n - k] @ h[k].T]) for k in range(5))
+    record = rl.Record(np.arange(n) * 0.1, dict(zip(names[1], u.T, strict=True)), dict(zip(names[3], y.T, strict=True)))
+    model, noise = rl.UncertainModel(M, [rl.FullBlock("d", r, c)]), dict.fromkeys(names[3], 1e-6)
+    found = rl.validate(model, record, noise, at_rest=True, precision=0.005)
+    TY, TU = tall(y), tall(u)
+    gamma = np.sqrt(eigh(TY.T @ TY, TU.T @ TU, eigvals_only=True)[-1])
+    assert found.lower <= gamma * (1 + 1e-9)
+    assert found.lower >= 0.995 * gamma
+    assert found.upper == pytest.approx(gamma, rel=1e-3)
+
+
+def test_all_passes_and_windows_that_took_too_long_before():
+    model, record, noise, options = benchmark.invariant_case(208, 120, 1, 1.15, all_pass=True)
+    found = rl.validate(model, record, noise, precision=0.005, **options)
+    assert found.status is rl.Status.CERTIFIED
+    assert found.lower <= 1.15 <= found.upper * (1 + 1e-9)
+    # Four windows, one of them with a gap: each a fit of its own.
+    model, t = rl.plant("servo-axis", M=95.0, Fv=(200.0, 0.3)).uncertain(outputs=["q"]), np.arange(400) * 0.01
+    u = np.sign(np.sin(t**1.1))
+    q = rl.simulate(model.evaluate({"Fv": -0.8}), t, {"u": u})["q"]
+    q = q + 1e-4 * np.random.default_rng(0).uniform(-1, 1, len(t))
+    gap, run = {"q": np.arange(110, 130)}, rl.Record(t, {"u": u}, {"q": q})
+    found = rl.validate(model, run, {"q": 1e-4}, window=1.0, missing=gap, precision=0.05)
+    assert found.lower <= 0.8 + 1e-9
+    assert 0.5 < found.upper <= 0.8 * 1.001
+    assert found.replay_error < 1e-3
+    far = rl.validate(model, rl.Record(t, {"u": u}, {"q": q + 0.01 * np.sin(9 * t)}), {"q": 1e-4}, window=1.0)
+    assert far.invalidated
+    assert far.excess > 10

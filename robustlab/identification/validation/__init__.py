@@ -2,5 +2,6 @@
 
 from robustlab.identification.validation.result import BlockSize, Validation
 from robustlab.identification.validation.smallest_delta import validate
+from robustlab.identification.validation.spectral_problem import FrequencyData
 
-__all__ = ["BlockSize", "Validation", "validate"]
+__all__ = ["BlockSize", "FrequencyData", "Validation", "validate"]

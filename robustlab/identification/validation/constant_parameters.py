@@ -19,12 +19,13 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.sampled_problem import Recorded, sampled, with_delta_of
+from robustlab.identification.validation.sampled_problem import Recorded
+from robustlab.identification.validation.window_fit import WindowFit
 from robustlab.uncertainty.blocks import RealScalar
 
 __all__ = ["Parameters", "smallest_parameters"]
@@ -34,7 +35,9 @@ Array = NDArray[np.float64]
 SPARE = 0.25
 WIDEST = 1e3  # parameters beyond this many times their range are not tried
 SLACK = 1e-9
-MOVES = 40
+MOVES, EXCHANGES, FEW = 40, 20, 60
+# After so many moves in a row that leave more than this share of what is beyond the noise bound no more is tried.
+CREEP, CREEPS = 0.995, 3
 
 
 @dataclass(frozen=True)
@@ -66,107 +69,13 @@ class Parameters:
     least_excess: float
 
 
-class _Fit:
-    """Noise of the record for values of the real blocks, with the free states fitted."""
-
-    def __init__(self, recorded: Recorded, blocks: Sequence[RealScalar], scaled: NDArray[np.bool_]) -> None:
-        self.recorded, self.blocks, self.scaled = recorded, blocks, scaled
-        self.count = 0
-
-    def terms(self, delta: Array) -> tuple[Array, Array]:
-        """E and the free responses at the used samples, output after output; +inf where delta is ill-posed."""
-        self.count += 1
-        values = {b.name: float(d) for b, d in zip(self.blocks, delta, strict=True)}
-        try:
-            M, rest = with_delta_of(self.recorded.uncertain, values)
-            problem = sampled(self.recorded, M, rest)
-            _, free = problem.free_response()
-        except NoTrustworthyNumber:
-            return np.full(int(self.recorded.used.sum()), np.inf), np.zeros((int(self.recorded.used.sum()), 0))
-        used = self.recorded.used.T
-        return problem.e.T[used], free.transpose(1, 0, 2)[used]
-
-    def excess(self, e: Array, free: Array) -> tuple[float, Array, Array]:
-        """Least noise over its bound, the noise, and the dual weights."""
-        if not np.isfinite(e).all():
-            return np.inf, e, np.zeros_like(e)
-        if self.recorded.norm == "rms":
-            return self._rms(e, free)
-        return _chebyshev(e, free)
-
-    def _rms(self, e: Array, free: Array) -> tuple[float, Array, Array]:
-        left = e - free @ np.linalg.lstsq(free, e, rcond=None)[0] if free.shape[1] else e
-        sizes = self.sizes(left)
-        weights = np.zeros_like(e)
-        worst = int(np.argmax(sizes))
-        part = self.parts()[worst]
-        weights[part] = left[part]
-        return float(sizes.max()), left, weights
-
-    def whole(self, noise: Array) -> Array:
-        """Noise at the used samples as (n, n_y), zero elsewhere."""
-        full = np.zeros(self.recorded.used.shape)
-        full.T[self.recorded.used.T] = noise
-        return full
-
-    def parts(self) -> list[slice]:
-        """Samples of each output."""
-        ends = np.cumsum([0, *self.recorded.used.sum(axis=0)])
-        return [slice(a, b) for a, b in itertools.pairwise(ends)]
-
-    def sizes(self, noise: Array) -> Array:
-        """Noise of each output over its bound."""
-        if self.recorded.norm == "peak":
-            return np.array([np.abs(noise[p]).max(initial=0.0) for p in self.parts()])
-        return np.array([np.linalg.norm(noise[p]) / np.sqrt(max(p.stop - p.start, 1)) for p in self.parts()])
-
-    def witness(self, weights: Array, delta: Array) -> float:
-        """F(delta): above 1, no noise within the bound explains the record at delta."""
-        e, free = self.terms(delta)
-        if not np.isfinite(e).all():
-            return np.inf
-        if free.shape[1]:
-            weights = weights - free @ np.linalg.lstsq(free, weights, rcond=None)[0]
-        if self.recorded.norm == "peak":
-            norm = float(np.abs(weights).sum())
-        else:
-            norm = sum(float(np.linalg.norm(weights[p])) * np.sqrt(p.stop - p.start) for p in self.parts())
-        return float(weights @ e) / norm if norm > 0 else 0.0
-
-
-def _chebyshev(e: Array, free: Array) -> tuple[float, Array, Array]:
-    """Least largest ``|e - free x|``, the rest, and the dual weights."""
-    from scipy.optimize import linprog
-
-    if not free.shape[1]:
-        worst = int(np.abs(e).argmax())
-        weights = np.zeros_like(e)
-        weights[worst] = np.sign(e[worst])
-        return float(np.abs(e[worst])), e, weights
-    left, sigma, _ = np.linalg.svd(free, full_matrices=False)
-    basis = left[:, sigma > 1e-11 * sigma[0]] * np.sqrt(len(e)) if sigma[0] > 0 else left[:, :0]
-    # Least squares first: the programme then works on numbers of one size.
-    rest = e - basis @ (basis.T @ e) / len(e)
-    size = float(np.abs(rest).max()) or 1.0
-    rest = rest / size
-    one = np.ones((len(e), 1))
-    rows = np.vstack([np.hstack([-basis, -one]), np.hstack([basis, -one])])
-    cost = np.append(np.zeros(basis.shape[1]), 1.0)
-    found = linprog(cost, rows, np.concatenate([-rest, rest]), bounds=[(None, None)] * len(cost), method="highs")
-    if found.x is None or not np.isfinite(found.x).all():
-        raise NoTrustworthyNumber("validate", f"the fit of the free states gave no answer ({found.message})")
-    noise = (rest - basis @ found.x[:-1]) * size
-    dual = -found.ineqlin.marginals
-    return float(np.abs(noise).max()), noise, dual[: len(e)] - dual[len(e) :]
-
-
 def smallest_parameters(
     recorded: Recorded, blocks: Sequence[RealScalar], scaled: NDArray[np.bool_], precision: float, deadline: float
 ) -> Parameters:
     """Bounds of the largest ``|delta|`` over the blocks that ``scaled`` names; the others stay within [-1, 1]."""
-    fit = _Fit(recorded, blocks, scaled)
+    fit = WindowFit(recorded, blocks)
     m = len(blocks)
-    zero = fit.excess(*fit.terms(np.zeros(m)))
+    zero = fit.excess(fit.windows(np.zeros(m)))
     if zero[0] <= 1 + SLACK:
         return Parameters(0.0, 0.0, np.zeros(m), fit.whole(zero[1]), 1, True, zero[0])
     starts = [np.zeros(m)]
@@ -174,13 +83,17 @@ def smallest_parameters(
     starts += [rng.uniform(-1, 1, m) for _ in range(3 if m > 1 else 1)]
     best: tuple[float, Array] = (np.inf, np.zeros(m))
     least = zero[0]
-    for start in starts:
-        found, excess = _descend(fit, start, precision, deadline)
+    for k, start in enumerate(starts):
+        found, excess = _descend(fit, start, scaled, precision, deadline)
         least = min(least, excess)
         size = _size(found, scaled) if excess <= 1 + SLACK else np.inf
         if size < best[0]:
             best = size, found
-    return _branch(fit, best, least, precision, deadline)
+        if k == 0 and np.isinf(size):  # often a few boxes show that there is nothing to be found
+            tried = _branch(fit, best, least, scaled, precision, deadline, FEW)
+            if tried.finished:
+                return tried
+    return _branch(fit, best, least, scaled, precision, deadline)
 
 
 def _size(delta: Array, scaled: NDArray[np.bool_]) -> float:
@@ -189,52 +102,41 @@ def _size(delta: Array, scaled: NDArray[np.bool_]) -> float:
     return float(np.abs(delta[scaled]).max(initial=0.0))
 
 
-def _descend(fit: _Fit, delta: Array, precision: float, deadline: float) -> tuple[Array, float]:
+def _descend(
+    fit: WindowFit, delta: Array, scaled: NDArray[np.bool_], precision: float, deadline: float
+) -> tuple[Array, float]:
     """Successive linear programmes: first into the noise bound, then to the smallest delta."""
-    from scipy.optimize import linprog
-
-    e, free = fit.terms(delta)
-    excess, noise, _ = fit.excess(e, free)
+    at = fit.windows(delta)
+    excess, noise, _ = fit.excess(at)
     radius, m = 0.5, len(delta)
-    best = (np.inf, delta, excess)
+    best, creeps = (np.inf, delta, excess), 0
     for _ in range(MOVES):
-        if time.monotonic() > deadline:
+        if creeps >= CREEPS or at is None or time.monotonic() > deadline:
             break
         step = 1e-5 * max(1.0, float(np.abs(delta).max(initial=0.0)))
-        slopes = []
-        for k in range(m):
-            ahead, back = (fit.terms(delta + s * step * np.eye(m)[k])[0] for s in (1, -1))
-            slopes.append((ahead - back) / (2 * step))
-        lean = np.column_stack(slopes)
-        basis = _spanned(free)
-        # Variables: change of delta, free states, size of delta, excess of the noise.
-        n, k = len(e), basis.shape[1]
-        turn = np.hstack([lean, -basis * np.sqrt(n), np.zeros((n, 1)), -np.ones((n, 1))])
-        rows = [turn, np.hstack([-lean, basis * np.sqrt(n), np.zeros((n, 1)), -np.ones((n, 1))])]
-        one = (1 - 1e-7) * np.ones(n) if fit.recorded.norm == "peak" else 0.999 * _share(fit, noise)
-        right = [one - noise, one + noise]
-        box = np.hstack([np.eye(m), np.zeros((m, k)), np.where(fit.scaled, -1.0, 0.0)[:, None], np.zeros((m, 1))])
-        limit = np.where(fit.scaled, 0.0, 1.0)
-        other = np.hstack([-np.eye(m), np.zeros((m, k)), np.where(fit.scaled, -1.0, 0.0)[:, None], np.zeros((m, 1))])
-        rows += [box, other]
-        right += [limit - delta, limit + delta]
-        cost = np.concatenate([np.zeros(m + k), [1.0, 1e4]])
-        bounds = [(-radius, radius)] * m + [(None, None)] * k + [(0, WIDEST), (0, None)]
-        found = linprog(cost, np.vstack(rows), np.concatenate(right), bounds=bounds, method="highs")
-        if found.x is None or not np.isfinite(found.x).all():
+        sides = [[fit.windows(delta + s * step * np.eye(m)[k]) for s in (1, -1)] for k in range(m)]
+        if any(side is None for pair in sides for side in pair):
             break
-        new = delta + found.x[:m]
-        new_e, new_free = fit.terms(new)
-        new_excess, new_noise, _ = fit.excess(new_e, new_free)
+        lean = [
+            np.column_stack([(ahead.e[i] - back.e[i]) / (2 * step) for ahead, back in sides])  # pyright: ignore[reportOptionalMemberAccess]
+            for i in fit.every
+        ]
+        move = _linear_move(fit, delta, noise, lean, at.basis, scaled, radius)
+        if move is None:
+            break
+        new = delta + move
+        new_at = fit.windows(new)
+        new_excess, new_noise, _ = fit.excess(new_at)
         was, now = max(excess - 1, 0.0) * 1e4, max(new_excess - 1, 0.0) * 1e4
-        gain = was + _size(delta, fit.scaled) - now - _size(new, fit.scaled)
-        if new_excess <= 1 + SLACK and _size(new, fit.scaled) < best[0]:
-            best = _size(new, fit.scaled), new, new_excess
+        creeps = creeps + 1 if now > CREEP * was > 0 else 0
+        gain = was + _size(delta, scaled) - now - _size(new, scaled)
+        if new_excess <= 1 + SLACK and _size(new, scaled) < best[0]:
+            best = _size(new, scaled), new, new_excess
         if gain > 0:
             moved = float(np.abs(new - delta).max())
-            delta, e, free, excess, noise = new, new_e, new_free, new_excess, new_noise
+            delta, at, excess, noise = new, new_at, new_excess, new_noise
             radius = min(2 * radius, max(4 * moved, 1e-3), WIDEST)
-            if excess <= 1 + SLACK and moved < 0.02 * precision * max(_size(delta, fit.scaled), 1e-9):
+            if moved < 0.02 * precision * max(_size(delta, scaled), 1e-9) and (excess <= 1 + SLACK or moved < 1e-9):
                 break
         else:
             radius /= 4
@@ -243,24 +145,107 @@ def _descend(fit: _Fit, delta: Array, precision: float, deadline: float) -> tupl
     return (best[1], best[2]) if np.isfinite(best[0]) else (delta, excess)
 
 
-def _share(fit: _Fit, noise: Array) -> Array:
-    """Peaks that an rms bound leaves to the samples: those of the present noise, scaled into the bound."""
-    allowed = np.empty_like(noise)
-    for part, size in zip(fit.parts(), fit.sizes(noise), strict=True):
-        allowed[part] = np.abs(noise[part]) / max(size, 1e-12) + 1e-9
+def _linear_move(
+    fit: WindowFit,
+    delta: Array,
+    noise: list[Array],
+    lean: list[Array],
+    basis: tuple[Array, ...],
+    scaled: NDArray[np.bool_],
+    radius: float,
+) -> Array | None:
+    """Change of delta that the linearised problem asks for; a programme over a few samples of each window at a time.
+
+    Variables: change of delta, size of delta, excess of the noise, free states of each window.
+    """
+    from scipy import sparse
+    from scipy.optimize import linprog
+
+    m = len(delta)
+    limits = [_peaks(fit, noise, i) for i in fit.every]
+    taken = [_first_samples(x / limit, m + Q.shape[1]) for x, limit, Q in zip(noise, limits, basis, strict=True)]
+    starts = np.cumsum([m + 2, *(Q.shape[1] for Q in basis)])
+    signs = np.where(scaled, -1.0, 0.0)[:, None]
+    box = np.hstack(
+        [np.vstack([np.eye(m), -np.eye(m)]), np.vstack([signs, signs]), np.zeros((2 * m, starts[-1] - m - 1))]
+    )
+    room = np.where(scaled, 0.0, 1.0)
+    cost = np.zeros(starts[-1])
+    cost[m], cost[m + 1] = 1.0, 1e4
+    bounds = [(-radius, radius)] * m + [(0, WIDEST), (0, None)] + [(None, None)] * int(starts[-1] - m - 2)
+    x = np.zeros(0)
+    for _ in range(EXCHANGES):
+        moved = _rows_of(taken, lean, basis, starts)
+        at = np.arange(moved.shape[0]), np.full(moved.shape[0], m + 1)
+        spare = sparse.csr_matrix((np.ones(moved.shape[0]), at), moved.shape)
+        here = np.concatenate([each[rows] for each, rows in zip(noise, taken, strict=True)])
+        limit = np.concatenate([each[rows] for each, rows in zip(limits, taken, strict=True)])
+        matrix = sparse.vstack([moved - spare, -moved - spare, sparse.csr_matrix(box)])
+        right = np.concatenate([limit - here, limit + here, room - delta, room + delta])
+        found = linprog(cost, matrix, right, bounds=bounds, method="highs")
+        if found.x is None or not np.isfinite(found.x).all():
+            return None
+        x, missed = np.asarray(found.x), 0
+        for i, rows in enumerate(taken):
+            after = noise[i] + lean[i] @ x[:m]
+            after -= basis[i] @ x[starts[i] : starts[i + 1]] * np.sqrt(len(after))
+            beyond = np.abs(after) - limits[i] - x[m + 1]
+            worst = [k for k in np.argsort(-beyond)[:3] if beyond[k] > 1e-8]
+            missed += len(set(worst) - set(rows))
+            taken[i] = sorted({*rows, *worst})
+        if not missed:
+            break
+    return x[:m]
+
+
+def _rows_of(taken: list[list[int]], lean: list[Array], basis: tuple[Array, ...], starts: NDArray[np.int_]) -> Any:
+    """Change of the noise at the taken samples: sparse, (samples, variables)."""
+    from scipy import sparse
+
+    counts = [len(rows) for rows in taken]
+    m = lean[0].shape[1]
+    first = np.concatenate([part[rows] for part, rows in zip(lean, taken, strict=True)])
+    data, at_row, at_col = [first.ravel()], [np.arange(len(first)).repeat(m)], [np.tile(np.arange(m), len(first))]
+    top = 0
+    for i, rows in enumerate(taken):
+        k = basis[i].shape[1]
+        data.append((-np.sqrt(len(basis[i])) * basis[i][rows]).ravel())
+        at_row.append((top + np.arange(counts[i])).repeat(k))
+        at_col.append(np.tile(starts[i] + np.arange(k), counts[i]))
+        top += counts[i]
+    where = np.concatenate(at_row), np.concatenate(at_col)
+    return sparse.csr_matrix((np.concatenate(data), where), (top, int(starts[-1])))
+
+
+def _first_samples(noise: Array, count: int) -> list[int]:
+    """The largest samples, and some spread over the window."""
+    largest = np.argsort(-np.abs(noise))[: 2 * count + 2]
+    spread = np.linspace(0, len(noise) - 1, 2 * count + 2) if len(noise) else []
+    return sorted({*map(int, largest), *map(int, spread)})
+
+
+def _peaks(fit: WindowFit, noise: list[Array], window: int) -> Array:
+    """What each sample may be off: 1 for peak bounds; for rms those of the present noise, scaled into the bound."""
+    x = noise[window]
+    if fit.recorded.norm == "peak":
+        return np.full(len(x), 1 - 1e-7)
+    allowed = np.empty_like(x)
+    for part, size in zip(fit.outputs(window), fit.sizes(noise), strict=True):
+        allowed[part] = 0.999 * (np.abs(x[part]) / max(size, 1e-12) + 1e-9)
     return allowed
 
 
-def _spanned(free: Array) -> Array:
-    if not free.shape[1]:
-        return free
-    left, sigma, _ = np.linalg.svd(free, full_matrices=False)
-    return left[:, sigma > 1e-11 * sigma[0]] if sigma[0] > 0 else left[:, :0]
-
-
-def _branch(fit: _Fit, best: tuple[float, Array], least: float, precision: float, deadline: float) -> Parameters:
-    """Branch and bound over delta, boxes nearest to nominal first."""
-    m, scaled = len(fit.blocks), fit.scaled
+def _branch(
+    fit: WindowFit,
+    best: tuple[float, Array],
+    least: float,
+    scaled: NDArray[np.bool_],
+    precision: float,
+    deadline: float,
+    most: float = np.inf,
+) -> Parameters:
+    """Branch and bound over delta, boxes nearest to nominal first; not finished where ``most`` boxes are not enough."""
+    m = len(fit.blocks)
     points = np.array([q for q in itertools.product((-1.0, 1.0, 0.0), repeat=m) if any(q)])
     counter = itertools.count()
     outer = np.where(scaled, WIDEST if not np.isfinite(best[0]) else best[0], 1.0)
@@ -274,12 +259,11 @@ def _branch(fit: _Fit, best: tuple[float, Array], least: float, precision: float
         if nearest >= best[0] * (1 - precision):
             lower = min(nearest, best[0])
             break
-        if time.monotonic() > deadline:
+        if boxes >= most or time.monotonic() > deadline:
             finished = False
             break
         boxes += 1
-        e, free = fit.terms(centre)
-        excess, _, weights = fit.excess(e, free)
+        excess, _, weights = fit.excess(fit.windows(centre))
         least = min(least, excess)
         if excess <= 1 + SLACK:
             size = _size(centre, scaled)
@@ -303,5 +287,5 @@ def _branch(fit: _Fit, best: tuple[float, Array], least: float, precision: float
                 heapq.heappush(heap, (near, next(counter), middle, part))
     else:
         lower = best[0] if np.isfinite(best[0]) else reach
-    _, noise, _ = fit.excess(*fit.terms(best[1]))
+    _, noise, _ = fit.excess(fit.windows(best[1]))
     return Parameters(float(lower), float(best[0]), best[1], fit.whole(noise), boxes, finished, float(least))

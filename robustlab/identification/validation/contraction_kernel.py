@@ -13,6 +13,8 @@ References
 ----------
 Poolla et al. (1994), theorem 3.1; Genin, Hachez, Nesterov, Van Dooren, "Optimization problems over positive
 pseudopolynomial matrices", SIAM J. Matrix Anal. Appl. 25 (2003), for Hessians of such barriers.
+Kailath, Sayed, "Displacement structure: theory and applications", SIAM Review 37 (1995): products of Toeplitz matrices
+are sums along diagonals, and a matrix with its flip commutes where the channels are single.
 """
 
 from __future__ import annotations
@@ -63,15 +65,40 @@ def diagonal_sums(X: Array, n: int, r: int, c: int) -> Array:
 
 def barrier_value(h: Array, gamma: float) -> float:
     """The barrier; +inf outside."""
-    T = toeplitz(h)
-    if len(T) > T.shape[1]:
-        T = T.T
-    try:
-        factor = np.linalg.cholesky(gamma**2 * np.eye(len(T)) - T @ T.T)
-    except np.linalg.LinAlgError:
-        return np.inf
-    more = T.shape[1] - len(T)
+    if h.shape[1] > h.shape[2]:  # T turned upside down in both directions and transposed: the same singular values
+        h = h.transpose(0, 2, 1)
+    lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
+    factor, info = lapack.dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
+    return np.inf if info else _value_of(factor, h, gamma)
+
+
+def _value_of(factor: Array, h: Array, gamma: float) -> float:
+    """The barrier from a Cholesky factor of the room."""
+    more = len(h) * (h.shape[2] - h.shape[1])
     return float(-2 * np.log(np.diag(factor)).sum() - more * np.log(gamma))
+
+
+def _room(h: Array, gamma: float) -> Array:
+    """``gamma^2 I - T T'`` (r n, r n): entries one further down a diagonal have one product of pulses more."""
+    n, r, _ = h.shape
+    sheared = np.empty((n, 2 * n - 1))
+    step = sheared.itemsize
+    # Row i of the view starts at column n - 1 - i: diagonals become columns.
+    diagonals = np.lib.stride_tricks.as_strided(sheared[0, n - 1 :], (n, n), ((2 * n - 2) * step, step))
+    found = np.empty((r, n, r, n))
+    for a in range(r):
+        for b in range(r):
+            sheared.fill(0.0)
+            diagonals[...] = h[:, a] @ h[:, b].T
+            found[a, :, b] = -_summed(sheared, diagonals)
+    room = found.reshape(r * n, r * n)
+    room.flat[:: r * n + 1] += gamma**2
+    return room
+
+
+def _summed(sheared: Array, diagonals: Array) -> Array:
+    np.cumsum(sheared, axis=0, out=sheared)
+    return diagonals
 
 
 @dataclass(frozen=True)
@@ -80,6 +107,8 @@ class Barrier:
 
     Attributes
     ----------
+    value
+        The barrier itself.
     slope, curve
         (n r c,) and (n r c, n r c).
     slope_gamma, curve_gamma, cross
@@ -88,6 +117,7 @@ class Barrier:
         ``2 (gamma^2 I - T T')^-1 T``, whose diagonal sums are the slope; the matrix of the dual norm.
     """
 
+    value: float
     slope: Array
     curve: Array
     slope_gamma: float
@@ -102,27 +132,68 @@ def barrier(h: Array, gamma: float) -> Barrier:
 
     n, r, c = h.shape
     T = toeplitz(h)
-    left, info = lapack.dpotrf(gamma**2 * np.eye(r * n) - T @ T.T, lower=1, overwrite_a=1)
-    half, info_inverse = lapack.dpotri(left, lower=1, overwrite_c=1)
+    left, info = lapack.dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
+    value = _value_of(left, h, gamma)
+    half, info_inverse = lapack.dpotri(left, lower=1, overwrite_c=1)  # LAPACK has left zeros above the diagonal
     if info or info_inverse:
         raise np.linalg.LinAlgError("outside of the barrier's domain")
-    Q = np.tril(half) + np.tril(half, -1).T  # (gamma^2 I - T T')^-1
-    S12 = -Q @ T
+    Q = half + half.T  # (gamma^2 I - T T')^-1
+    Q.flat[:: r * n + 1] *= 0.5
+    S12 = -(Q @ T)
     S11 = gamma * Q
     if r == c == 1:  # T' is T turned upside down in both directions
-        S22 = S11[::-1, ::-1]
+        S22 = S11
+        curve = _single_curvature(S11, S12)
     else:  # (gamma^2 I - T'T)^-1 = (I + T' Q T) / gamma^2
         S22 = (np.eye(c * n) - T.T @ S12) / gamma
+        curve = _curvature(S11, S12, S22, n, r, c)
     pull = -2 * S12
-    squared = 2 * (S11 @ S12)  # S11 S12 + S12 S22, and T commutes its way through
+    slope = diagonal_sums(pull, n, r, c).ravel()
+    # phi(s H, s gamma) = phi(H, gamma) - n (r + c) log s: its slope is homogeneous of degree -1.
     return Barrier(
-        diagonal_sums(pull, n, r, c).ravel(),
-        _curvature(S11, S12, S22, n, r, c),
+        value,
+        slope,
+        curve,
         float(-np.trace(S11) - np.trace(S22)),
-        float((S11**2).sum() + 2 * (S12**2).sum() + (S22**2).sum()),
-        2 * diagonal_sums(squared, n, r, c).ravel(),
+        float(np.vdot(S11, S11) + 2 * np.vdot(S12, S12) + np.vdot(S22, S22)),
+        -(slope + curve @ h.ravel()) / gamma,
         pull,
     )
+
+
+def _transform(X: Array, size: int) -> NDArray[np.complex128]:
+    """Transform of X (n, n) with zeros up to (size, size), right half of its columns left out."""
+    fft: Any = import_module("scipy.fft")
+    return fft.fft(fft.rfft(X, size, axis=1), size, axis=0, overwrite_x=True)
+
+
+def _back(spectrum: NDArray[np.complex128], n: int) -> Array:
+    """First (n, n) entries of the inverse transform."""
+    fft: Any = import_module("scipy.fft")
+    size = len(spectrum)
+    return fft.irfft(fft.ifft(spectrum, axis=0, overwrite_x=True)[:n], size, axis=1)[:, :n]
+
+
+def _upside_down(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Spectrum of the same signal with its rows in the order 0, -1, -2, ..."""
+    return np.concatenate([spectrum[:1], spectrum[:0:-1]])
+
+
+def _single_curvature(S11: Array, S12: Array) -> Array:
+    """`_curvature` for one channel: S22 is S11, and S12' is S12, turned upside down in both directions."""
+    fft: Any = import_module("scipy.fft")
+
+    n = len(S11)
+    size = fft.next_fast_len(2 * n - 1, real=True)
+    turn = np.exp(2j * np.pi * (n - 1) / size * np.arange(size))
+    straight = _transform(S11, size)
+    crossed = _transform(S12, size)
+    for part in (straight, crossed):
+        part *= part
+        part *= turn[:, None]
+        part *= turn[: part.shape[1]]
+    straight += _upside_down(np.conj(crossed))
+    return 2 * _back(straight, n)
 
 
 def _curvature(S11: Array, S12: Array, S22: Array, n: int, r: int, c: int) -> Array:
@@ -130,22 +201,16 @@ def _curvature(S11: Array, S12: Array, S22: Array, n: int, r: int, c: int) -> Ar
     fft: Any = import_module("scipy.fft")
 
     size = fft.next_fast_len(2 * n - 1, real=True)
-    shape = (size, size)
-
-    def transform(X: Array) -> NDArray[np.complex128]:
-        return fft.rfft2(X, shape)
 
     def part(X: Array, rows: int, cols: int) -> list[list[Array]]:
         view = X.reshape(rows, n, cols, n)
         return [[np.ascontiguousarray(view[a, :, b, :]) for b in range(cols)] for a in range(rows)]
 
     ones, mixed, twos = part(S11, r, r), part(S12, r, c), part(S22, c, c)
-    first = [[transform(x) for x in row] for row in ones]
-    second = [[transform(x) for x in row] for row in twos]
-    upright = [[transform(x) for x in row] for row in mixed]
-    turned = [[transform(x.T) for x in row] for row in mixed]
-    lags = np.arange(n)
-    back = (-lags) % size
+    first = [[_transform(x, size) for x in row] for row in ones]
+    second = [[_transform(x, size) for x in row] for row in twos]
+    upright = [[_transform(x, size) for x in row] for row in mixed]
+    turned = [[_transform(x.T, size) for x in row] for row in mixed]
     found = np.empty((n, r, c, n, r, c))
     for a in range(r):
         for b in range(c):
@@ -154,10 +219,10 @@ def _curvature(S11: Array, S12: Array, S22: Array, n: int, r: int, c: int) -> Ar
                     if (a2, b2) < (a, b):
                         continue
                     # sum over p, q of S22[b, b2][p, q] S11[a, a2][p + j, q + k]
-                    straight = fft.irfft2(np.conj(second[b][b2]) * first[a][a2], shape)[:n, :n]
+                    straight = np.conj(second[b][b2]) * first[a][a2]
                     # sum over p, q of S12[a, b2][p, q] S12'[b, a2][p - j, q + k]
-                    crossed = fft.irfft2(np.conj(upright[a][b2]) * turned[a2][b], shape)[back, :n]
-                    both = 2 * (straight + crossed)
+                    crossed = np.conj(upright[a][b2]) * turned[a2][b]
+                    both = 2 * _back(straight + _upside_down(crossed), n)
                     found[:, a, b, :, a2, b2] = both
                     found[:, a2, b2, :, a, b] = both.T
     return found.reshape(n * r * c, n * r * c)

@@ -82,6 +82,12 @@ class Validation(Evidence):
         The certificate of the lower bound: arrays by name.
     recheck
         Computes the lower bound once more from the certificate, without a solver.
+    domain
+        ``"time"`` or ``"frequency"``. In the frequency domain t is one mean period of the record, or holds the
+        frequencies of a measured response (then the outputs are magnitudes); w and z are complex, one row for a line.
+    omega, line_sizes
+        Frequencies of the lines in rad/s (n_lines,), and how large each block is there in the explanation
+        (n_lines, blocks); empty in the time domain.
     """
 
     status: Status
@@ -100,10 +106,13 @@ class Validation(Evidence):
     nominal: Array
     explained: Array
     outputs: tuple[tuple[str, str], ...]
-    w: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    w: Array | NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Array | NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0)))
     multipliers: Mapping[str, Array] = field(default_factory=dict)
     recheck: Callable[[], float] | None = None
+    domain: Literal["time", "frequency"] = "time"
+    omega: Array = field(default_factory=lambda: np.zeros(0))
+    line_sizes: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def verdict(self) -> str:
@@ -149,7 +158,7 @@ class Validation(Evidence):
         """All fields but the re-check; without ``series`` also without time series, pulse responses and multipliers."""
         data = {k: v for k, v in vars(self).items() if k != "recheck"}
         if not series:
-            long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers")
+            long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers", "omega", "line_sizes")
             data = {k: v for k, v in data.items() if k not in long}
             data["blocks"] = {
                 name: {k: v for k, v in b.to_json().items() if not isinstance(v, np.ndarray)}

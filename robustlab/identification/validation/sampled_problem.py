@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,17 @@ from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["NoiseNorm", "Recorded", "SampledProblem", "prepared", "sampled", "with_delta_of"]
+__all__ = [
+    "NoiseNorm",
+    "Recorded",
+    "SampledProblem",
+    "held",
+    "noise_bounds",
+    "prepared",
+    "sampled",
+    "shown",
+    "with_delta_of",
+]
 
 Array = NDArray[np.float64]
 NoiseNorm = Literal["peak", "rms"]
@@ -108,10 +118,9 @@ def prepared(
     Raises
     ------
     InputError
-        Signals that do not fit, a clock that is not uniform, an output without a noise bound, windows that are too
-        short.
+        Signals that do not fit, an output without a noise bound, windows that are too short.
     NoTrustworthyNumber
-        A noise bound of zero: the noise model is singular.
+        A clock that is not uniform, or a noise bound of zero: the noise model is singular.
     """
     where = f"validate {record.name}"
     if not record.is_uniform:
@@ -119,10 +128,10 @@ def prepared(
         k = int(np.abs(step - record.dt).argmax())
         found = f"irregular sampling: {step.min():.6g} to {step.max():.6g} s between samples (worst at sample {k + 1})"
         reason = "a uniform clock: Delta acts on samples, and between unequal ones a contraction has no meaning"
-        raise InputError(where, found, reason, "resample the record, or cut it where samples are missing")
+        raise NoTrustworthyNumber(where, found, reason, "resample the record, or cut it where samples are missing")
     response = response_of(uncertain.nominal, record)
     names = response.output_names
-    bound = _bounds(noise, names, norm, where)
+    bound = noise_bounds(noise, names, norm, where)
     shifted, _ = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     n, n_x = record.n, uncertain.M.n_states
@@ -250,7 +259,7 @@ class SampledProblem:
 def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> SampledProblem:
     """The problem for a model whose Delta channels belong to the given (dynamic) blocks; zero-order hold on u and w."""
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-    A, B, C, D = _held(M, recorded.dt)
+    A, B, C, D = held(M, recorded.dt)
     n_u = B.shape[1] - q
     forced = _forced(A, B[:, q:], C, D[:, q:], recorded.u if n_u else np.zeros((len(recorded.t), 0)))
     z0, y0 = forced[:, :p], forced[:, p:]
@@ -277,7 +286,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         radius,
         recorded.starts,
         recorded.at_rest,
-        _shown(A, C[p:] / recorded.bound[:, None]),
+        shown(A, C[p:] / recorded.bound[:, None]),
         tuple(layout),
         tuple(b.name for b in blocks),
         np.array(scales),
@@ -319,9 +328,24 @@ def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tup
     return closed, tuple(uncertain.blocks[k] for k in kept)
 
 
-def _held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+class Matrices(Protocol):
+    """State-space matrices and the sample time."""
+
+    @property
+    def A(self) -> Array: ...
+    @property
+    def B(self) -> Array: ...
+    @property
+    def C(self) -> Array: ...
+    @property
+    def D(self) -> Array: ...
+    @property
+    def dt(self) -> float: ...
+
+
+def held(M: Matrices, dt: float) -> tuple[Array, Array, Array, Array]:
     """The model at the record's sample time with all inputs held between samples."""
-    if M.is_discrete or not M.n_states:
+    if M.dt or not len(M.A):
         return M.A, M.B, M.C, M.D
 
     from scipy.linalg import expm
@@ -333,7 +357,7 @@ def _held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
     return both[:n, :n], both[:n, n:], M.C, M.D
 
 
-def _shown(A: Array, C: Array) -> Array:
+def shown(A: Array, C: Array) -> Array:
     """Orthonormal basis of the state directions that C shows: the row space of the observability matrix."""
     rows, found = C, [C]
     for _ in range(1, len(A)):
@@ -358,7 +382,8 @@ def _forced(A: Array, B: Array, C: Array, D: Array, u: Array) -> Array:
     return found
 
 
-def _bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
+def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
+    """Noise bounds (n_y,) in the order of ``names``; a bound of zero is a singular noise model."""
     if norm not in ("peak", "rms"):
         raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:

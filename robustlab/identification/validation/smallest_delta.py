@@ -17,11 +17,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.certificate import largest_disproved
 from robustlab.identification.validation.constant_parameters import smallest_parameters
+from robustlab.identification.validation.frequency_domain import validate_by_lines
 from robustlab.identification.validation.mixed_delta import smallest_mixed
 from robustlab.identification.validation.result import BlockSize, Validation
 from robustlab.identification.validation.sampled_problem import (
@@ -32,6 +33,7 @@ from robustlab.identification.validation.sampled_problem import (
     sampled,
     with_delta_of,
 )
+from robustlab.identification.validation.spectral_problem import FrequencyData
 from robustlab.identification.validation.time_invariant import PulseResponses, smallest_pulse_responses
 from robustlab.identification.validation.time_varying import Contractions, smallest_contractions
 from robustlab.record import Record
@@ -55,13 +57,15 @@ SMALLEST = 1e-6
 
 def validate(
     uncertain: UncertainModel,
-    record: Record,
-    noise: Mapping[str, float] | None = None,
+    record: Record | FrequencyData,
+    noise: Mapping[str, ArrayLike] | None = None,
     *,
-    noise_norm: NoiseNorm = "peak",
+    domain: Literal["time", "frequency"] = "time",
+    noise_norm: NoiseNorm | None = None,
     delta: DeltaKind = "time-invariant",
     at_rest: bool = False,
     window: float | None = None,
+    period: float | None = None,
     missing: Mapping[str, Sequence[int]] | None = None,
     per_block: bool = False,
     precision: float = 0.01,
@@ -76,12 +80,18 @@ def validate(
         The set. Real blocks are constants; complex and full blocks are causal systems. A continuous model is sampled
         with all inputs, also w, held between samples.
     record
-        The measurement, on a uniform clock; all inputs of the set must be recorded, and some of its outputs.
+        The measurement, on a uniform clock; all inputs of the set must be recorded, and some of its outputs. In the
+        frequency domain also a measured frequency response (`FrequencyData`).
     noise
         Output name -> bound of its noise, in its unit. Where left out it is estimated from the record's own periods
         (99 % confidence for white Gaussian noise), which asks for a record that repeats.
+    domain
+        ``"time"``: sample by sample (Poolla et al.). ``"frequency"``: line by line (Smith and Doyle), for blocks that
+        are time-invariant systems, from whole periods of a record in steady state or from a `FrequencyData`.
     noise_norm
-        ``"peak"``: no sample is off by more; ``"rms"``: the root mean square over the record is not larger.
+        ``"peak"``: no sample is off by more; ``"rms"``: the root mean square over the record is not larger. Where left
+        out ``"peak"`` in the time domain. In the frequency domain it is ``"rms"`` for a record (over the periods used),
+        and each line's own bound for a frequency response, of which ``noise`` may hold one for each line.
     delta
         What the complex and full blocks are.
     at_rest
@@ -89,6 +99,8 @@ def validate(
     window
         Cut the record into windows of that many seconds, each with a free start; Delta keeps its memory and its
         values. A weaker test, for records over which an open-loop response drifts.
+    period
+        Frequency domain: the period in s, where no recorded signal tells it.
     missing
         Output name -> samples (indices or a mask) that were not measured.
     per_block
@@ -108,6 +120,7 @@ def validate(
         ============================  =======================================  =====================================
         blocks                        upper bound                              lower bound
         ============================  =======================================  =====================================
+        frequency domain              w by cone programmes, loop closed again  multipliers, re-checked line by line
         time-varying                  w by convex-concave procedure, replayed  multipliers, re-checked by a sweep
         time-invariant, z known       pulse responses, replayed                dual of the convex problem (exact)
         time-invariant, z unknown     pulse responses by Gauss-Newton          that of time-varying ones (relaxation)
@@ -120,9 +133,10 @@ def validate(
     Raises
     ------
     InputError
-        Irregular sampling, signals that do not fit, no noise bound.
+        Signals that do not fit, an output without a noise bound, blocks that a domain cannot judge.
     NoTrustworthyNumber
-        A noise bound of zero, no noise bound and no repeats to take it from, a solver that gives no answer.
+        Irregular sampling, a noise bound of zero, a record that is not steady, no noise bound and no repeats to take it
+        from, a solver that gives no answer.
 
     Examples
     --------
@@ -134,15 +148,28 @@ def validate(
     >>> round(found.upper, 2), found.verdict
     (0.4, 'not invalidated at gamma = 0.4')
     """
-    begun = time.monotonic()
+    begun, estimated = time.monotonic(), noise is None
     if not isinstance(uncertain, UncertainModel):
         raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
     if delta not in ("time-invariant", "time-varying"):
         raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
     if not 1e-4 <= precision <= 0.2:
         raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
-    bounds = dict(noise) if noise is not None else _estimated(uncertain, record, noise_norm)
-    recorded = prepared(uncertain, record, bounds, norm=noise_norm, window=window, at_rest=at_rest, missing=missing)
+    if domain not in ("time", "frequency"):
+        raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
+    if domain == "frequency" or isinstance(record, FrequencyData):
+        _fits_frequency_domain(record, domain, noise_norm, delta, window, at_rest, missing, noise)
+        if isinstance(record, Record):
+            noise = noise if noise is not None else _estimated(uncertain, record, "rms")
+        return validate_by_lines(
+            uncertain, record, noise or {}, period=period, per_block=per_block, precision=precision,
+            deadline=begun + time_limit, progress=progress or (lambda _line: None), estimated=estimated,
+        )  # fmt: skip
+    if period is not None:
+        raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
+    norm: NoiseNorm = noise_norm or "peak"
+    bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm)
+    recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest, missing=missing)
     job = _Job(recorded, delta, precision, begun + time_limit, progress or (lambda _line: None))
     found = job.bounds(np.ones(len(recorded.uncertain.blocks), dtype=bool))
     alone: dict[str, tuple[float, float]] = {}
@@ -151,8 +178,43 @@ def validate(
             job.progress(f"block {block.name} alone")
             part = job.bounds(np.arange(len(recorded.uncertain.blocks)) == k)
             alone[block.name] = part.lower, part.upper
-    assumptions = _assumptions(recorded, delta, noise is None)
+    assumptions = _assumptions(recorded, delta, estimated)
     return _result(record, recorded, found, alone, assumptions, precision, job)
+
+
+def _fits_frequency_domain(
+    data: Record | FrequencyData,
+    domain: str,
+    norm: str | None,
+    delta: str,
+    window: float | None,
+    at_rest: bool,
+    missing: Mapping[str, Sequence[int]] | None,
+    noise: Mapping[str, ArrayLike] | None,
+) -> None:
+    """Refuse what has no meaning there."""
+    where = f"validate {data.name}"
+    if domain == "time":
+        raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
+    if norm == "peak" and isinstance(data, Record):
+        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound",
+                         'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
+    if norm == "rms" and isinstance(data, FrequencyData):
+        raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
+    if delta != "time-invariant":
+        raise InputError(where, f"{delta} blocks in the frequency domain", "time-invariant ones", 'domain="time"')
+    for name, given in (("windows", window), ("a start at rest", at_rest or None), ("missing samples", missing)):
+        if given:
+            raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
+    if noise is None and isinstance(data, FrequencyData):
+        raise NoTrustworthyNumber(where, "no noise bound was given", None, "noise={output: bound}, in its unit")
+
+
+def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
+    for name, value in noise.items():
+        if np.ndim(value):
+            raise InputError(f"validate: noise of {name!r}", f"shape {np.shape(value)}", "one number")
+    return {name: float(np.asarray(value)) for name, value in noise.items()}
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,13 +44,17 @@ __all__ = ["PulseResponses", "smallest_pulse_responses"]
 
 Array = NDArray[np.float64]
 
-STEPS = 120
+STEPS = 200
 # A step keeps at least this share of the way to the boundary before it.
 KEPT = 0.85
 ROUNDS = 8
-FASTER = 10.0
-# A point counts as centred where the Newton decrement is below this share of the barrier's parameter.
-CENTRED, WELL_CENTRED, MORE = 0.01, 0.3, 3
+# The path's parameter grows by the larger factor; by the smaller one after a centring that took more steps than usual,
+# as it does where many singular values come to the bound together (an all-pass). One that takes far too many starts
+# again from the last centred point, with the root of the factor from there on.
+FASTER, SLOWER, SLOWEST, USUAL, LONG = 10.0, 3.0, 1.5, 7, 20
+# A point counts as centred where the squared Newton decrement is below this: Newton steps converge from there. Far from
+# the end of the path one that falls this fast, and is below this share of the barrier's parameter, is as good.
+CENTRED, FALLS, ROUGHLY = 1.0, 0.1, 0.01
 # What the linearised problem leaves of the noise bound to the error of the linearisation.
 RESERVE = 1e-4
 SLACK = 1e-9
@@ -271,38 +277,43 @@ class _Path:
         sigma = 1.1 * self._excess(self.e - self.J @ theta)
         inside = sigma < 1.1 * 0.995
         sigma = 1.0 if inside else sigma
-        t, penalty, more = 8.0 * self.count, 0, 0
+        t, penalty, steps, before, fastest = 8.0 * self.count, 0, 0, np.inf, FASTER
+        centred = theta, gamma, t
         for _ in range(STEPS):
             if time.monotonic() > deadline and not inside:
                 return None
             weight = None if inside else max(t, self.count / sigma) * PENALTIES[penalty]
             theta, gamma, sigma, decrement = self._newton(theta, gamma, sigma, t / unit, weight)
+            steps += 1
             if not inside and sigma < 0.995:
-                inside, sigma = True, 1.0
+                inside, sigma, steps = True, 1.0, 0
                 continue
-            if decrement > CENTRED * self.count:
+            left = self.count / t * unit
+            wanted = precision * max(gamma, SMALLEST)
+            falls, before = decrement < FALLS * before, decrement
+            rough = inside and falls and steps <= USUAL and decrement < ROUGHLY * self.count and left > 8 * wanted
+            if decrement > CENTRED and not rough:
+                if inside and steps > LONG and t > SLOWEST * centred[2]:
+                    fastest, steps, before = max(np.sqrt(t / centred[2]), SLOWEST), 0, np.inf
+                    theta, gamma, t = centred[0], centred[1], fastest * centred[2]
                 continue
             if not inside:
-                if decrement > 1.0:
-                    continue
                 penalty += 1
                 if penalty == len(PENALTIES):
                     return None
                 continue
-            left = self.count / t * unit
-            wanted = precision * max(gamma, SMALLEST)
             late = time.monotonic() > deadline
-            if left < 8 * wanted or late:
-                if not dual and (left < 0.3 * wanted or late):
+            if dual and (left < 8 * wanted or late):
+                self._bound()
+                if gamma - self.lower < 0.7 * wanted or left < 1e-3 * wanted or late:
                     return theta
-                if dual:
-                    self._bound()
-                    if gamma - self.lower < 0.7 * wanted or left < 1e-3 * wanted or late:
-                        return theta
-                    if decrement > WELL_CENTRED and more < MORE:  # the bound may be poor for want of centring alone
-                        more += 1
-                        continue
-            t, more = t * FASTER, 0
+            elif left < 0.3 * wanted or late:
+                return theta
+            aim = left / (0.4 * wanted if dual else 0.25 * wanted)
+            faster = fastest if steps <= USUAL else min(fastest, SLOWER)
+            centred = theta, gamma, t
+            t, steps = t * (min(faster, aim) if aim > 1 else faster), 0
+            before = np.inf
         return theta if inside else None
 
     def _regularised(self) -> Array:
@@ -361,8 +372,6 @@ class _Path:
         self, theta: Array, gamma: float, sigma: float, t: float, penalty: float | None
     ) -> tuple[Array, float, float, float]:
         """One damped Newton step on (theta, gamma, and sigma where it has a penalty), and the decrement before it."""
-        from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
         h, _ = self.maps.split(theta)
         size = len(theta)
         total = size + 1 + (penalty is not None)
@@ -370,10 +379,11 @@ class _Path:
         slope, curve = np.zeros(total), np.zeros((total, total))
         slope[size] = t
         self._add_noise(slope, curve, noise, sigma, penalty)
-        at = 0
+        at, value = 0, t * gamma + (penalty or 0.0) * sigma + self._noise_value(noise, sigma)
         for part, count, free in zip(h, self.maps.counts, self.scaled, strict=True):
             b: Barrier = barrier(part, gamma if free else 1.0)
             here = slice(at, at + count)
+            value += b.value
             slope[here] += b.slope
             curve[here, here] += b.curve
             if free:
@@ -382,22 +392,13 @@ class _Path:
                 curve[here, size] += b.cross
                 curve[size, here] += b.cross
             at += count
-        weight = 1.0 / np.sqrt(np.maximum(np.diag(curve), 1e-300))
-        scaled = curve * weight * weight[:, None]
-        lift = 1e-13
-        while True:
-            try:
-                factor = cho_factor(scaled + lift * np.eye(total), lower=True, overwrite_a=True, check_finite=False)
-                break
-            except LinAlgError:
-                lift *= 100
-                if lift > 1e-2:
-                    return theta, gamma, sigma, 0.0
-        move = -weight * cho_solve(factor, weight * slope, check_finite=False)
+        found = _newton_move(curve, slope)
+        if found is None:
+            return theta, gamma, sigma, 0.0
+        move = found
         decrement = float(-slope @ move)
         self.last = theta, gamma, move
         length = 1.0
-        here = self._value(theta, gamma, sigma, t, penalty)
 
         def along(share: float) -> tuple[Array, float, float]:
             width = sigma + share * float(move[size + 1]) if penalty is not None else sigma
@@ -405,7 +406,7 @@ class _Path:
 
         while length > 1e-8:
             new = along(length)
-            if new[2] > 0 and self._value(*new, t, penalty) <= here - 1e-2 * length * decrement:
+            if new[2] > 0 and self._value(*new, t, penalty) <= value - 1e-2 * length * decrement:
                 # Not up against the boundary: from there the way back takes a step for each factor of two.
                 ahead = along(length / KEPT)
                 if decrement < 0.3 or (ahead[2] > 0 and np.isfinite(self._value(*ahead, t, penalty))):
@@ -481,6 +482,23 @@ class _Path:
             self.lower, self.recheck = found, value
             self.dual = np.zeros(maps.problem.e.shape)
             self.dual[maps.problem.used] = multipliers
+
+
+def _newton_move(curve: Array, slope: Array) -> Array | None:
+    """``-curve^-1 slope``, lifted as far as it takes for the curvature to be positive; None where that is too far."""
+    lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
+    weight = 1.0 / np.sqrt(np.maximum(np.diag(curve), 1e-300))
+    lift = 1e-13
+    while lift < 1e-2:
+        scaled = curve * weight
+        scaled *= weight[:, None]
+        scaled.flat[:: len(slope) + 1] += lift
+        factor, info = lapack.dpotrf(scaled.T, lower=1, overwrite_a=1)
+        if not info:
+            solved, _ = lapack.dpotrs(factor, weight * slope, lower=1)
+            return -weight * solved
+        lift *= 100
+    return None
 
 
 def dual_bound(

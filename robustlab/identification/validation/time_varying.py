@@ -42,6 +42,8 @@ AHEAD = 3.0
 # Shares of the record at whose beginning a weaker problem leaves out the conditions on the energies.
 LATE = (0.004, 0.02, 0.1)
 # An energy of z below this share of its final one forces w to zero: no finite gain would let it move.
+# Multiplier of a signal that is zero anyhow, over those of the noise.
+UNBOUNDED = 1e9
 NO_ENERGY = 1e-18
 
 
@@ -95,10 +97,14 @@ def smallest_contractions(
         z = problem.respond(*first.signals(start))[0]
     best, solution = _descend(first, z, 0, precision, deadline)
     if solution is None:
+        infeasible = first.status == "infeasible"
         if first.least_effort() is None:
             return _unexplained(problem, first)
-        fixed = not scaled.all()
-        return _bounded_only(problem, convex and fixed and first.status == "infeasible", convex)
+        if convex and infeasible and scaled.all():
+            silent = _unexplained_while_silent(problem, first)
+            if silent is not None:
+                return silent
+        return _bounded_only(problem, convex)
 
     def gammas(gamma: float) -> Array:
         return np.where(scaled, gamma, 1.0)
@@ -119,7 +125,7 @@ def smallest_contractions(
             found, others = disproved(weaker, min(top, float(np.sqrt(max(weaker.x[first.at_g], 0.0)))))
             lower, multipliers = (found, others) if found > lower else (lower, multipliers)
     if best is None:
-        return _bounded_only(problem, False, convex, lower, multipliers)
+        return _bounded_only(problem, convex, lower, multipliers)
     z, noise = problem.respond(best.w, best.states)
     sizes = problem.sizes(best.w, z)
     return Contractions(lower, best.gamma, best.w, z, noise, best.states, sizes, multipliers, 1.0, convex)
@@ -182,13 +188,11 @@ def _gamma(sizes: Array, scaled: NDArray[np.bool_]) -> float:
 
 
 def _bounded_only(
-    problem: SampledProblem, impossible: bool, convex: bool, lower: float = 0.0, multipliers: Multipliers | None = None
+    problem: SampledProblem, convex: bool, lower: float = 0.0, multipliers: Multipliers | None = None
 ) -> Contractions:
     empty = np.zeros((0, 0))
     multipliers = multipliers or Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
-    return Contractions(
-        np.inf if impossible else lower, np.inf, empty, empty, empty, {}, np.zeros(0), multipliers, 1.0, convex
-    )
+    return Contractions(lower, np.inf, empty, empty, empty, {}, np.zeros(0), multipliers, 1.0, convex)
 
 
 def _unexplained(problem: SampledProblem, programme: _Programme) -> Contractions:
@@ -210,6 +214,25 @@ def _unexplained(problem: SampledProblem, programme: _Programme) -> Contractions
     empty = np.zeros((0, 0))
     return Contractions(
         np.inf, np.inf, empty, empty, problem.respond(w, states)[1], {}, np.zeros(0), none, least, problem.z_is_known()
+    )
+
+
+def _unexplained_while_silent(problem: SampledProblem, programme: _Programme) -> Contractions | None:
+    """No Delta of any size answers before z has moved: multipliers as large as one likes on w while z is zero."""
+    silent = np.column_stack([_silent(problem, problem.z0, cols) for _, cols, _ in problem.blocks])
+    solved = programme.least_noise(silent)
+    if solved is None:
+        return None
+    multipliers = programme.multipliers(solved)
+    D = np.where(np.cumsum(~silent, axis=0) == 0, UNBOUNDED, 0.0)
+    multipliers = Multipliers(D, Multipliers.cleaned(np.zeros_like(D), multipliers.noise).noise)
+    # Where D is zero w is free, and where it is not z is zero: the same L for every gamma.
+    if not lagrangian_maximum(problem, multipliers, np.ones(len(problem.blocks))) < 0:
+        return None
+    empty, least = np.zeros((0, 0)), float(solved.x[programme.at_g])
+    w, states = programme.signals(solved.x)
+    return Contractions(
+        np.inf, np.inf, empty, empty, problem.respond(w, states)[1], {}, np.zeros(0), multipliers, least, True
     )
 
 
@@ -415,12 +438,32 @@ class _Programme:
         solved = self._solve(sparse.diags(squares).tocsc(), np.zeros(self.size), blocks, offsets, cones, {})
         return None if solved is None else solved.x
 
-    def least_noise(self) -> _Solved | None:
-        """Smallest factor on the noise bound with which any w explains the record."""
+    def least_noise(self, silent: NDArray[np.bool_] | None = None) -> _Solved | None:
+        """Smallest factor on the noise bound with which any w explains the record; w is zero where it is ``silent``."""
         cost = np.zeros(self.size)
         cost[self.at_g] = 1.0
         blocks, offsets, cones = self._noise(None)
-        return self._solve(None, cost, blocks, offsets, cones, {"noise": len(blocks), "heads": []})
+        count = len(blocks)
+        if silent is not None and silent.any():
+            part = self._held_still(silent)
+            blocks, offsets, cones = [*blocks, part[0]], [*offsets, part[1]], [*cones, part[2]]
+        return self._solve(None, cost, blocks, offsets, cones, {"noise": count, "heads": []})
+
+    def _held_still(self, silent: NDArray[np.bool_]) -> tuple[Any, Array, Any]:
+        """W of a block is zero where it is silent (n, blocks)."""
+        from scipy import sparse
+
+        clarabel: Any = import_module("clarabel")  # its types are not published
+        q = self.problem.B.shape[1]
+        columns = np.concatenate(
+            [
+                (self.at_w + np.flatnonzero(silent[:, k])[:, None] * q + np.arange(rows.start, rows.stop)).ravel()
+                for k, (rows, _, _) in enumerate(self.problem.blocks)
+            ]
+        )
+        ones = np.ones(len(columns)), (np.arange(len(columns)), columns)
+        still = sparse.csr_matrix(ones, (len(columns), self.size))
+        return still, np.zeros(len(columns)), clarabel.ZeroConeT(len(columns))
 
     def _solve(self, P: Any, cost: Array, blocks: list[Any], offsets: list[Array], cones: list[Any], parts: Any) -> Any:
         from scipy import sparse

@@ -22,6 +22,7 @@ from robustlab.recipe.steps import (
     models,
     published,
     story,
+    validation,
 )
 
 __all__ = ["EXECUTORS"]
@@ -67,6 +68,7 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "cover": measurement.cover,
     "data-cover": story.data_cover,
     "story": story.story,
+    "validate": validation.validate,
     "published-numbers": published.published_numbers,
     "thesis-case": published.thesis_case,
 }
