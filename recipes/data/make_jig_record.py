@@ -11,8 +11,8 @@ them, the comparison would prove nothing. What this jig has and the nominal mode
   Kf 35 %, masses and inertias 10 %): R +3 %, L -5 %, motor constant -1 %, Kf -15 %, rotor +4 %, nut -5 %, screw +3 %;
   the cart, whose mass the thesis does not print, has 0.6 kg (the motor constant was chosen so that the gap on the
   square wave has about the size that the thesis reports; the others at will);
-- an encoder of 2000 counts a turn on the motor with 1 mrad of jitter of its edges, and in the rich and slow records a current
-  sensor with 20 mA of noise and a resolution of 5 mA.
+- an encoder of 2000 counts a turn on the motor with 1 mrad of jitter of its edges, and in the rich and slow records a
+  current sensor with 20 mA of noise and a resolution of 5 mA.
 
 The equations are integrated by classical Runge-Kutta steps of 10 us.
 """

@@ -171,3 +171,18 @@ def test_error_weight_values_and_bad_numbers():
         error_weight(0.01, 1.0, 0.02)
     with pytest.raises(InputError):
         error_weight(0.01, float("inf"))
+
+
+def test_a_load_reaches_the_error_through_its_own_input():
+    """From a force of size 2 at the second input to the error of size 0.5: -G2 S 2 / 0.5, in closed form."""
+    G = rl.StateSpaceModel([[-1.0]], [[1.0, 3.0]], [[1.0]], [[0.0, 0.0]], inputs=["u", "load f"], outputs=["q"])
+    problem = tracking_problem(G, ["q"], ["q"], W1=1.0, reference=0.5, loads={"load f": 2.0})
+    assert (problem.n_con, problem.n_meas) == (1, 2)
+    k = 4.0
+    closed = problem.close(rl.StateSpaceModel([], [], [], [[k, -k]])).nominal
+    s = 0.7j
+    expected = -(3 / (s + 1)) / (1 + k / (s + 1)) * 2.0 / 0.5
+    assert rl.frequency_response(closed, [0.7])[0, 0, 1] == pytest.approx(expected)
+    assert problem.on(G.select(["u"], ["q"])).loads == {}
+    with pytest.raises(InputError, match="one that is left for control"):
+        tracking_problem(G, ["q"], ["q"], W1=1.0, loads={"u": 1.0, "load f": 1.0})

@@ -20,7 +20,15 @@ from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.vocabulary import ErrorWeight
 from robustlab.result import Status
 
-__all__ = ["Runs", "cascade", "follow_trajectory", "inverse", "robust_performance", "simulate_control", "tracking_problem"]
+__all__ = [
+    "Runs",
+    "cascade",
+    "follow_trajectory",
+    "inverse",
+    "robust_performance",
+    "simulate_control",
+    "tracking_problem",
+]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,107 @@
+"""The smallest unmodelled dynamics of records, and effects as loads that are known along them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.dynamics.effects.effect_loads import effect_loads
+from robustlab.errors import InputError
+
+T = np.arange(400) * 5e-3
+PUSH = np.where(T < 0.5, 2.0, np.where(T < 1.2, -1.5, 1.8))  # V
+
+
+def axis(**effects):
+    plain = rl.plant("servo-axis", M=(95.0, 0.05), Fv=(200.0, 0.1), gain=35.0)
+    return rl.with_effects(plain, effects) if effects else plain
+
+
+def record(plant, name="run"):
+    run = rl.simulate(plant, T, PUSH)
+    return rl.Record(T, {"u": PUSH}, {"q": run["q"]}, {"u": "V", "q": "m"}, name)
+
+
+def test_the_linear_part_under_the_loads_goes_where_the_plant_with_effects_goes():
+    rough = axis(**{"coulomb-friction": {"Fc": 20.0}, "input-dead-zone": {"d": 0.3}})
+    loads = effect_loads(rough)
+    seen = loads.along(record(rough))
+    drop, friction = (f"load {site}: {name}" for site, name in (("u", "input-dead-zone"), ("v", "coulomb-friction")))
+    assert {x.name: x.bound for x in loads.loads} == {drop: 0.3, friction: 20.0}
+    # Sliding friction is -Fc sgn v, the driver takes d off every voltage: known in closed form.
+    v = rl.simulate(rough, T, PUSH)["v"]
+    sliding = (np.abs(v[:-1]) > 1e-3) & (np.sign(v[:-1]) == np.sign(v[1:])) & (np.abs(v[1:]) > 1e-3)
+    assert seen[friction][:-1][sliding] == pytest.approx(-np.sign(v[:-1][sliding]), abs=1e-6)
+    assert seen[drop] == pytest.approx(-np.sign(PUSH))
+    nominal = loads.model.nominal
+    again = rl.simulate(nominal, T, {name: seen[name] for name in nominal.input_names})
+    assert again["q"] == pytest.approx(seen["q"], abs=1e-5 * np.ptp(seen["q"])  # reversals within a sample)
+
+
+def test_an_effect_without_a_bound_takes_that_of_the_records():
+    dragged = axis(**{"quadratic-drag": {"c": 400.0}})
+    with pytest.raises(InputError, match="no bound whatever the motion"):
+        effect_loads(dragged)
+    loads = effect_loads(dragged, records=[record(dragged)])
+    v = rl.simulate(dragged, T, PUSH)["v"]
+    assert loads.loads[0].bound == pytest.approx(400.0 * np.abs(v).max() ** 2, rel=0.02)
+    assert "run" in loads.loads[0].origin
+
+
+def test_effects_that_are_no_loads_and_plants_that_are_none_are_refused():
+    with pytest.raises(InputError, match="neither linear nor bounded"):
+        effect_loads(axis(**{"input-delay": {"d": 0.01}}))
+    with pytest.raises(InputError, match="a linear plant"):
+        effect_loads(rl.linearise(axis()))
+
+
+@pytest.mark.parametrize("gain", [28.0, 42.0])
+def test_a_wrong_gain_needs_its_own_share_of_the_input(gain):
+    weak = record(rl.plant("servo-axis", M=95.0, Fv=200.0, gain=gain))
+    found = rl.data_cover(axis(), [weak], {"q": 1e-7}, at_rest=True, margin=1.0)
+    # q is linear in the gain, so that w = (gain / 35 - 1) u explains it; the noise saves less than the precision.
+    assert found.needed == pytest.approx(0.2, rel=0.02)
+    assert found.needed_lower <= 0.2
+    member = found.model.evaluate({"unmodelled@u": np.array([[np.sign(gain - 35.0)]])})
+    moved = rl.simulate(member, T, PUSH)
+    assert moved["q"] == pytest.approx(weak["q"], rel=0.02, abs=1e-3)
+
+
+def test_a_named_friction_needs_no_unmodelled_dynamics():
+    rough = axis(**{"coulomb-friction": {"Fc": 20.0}})
+    runs = [record(rough, "first")]
+    before = rl.data_cover(axis(), runs, {"q": 1e-5}, at_rest=True)
+    after = rl.data_cover(rough, runs, {"q": 1e-5}, held_out=[record(rough, "second")], at_rest=True)
+    assert before.needed_lower > 0.2  # 20 N of 52 to 70 N
+    assert after.needed < 1e-3
+    assert after.radius == 0.02
+    assert after.passes
+    assert [b.name for b in after.model.blocks] == ["unmodelled@u", "M", "Fv"]
+    assert [s.name for s in after.model.inputs] == ["load v: coulomb-friction", "u"]
+    assert after.to_json(series=False)["held_out"] == after.held_out
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"records": []}, "no record"),
+        ({"margin": 0.9}, "margin"),
+        ({"least": 1.0}, "least"),
+        ({"held_out": "same"}, "two records of one name"),
+    ],
+)
+def test_bad_inputs(options, says):
+    run = record(axis())
+    given = {"records": [run], "held_out": (), **options}
+    if given["held_out"] == "same":
+        given["held_out"] = [run]
+    with pytest.raises(InputError, match=says):
+        rl.data_cover(axis(), given.pop("records"), {"q": 1e-6}, **given)
+
+
+def test_irregular_sampling_is_refused():
+    run = record(axis())
+    uneven = rl.Record(run.t + 1e-3 * np.sin(np.arange(run.n)), run.inputs, run.outputs, run.units)
+    with pytest.raises(InputError, match="irregular sampling"):
+        rl.data_cover(axis(**{"coulomb-friction": {"Fc": 20.0}}), [uneven], {"q": 1e-6})

@@ -1,0 +1,50 @@
+"""A driver with a dead zone between controller and plant, against an integrator that knows nothing of ports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import robustlab as rl
+from robustlab.dynamics.controlled_plant import controlled_plant
+from robustlab.dynamics.effects.driver_in_loop import driver_in_loop
+from robustlab.errors import InputError
+
+T = np.linspace(0.0, 2.0, 8001)
+WAVE = 3.0 * np.sin(np.pi * T)
+# u = 2 (r - phi) - 0.02 omega behind a lag of 5 ms
+K = rl.StateSpaceModel([[-200.0]], [[400.0, -400.0, -4.0]], [[1.0]], [[0.0, 0.0, 0.0]])
+
+
+def loop(plant, K=K):
+    return controlled_plant(plant, K, ["phi"], ["phi", "omega"])
+
+
+@pytest.mark.parametrize("d", [0.0, 0.4, 1.0])
+def test_the_dead_zone_acts_on_what_the_controller_commands(d):
+    motor = rl.plant("dc-motor")
+    made = loop(motor)
+    run = rl.simulate(rl.with_effects(made, driver_in_loop(made, motor, "u", {"d": d})), T, WAVE)
+    G = motor.state_space()
+
+    def rate(t, x):
+        u = x[3]
+        seen = np.sign(u) * max(abs(u) - d, 0.0)
+        r = WAVE[min(int(t / 2.5e-4 + 1e-9), len(WAVE) - 1)]
+        command = 400.0 * (r - x[0]) - 4.0 * x[1] - 200.0 * u
+        return [*(G.A @ x[:3] + G.B[:, 0] * seen), command]
+
+    truth = solve_ivp(rate, (0, 2), np.zeros(4), t_eval=T, rtol=1e-8, atol=1e-9, max_step=2.5e-4)
+    assert run["phi"] == pytest.approx(truth.y[0], abs=6e-3)  # the law sees the command of the step before
+    assert np.abs(WAVE - run["phi"]).max() > 0.3 * d / 2
+
+
+def test_what_is_no_control_and_what_is_no_state_are_refused():
+    motor = rl.plant("dc-motor")
+    made = loop(motor)
+    with pytest.raises(InputError, match="one of u"):
+        driver_in_loop(made, motor, "phi", {"d": 1.0})
+    direct = loop(motor, rl.StateSpaceModel([], [], [], [[2.0, -2.0, -0.02]]))
+    with pytest.raises(InputError, match="direct term"):
+        driver_in_loop(direct, motor, "u", {"d": 1.0})
