@@ -1,4 +1,4 @@
-"""Make ``jig_square.csv``, ``jig_rich.csv`` and ``jig_rich_held_out.csv``: stand-ins for the thesis' test jig.
+"""Make the records ``jig_*.csv``: stand-ins for the thesis' test jig.
 
 Run it with ``python recipes/data/make_jig_record.py``. Chapter 11 of the thesis drives one leg of its platform on a
 bench: motor, planetary and spur gear, ball screw, cart. What it measured there was never published. These records are
@@ -11,7 +11,7 @@ them, the comparison would prove nothing. What this jig has and the nominal mode
   Kf 35 %, masses and inertias 10 %): R +3 %, L -5 %, motor constant -1 %, Kf -15 %, rotor +4 %, nut -5 %, screw +3 %;
   the cart, whose mass the thesis does not print, has 0.6 kg (the motor constant was chosen so that the gap on the
   square wave has about the size that the thesis reports; the others at will);
-- an encoder of 2000 counts a turn on the motor with 1 mrad of jitter of its edges, and in the rich records a current
+- an encoder of 2000 counts a turn on the motor with 1 mrad of jitter of its edges, and in the rich and slow records a current
   sensor with 20 mA of noise and a resolution of 5 mA.
 
 The equations are integrated by classical Runge-Kutta steps of 10 us.
@@ -117,10 +117,29 @@ def rich(seed: int) -> np.ndarray:
     return np.round(np.pad(command, (0, max(0, n - len(command))))[:n], 2)
 
 
+def slow(seed: int) -> np.ndarray:
+    """Random levels of 1.8 V to 4 V and reversals: motions so slow that friction and the drop take much of the voltage.
+
+    The first level is the largest; signs keep the cart near the middle.
+    """
+    rng = np.random.default_rng(seed)
+    parts, reached, n = [np.zeros(100)], 0.0, round(DURATION / SAMPLE_TIME)
+    size = 4.0
+    while sum(map(len, parts)) < n:
+        sign = -math.copysign(1.0, reached) if abs(reached) > 0.3 else rng.choice([-1.0, 1.0])
+        length = round(rng.uniform(0.06, 0.22) / SAMPLE_TIME)
+        parts.append(np.full(length, sign * size))
+        reached += sign * size * length * SAMPLE_TIME / 4.0
+        size = rng.uniform(1.8, 4.0)
+    return np.round(np.concatenate(parts)[:n], 2)
+
+
 RECORDS = {
     "jig_square": (square, 20110101, "square wave of 11.8 V"),
     "jig_rich": (lambda: rich(20110102), 20110102, "random levels, reversals, slow ramps"),
     "jig_rich_held_out": (lambda: rich(20110103), 20110103, "the same kind of input, other numbers"),
+    "jig_slow": (lambda: slow(20110104), 20110104, "slow motions: random levels of 1.8 V to 4 V"),
+    "jig_slow_held_out": (lambda: slow(20110105), 20110105, "the same kind of input, other numbers"),
 }
 
 

@@ -66,6 +66,9 @@ class TrackingProblemStep(StepBase):
     reference: Sizes = Field(1.0, description="Size of the references in the outputs' units.")
     reference_bandwidth: Positive | None = Field(None, description="rad/s, above which references get smaller.")
     disturbance: Sizes | None = Field(None, description="Size of what is added to the controls, in their units.")
+    loads: dict[str, Positive] = Field(
+        {}, description='Inputs of the model that are no controls, with their sizes: { "load *" = 1.0 }.'
+    )
     noise: Sizes | None = Field(
         None, description='Size of the noise on what is seen, in its units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
     )
@@ -173,6 +176,7 @@ class ReduceControllerStep(DesignStep):
 class RobustPerformanceStep(StepBase):
     """Robust performance of one problem under several controllers: certified mu, worst-case gain, order."""
 
+    gives: ClassVar[str] = "performance"
     do: Literal["robust-performance"]
     of: ToUncertainOrProblem
     controllers: Controllers
@@ -188,6 +192,7 @@ class RobustPerformanceStep(StepBase):
 class SimulateControlStep(StepBase):
     """A linear plant with effects under several controllers: a sine is followed, members of the set included."""
 
+    gives: ClassVar[str] = "runs"
     do: Literal["simulate-control"]
     of: ToPlant
     controllers: Controllers
@@ -200,7 +205,9 @@ class SimulateControlStep(StepBase):
     after: Annotated[float, Field(ge=0)] = Field(0.0, description="s from which on the error counts.")
     points: Annotated[int, Field(ge=2, le=100_000)] = 2001
     step: Positive = Field(1e-4, description="s between samples of the reference; it is held between them.")
-    effects: dict[str, dict[str, float]] = Field({}, description='As "coulomb-friction@omega" = { Fc = 3e-3 }.')
+    effects: dict[str, dict[str, float]] = Field(
+        {}, description='As "coulomb-friction@omega" = { Fc = 3e-3 }, "input-dead-zone@u" = { d = 0.6 }.'
+    )
     members: list[dict[str, float]] = Field([], description="Parameters of further members of the set to simulate.")
     scale: Positive = Field(1.0, description="Factor from the controlled output to `unit`.")
     unit: str = ""
@@ -210,6 +217,7 @@ class SimulateControlStep(StepBase):
 class FollowTrajectoryStep(StepBase):
     """The nonlinear Stewart platform with motors under several upper layers, following the path of section 9.1.3."""
 
+    gives: ClassVar[str] = "runs"
     do: Literal["follow-trajectory"]
     of: ToPlant
     controllers: Controllers

@@ -76,7 +76,7 @@ class Workspace:
     folder
         Where this run writes; `files` lists what was written, relative to it.
     values
-        Step name -> value of each step that is done.
+        Step name -> value of each step that is done; `numbers` alike, what requirements refer to.
     sources
         Step name -> the file it reads; see `robustlab.recipe.paths.find_files`.
     seed
@@ -96,6 +96,7 @@ class Workspace:
     seed: int
     unfinished: Path
     values: dict[str, Any] = field(default_factory=dict)
+    numbers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)

@@ -149,7 +149,7 @@ def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str
         except RobustlabError as error:
             raise _at_step(error, loaded.path.name, name) from error
         else:
-            workspace.values[name] = outcome.value
+            workspace.values[name], workspace.numbers[name] = outcome.value, outcome.numbers
             entry = _done(name, step, outcome, workspace.figures.get(name, []))
             _check_paths(loaded.recipe, name, entry["numbers"])
         done.append({**entry, "seconds": round(time.monotonic() - begun, 3)})

@@ -24,6 +24,7 @@ from robustlab.recipe.control_schema import (
     SimulateControlStep,
     TrackingProblemStep,
 )
+from robustlab.recipe.story_schema import DataCoverStep, StoryStep
 from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep, WithLoadsStep
 from robustlab.recipe.vocabulary import (
     ComplementaryWeight,
@@ -450,6 +451,8 @@ Step = Annotated[
     | CoverModelsStep
     | UncertainFromStep
     | WithLoadsStep
+    | DataCoverStep
+    | StoryStep
     | SampleStep
     | WorstCaseStep
     | ViolationStep

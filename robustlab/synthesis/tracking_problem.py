@@ -97,7 +97,7 @@ class TrackingProblem:
         return self.uncertain
 
     def on(self, G: Any) -> TrackingProblem:
-        """The same requirement for another plant or set of models with the same signals; loads it lacks are left out."""
+        """The same requirement for another plant or set with the same signals; loads that it lacks are left out."""
         bandwidth = -float(self.shape.A[0, 0]) if self.shape.n_states else None
         inputs = [s.name for s in (G if isinstance(G, UncertainModel) else as_model(G, "tracking problem: G")).inputs]
         loads = {name: size for name, size in self.loads.items() if name in inputs}

@@ -83,9 +83,11 @@ class EffectLoads:
         own = self.plant.model.own
         first = np.array([record.outputs[self.plant.outputs[k].name][0] for k in shown])
         x0 = np.linalg.pinv(self.plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
-        # The times of a uniform record may be rounded; the laws step with the clock itself.
-        t = record.t[0] + record.dt * np.arange(record.n) if record.is_uniform else record.t
-        states, _ = self.plant.stepped(t, u, self.plant.whole_state(np.asarray(x0, dtype=np.float64)))
+        if not record.is_uniform:
+            raise InputError(where, "irregular sampling", "equal steps", "resample the record")
+        # Time stamps are rounded; the clock itself is not.
+        clock = record.t[0] + record.dt * np.arange(record.n)
+        states, _ = self.plant.stepped(clock, u, self.plant.whole_state(np.asarray(x0, dtype=np.float64)))
         signals = self._signals(record, u, states, where)
         added = {load.name: signals[:, k] for k, load in enumerate(self.loads)}
         units = {**record.units, **{load.name: "1" for load in self.loads}}

@@ -20,6 +20,7 @@ from robustlab.recipe.steps import (
     measurement,
     models,
     published,
+    story,
 )
 
 __all__ = ["EXECUTORS"]
@@ -61,6 +62,8 @@ EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
     "discover": discovery.discover,
     "data-sheet": measurement.data_sheet,
     "cover": measurement.cover,
+    "data-cover": story.data_cover,
+    "story": story.story,
     "published-numbers": published.published_numbers,
     "thesis-case": published.thesis_case,
 }

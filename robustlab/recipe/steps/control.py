@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -19,7 +20,16 @@ from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.vocabulary import ErrorWeight
 from robustlab.result import Status
 
-__all__ = ["cascade", "follow_trajectory", "robust_performance", "simulate_control", "tracking_problem"]
+__all__ = ["Runs", "cascade", "follow_trajectory", "robust_performance", "simulate_control", "tracking_problem"]
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Simulated runs: time in s, controller -> error over it, and its unit."""
+
+    t: Any
+    errors: Mapping[str, Any]
+    unit: str
 
 
 def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
@@ -34,6 +44,8 @@ def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
     weights = {name: _weight(getattr(step, name), make) for name, make in makers.items()}
     inputs, outputs = _signals(G)
     controlled, measured = _matching(step.controlled, outputs), _matching(step.measured, outputs)
+    loads = {k: v for k, v in _sizes_of(step.loads, inputs).items() if "*" not in k}
+    controls = [name for name in inputs if name not in loads]
     problem = pose(
         G,
         controlled,
@@ -41,7 +53,8 @@ def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
         **weights,
         reference=_sizes_of(step.reference, controlled),
         reference_bandwidth=step.reference_bandwidth,
-        disturbance=_sizes_of(step.disturbance, inputs),
+        disturbance=_sizes_of(step.disturbance, controls),
+        loads=loads,
         noise=_sizes_of(step.noise, [*(f"{name}_ref" for name in controlled), *measured]),
     )
     blocks = problem.uncertain.blocks
@@ -58,6 +71,7 @@ def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
         Fact("It drives", ", ".join(f"{s.name} [{s.unit}]" for s in problem.plant.controls)),
         Fact("Size of the references", _sizes(problem.reference, problem.controlled)),
         Fact("of the disturbances", _sizes(problem.disturbance, problem.plant.controls)),
+        *([Fact("of the loads", ", ".join(f"{n} {s:g}" for n, s in problem.loads.items()))] if problem.loads else []),
         Fact("of the noise", _sizes(problem.noise, problem.plant.measurements)),
         Fact("Uncertain", f"{len(blocks)} blocks, {problem.uncertain.delta_shape[0]} channels"),
         Fact("States, weights included", str(problem.uncertain.M.n_states)),
@@ -127,7 +141,7 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
     where = step.of if step.set is None else f"{step.of} on {step.set}"
     summary = f"Robust performance of {where} under {len(rows)} controllers, the same requirement for all."
     note = "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
-    return Outcome(None, summary, {"controllers": rows}, facts, status, (note,), text_table(header, table))
+    return Outcome(margins, summary, {"controllers": rows}, facts, status, (note,), text_table(header, table))
 
 
 def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:
@@ -155,9 +169,7 @@ def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:
         loop = controlled_plant(plant, work.values[name], step.controlled, step.measured)
         runs = []
         for member in ({}, *step.members):
-            made = loop.with_parameters(**member) if member else loop
-            moved = rl.with_effects(made, step.effects) if step.effects else made
-            runs.append(rl.simulate(moved, t, reference))
+            runs.append(rl.simulate(_rough(loop, plant, step.effects, member), t, reference))
         error = [np.column_stack([wave - run[c] for c in step.controlled]) * step.scale for run in runs]
         late = t >= step.after
         row: dict[str, Any] = {
@@ -192,7 +204,8 @@ def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:
     )
     summary = f"{step.of} under {len(rows)} controllers, simulated with {words}."
     note = "Limits are compared with, not applied: nothing is clipped."
-    return Outcome(None, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
+    kept = Runs(t[::fine], errors, unit)
+    return Outcome(kept, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
 
 
 def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
@@ -224,6 +237,7 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
         error = run.largest_error(step.after)
         rows[name] = {
             "order": controller.upper.n_states,
+            "worst_error": 1e3 * float(error[:3].max()),
             "position_error": float(error[:3].max()),
             "orientation_error": float(error[3:].max()),
             "largest_torque": float(run.largest_torque().max()),
@@ -263,6 +277,22 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
     summary = f"Nonlinear simulation of {step.of} under {len(rows)} upper layers."
     note = "Nothing is clipped: 'in limits' says whether the motors' torque and voltage would have been enough."
     return Outcome(None, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
+
+
+def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
+    """A member's loop with effects; one at a control acts on what the controller commands."""
+    import robustlab as rl
+    from robustlab.dynamics.effects.driver_in_loop import driver_in_loop
+
+    made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
+    at_controls = [f"input-dead-zone@{s.name}" for s in plant.inputs]
+    rest = {key: values for key, values in effects.items() if key not in at_controls}
+    moved = rl.with_effects(made, rest) if rest else made
+    for key in at_controls:
+        if key in effects:
+            drop = driver_in_loop(made, own, key.partition("@")[2], effects[key])
+            moved = rl.with_effects(moved, drop)
+    return moved
 
 
 # --- what the steps share ---------------------------------------------------------------------------------------------

@@ -1,0 +1,135 @@
+"""From a record to a better controller: the set that explains the data, and the whole way in one picture."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
+from robustlab.recipe.story_schema import DataCoverStep, StoryStep
+
+__all__ = ["data_cover", "story"]
+
+
+def data_cover(step: DataCoverStep, work: Workspace) -> Outcome:
+    """The smallest unmodelled dynamics with which the plant could have produced its records."""
+    import robustlab as rl
+    from robustlab.report.validation_figures import validation_figure
+
+    def thinned(name: str) -> Any:
+        r = work.record(name)
+        keep = slice(None, None, step.decimate)
+        outputs = {key: y[keep] for key, y in r.outputs.items()}
+        return rl.Record(r.t[keep], {key: u[keep] for key, u in r.inputs.items()}, outputs, r.units, name, r.meaning)
+
+    found = rl.data_cover(
+        work.values[step.of], [thinned(n) for n in step.records], step.noise,
+        held_out=[thinned(n) for n in step.held_out], margin=step.margin, least=step.least, window=step.window,
+        at_rest=step.at_rest, time_limit=step.time_limit,
+    )  # fmt: skip
+    work.keep(found)
+    if found.model is None:
+        raise NoTrustworthyNumber(
+            "data-cover", f"no unmodelled dynamics of {step.of} explains {', '.join(step.records)}",
+            "a larger noise bound, or a plant that is nearer",
+        )  # fmt: skip
+    for name, validation in found.validations.items():
+        for output, _ in validation.outputs:
+            caption = f"{name} as recorded, of the nominal model, and as the smallest Δ explains it."
+            work.draw(validation_figure(validation, output), f"{name}-{output}", caption)
+    numbers = {k: v for k, v in found.to_json(series=False).items() if k not in ("validations", "loads")}
+    numbers["loads"] = {x.name: x.bound for x in found.loads}
+    held = "none held out" if math.isnan(found.held_out) else f"{found.held_out:.3g}"
+    facts = (
+        Fact("Unmodelled dynamics in the set", f"{found.radius:.3g} of the input"),
+        Fact("Needed by the records", f"{found.needed_lower:.3g} to {found.needed:.3g}"),
+        Fact("Needed by the records held out", held),
+        *(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in found.loads),
+        Fact("Blocks", ", ".join(b.name for b in found.model.blocks)),
+    )
+    note = "The radius is sought at nominal parameters, with a Δ that may vary with time; their tolerances come on top."
+    summary = f"The set of models around {step.of} that explains {', '.join(step.records)}."
+    return Outcome(found.model, summary, numbers, facts, found.status, (note,), found.summary())
+
+
+def story(step: StoryStep, work: Workspace) -> Outcome:
+    """Gap, uncertainty, robust performance and the machine's error, before and after."""
+    from robustlab.report.story_figures import Story, story_figure
+
+    mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(step.performance, step.controllers, strict=True)]
+    errors = [_of_controller(work, step.runs, k, "worst_error") for k in step.controllers]
+    numbers: dict[str, Any] = {
+        "mu": {"before": mu[0], "after": mu[1], "fall_percent": 100 * (1 - mu[1] / mu[0])},
+        "error": {"before": errors[0], "after": errors[1], "ratio": _ratio(*errors)},
+    }
+    facts = [
+        Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {100 * (1 - mu[1] / mu[0]):.3g} % lower"),
+    ]
+    gap = None
+    if step.record is not None and step.plants is not None:
+        gap = _simulated(step, work)
+        rms = gap["rms"]
+        numbers["gap"] = {"before": rms[0], "after": rms[1], "ratio": _ratio(*rms)}
+        facts.insert(
+            0, Fact(f"Gap of {gap['label']}, RMS", f"{rms[0]:.4g} → {rms[1]:.4g}: {_ratio(*rms):.4g} times smaller")
+        )
+    radii = None
+    if step.covers is not None:
+        for name in step.covers:
+            if "radius" not in work.numbers[name]:
+                raise InputError(f"covers: {name}", "no radius", "a data-cover step")
+        radii = [float(work.numbers[name]["radius"]) for name in step.covers]
+        needed = [work.numbers[name]["held_out"] for name in step.covers]
+        numbers["radius"] = {"before": radii[0], "after": radii[1], "ratio": _ratio(*radii)}
+        if all(isinstance(v, float) and math.isfinite(v) for v in needed):
+            numbers["held_out"] = {"before": needed[0], "after": needed[1], "ratio": _ratio(*needed)}
+            text = f"{needed[0]:.3g} → {needed[1]:.3g}"
+            facts.append(Fact("Unmodelled dynamics that held-out data need", text))
+        facts.append(Fact("Unmodelled dynamics in the set", f"{radii[0]:.3g} → {radii[1]:.3g} of the input"))
+    runs = work.values[step.runs]
+    text = f"{errors[0]:.4g} → {errors[1]:.4g} {runs.unit}: {_ratio(*errors):.3g} times smaller"
+    facts.append(Fact("Largest tracking error, the referee's", text))
+    margins = [work.values[p][k] for p, k in zip(step.performance, step.controllers, strict=True)]
+    curves = [runs.errors[k] for k in step.controllers]
+    work.draw(
+        story_figure(Story(gap, radii, numbers.get("held_out"), margins, mu, runs.t, curves, errors, runs.unit)),
+        "story", "From the gap to the better controller: before (red) and after (blue) the effects were named.",
+    )  # fmt: skip
+    return Outcome(None, "The whole way in one picture.", numbers, tuple(facts))
+
+
+def _of_controller(work: Workspace, step: str, controller: str, key: str) -> float:
+    rows = work.numbers[step]["controllers"]
+    if controller not in rows:
+        raise InputError(f"story: {step}", f"does not have {controller!r}", f"one of {', '.join(rows)}")
+    return float(rows[controller][key])
+
+
+def _ratio(before: float, after: float) -> float:
+    return before / after if after > 0 else math.inf
+
+
+def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
+    """The record's output with both simulations of it, from rest, and the RMS errors."""
+    import numpy as np
+
+    import robustlab as rl
+
+    assert step.record is not None
+    assert step.plants is not None
+    record = work.record(step.record)
+    output = step.output or next(iter(record.outputs))
+    curves = []
+    for name in step.plants:
+        plant = work.values[name]
+        shown = [k for k, s in enumerate(plant.outputs) if s.name in record.outputs]
+        first = np.array([record.outputs[plant.outputs[k].name][0] for k in shown])
+        model = getattr(plant, "model", None) or plant.state_space()
+        x0 = np.linalg.pinv(model.C[shown, : len(plant.states)]) @ first
+        inputs = {s.name: record[s.name] for s in plant.inputs}
+        curves.append(rl.simulate(plant, record.t, inputs, x0)[output])
+    measured = record[output]
+    rms = [float(np.sqrt(np.mean((c - measured) ** 2))) for c in curves]
+    label = f"{output} [{record.unit(output)}]"
+    return {"t": record.t, "measured": measured, "curves": curves, "rms": rms, "label": label}

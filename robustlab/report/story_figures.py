@@ -1,0 +1,121 @@
+"""The whole story in one picture: gap, uncertainty, what is proved, and what the machine then does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
+
+if TYPE_CHECKING:
+    from robustlab.mu_analysis import Margin
+
+__all__ = ["Story", "story_figure"]
+
+Array = NDArray[np.float64]
+BEFORE, AFTER = COLOURS["worst"], COLOURS["nominal"]
+WORDS = ("before", "after")
+
+
+@dataclass(frozen=True, eq=False)
+class Story:
+    """What the picture shows; pairs are before and after.
+
+    Attributes
+    ----------
+    gap
+        ``t``, ``measured``, ``curves`` (two simulations), ``rms`` and ``label`` of a record; None without one.
+    radii
+        Unmodelled dynamics in the sets, shares of the input; None where they are told otherwise.
+    held_out
+        ``before`` and ``after``: what held-out records need; None without such.
+    margins, mu
+        Margins of robust performance, and the mu that they prove.
+    t, curves, errors, unit
+        Time in s, tracking error over it, largest error of any member, and their unit.
+    """
+
+    gap: Mapping[str, Any] | None
+    radii: Sequence[float] | None
+    held_out: Mapping[str, float] | None
+    margins: Sequence[Margin]
+    mu: Sequence[float]
+    t: Array
+    curves: Sequence[Array]
+    errors: Sequence[float]
+    unit: str
+
+
+def story_figure(story: Story) -> Figure:
+    """Two by two panels; without a record or radii those panels are left out."""
+    panels = [_mu, _error]
+    if story.radii is not None:
+        panels.insert(0, _uncertainty)
+    if story.gap is not None:
+        panels.insert(0, _gap)
+    columns = 2 if len(panels) > 1 else 1
+    figure, axes = new_figure(-(-len(panels) // columns), columns, width=11.0, height=3.7)
+    with house_style():
+        for number, (panel, ax) in enumerate(zip(panels, axes, strict=False), start=1):
+            panel(ax, story, number)
+        for ax in axes[len(panels) :]:
+            ax.set_visible(False)
+    return figure
+
+
+def _gap(axes: Axes, story: Story, number: int) -> None:
+    assert story.gap is not None
+    gap, ratio = story.gap, story.gap["rms"][0] / max(story.gap["rms"][1], 1e-300)
+    axes.plot(gap["t"], gap["measured"], color=COLOURS["sample"], lw=3.2, label="measured, held out")
+    axes.plot(gap["t"], gap["curves"][0], color=BEFORE, lw=1.2, label="model before")
+    axes.plot(gap["t"], gap["curves"][1], color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="with the named effects")
+    axes.set(xlabel="time [s]", ylabel=plain_label(gap["label"]), xlim=(gap["t"][0], gap["t"][-1]))
+    axes.set_title(f"{number}  The gap: {ratio:.3g} times smaller (RMS)", loc="left")
+    axes.legend(loc="best")
+
+
+def _uncertainty(axes: Axes, story: Story, number: int) -> None:
+    assert story.radii is not None
+    floor = 1e-6
+    for k, (radius, colour) in enumerate(zip(story.radii, (BEFORE, AFTER), strict=True)):
+        axes.barh(k, radius, color=colour, alpha=0.8, height=0.5, label="unmodelled, in the set" if k == 0 else None)
+        axes.annotate(f"{100 * radius:.3g} %", (radius, k), (5, 0), textcoords="offset points", va="center")
+        if story.held_out is not None:
+            need = max(story.held_out[WORDS[k]], floor)
+            label = "needed by held-out data" if k == 0 else None
+            axes.plot(need, k, "o", color=COLOURS["reference"], ms=7, mfc="white", mew=1.6, label=label, zorder=4)
+    logarithmic(axes.xaxis)
+    lowest = min([*story.radii, *(max(v, floor) for k, v in (story.held_out or {}).items() if k in WORDS)])
+    axes.set(yticks=[0, 1], yticklabels=WORDS, ylim=(1.6, -0.6), xlim=(lowest / 3, 4 * max(story.radii)))
+    axes.set_xlabel("unmodelled dynamics, share of the input")
+    axes.set_title(f"{number}  The uncertainty: {story.radii[0] / story.radii[1]:.3g} times smaller", loc="left")
+    axes.legend(loc="lower right")
+
+
+def _mu(axes: Axes, story: Story, number: int) -> None:
+    for word, margin, mu, colour in zip(WORDS, story.margins, story.mu, (BEFORE, AFTER), strict=True):
+        axes.plot(margin.omega, margin.mu_upper, color=colour, label=f"{word}: at most {mu:.3g} at all frequencies")
+        axes.axhline(mu, color=colour, lw=0.7, alpha=0.7)
+    axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), label="1: requirement met by every member")
+    logarithmic(axes.xaxis)
+    omega = story.margins[0].omega
+    axes.set(xlabel="frequency [rad/s]", ylabel="μ of robust performance", xlim=(omega[0], omega[-1]))
+    axes.set_ylim(0, 1.35 * max(1.0, *story.mu))
+    fall = 100 * (1 - story.mu[1] / story.mu[0])
+    axes.set_title(f"{number}  What is proved: μ {fall:.3g} % lower", loc="left")
+    axes.legend(loc="upper right")
+
+
+def _error(axes: Axes, story: Story, number: int) -> None:
+    for word, curve, largest, colour in zip(WORDS, story.curves, story.errors, (BEFORE, AFTER), strict=True):
+        axes.plot(story.t, curve, color=colour, lw=1.2, label=f"{word}: at most {largest:.3g} {story.unit}")
+    axes.set(xlabel="time [s]", ylabel=plain_label(f"tracking error [{story.unit}]"), xlim=(story.t[0], story.t[-1]))
+    ratio = story.errors[0] / max(story.errors[1], 1e-300)
+    axes.set_title(f"{number}  The machine itself: error {ratio:.3g} times smaller", loc="left")
+    axes.legend(loc="upper right")
