@@ -87,7 +87,7 @@ class EffectLoads:
             raise InputError(where, "irregular sampling", "equal steps", "resample the record")
         # Time stamps are rounded; the clock itself is not.
         clock = record.t[0] + record.dt * np.arange(record.n)
-        states, _ = self.plant.stepped(clock, u, self.plant.whole_state(x0))
+        states, _ = self.plant.stepped(clock, u, self.plant.whole_state(np.asarray(x0, dtype=np.float64)))
         signals = self._signals(record, u, states, where)
         added = {load.name: signals[:, k] for k, load in enumerate(self.loads)}
         units = {**record.units, **{load.name: "1" for load in self.loads}}

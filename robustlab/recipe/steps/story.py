@@ -94,7 +94,7 @@ def story(step: StoryStep, work: Workspace) -> Outcome:
     curves = [runs.errors[k] for k in step.controllers]
     work.draw(
         story_figure(Story(gap, radii, numbers.get("held_out"), margins, mu, runs.t, curves, errors, runs.unit)),
-        "story", "From the gap to the better controller: before (red) and after (blue) the effects were named.",
+        "story", "From the gap to the better controller: before and after the effects were named.",
     )  # fmt: skip
     return Outcome(None, "The whole way in one picture.", numbers, tuple(facts))
 
