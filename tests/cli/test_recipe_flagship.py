@@ -1,0 +1,157 @@
+"""From a record to a better controller: the steps on a small problem, and the recipe as shipped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError
+from robustlab.recipe.load import load_recipe
+from robustlab.recipe.run import run_recipe
+from robustlab.recipe.shipped import recipe_path
+
+ROOT = Path(__file__).parents[2]
+
+SMALL = """
+schema = "robustlab.recipe/1"
+name = "small"
+title = "A servo axis with dry friction"
+description = "Friction is known here; the recipe flagship names it from the record."
+[step.plain]
+do = "plant"
+plant = "servo-axis"
+parameters = { M = [95.0, 0.05], Fv = [200.0, 0.1] }
+[step.run]
+do = "record"
+path = "run.csv"
+inputs = ["u"]
+outputs = ["q"]
+[step.held]
+do = "record"
+path = "held.csv"
+inputs = ["u"]
+outputs = ["q"]
+[step.wide]
+do = "data-cover"
+of = "plain"
+records = ["run"]
+held_out = ["held"]
+noise = { q = 1e-5 }
+at_rest = true
+[step.task]
+do = "tracking-problem"
+of = "wide"
+controlled = ["q"]
+measured = ["q", "v"]
+W1 = { error = 0.1, corner = 1.0, steady = 0.01 }
+W2 = { limit = 10.0, bandwidth = 300.0 }
+reference = 0.02
+reference_bandwidth = 3.0
+disturbance = 0.05
+noise = { "*" = 1e-5 }
+[step.before]
+do = "hinf"
+of = "task"
+[step.proved]
+do = "robust-performance"
+of = "task"
+controllers = ["before"]
+gain = false
+points = 6
+time_limit = 5.0
+[step.runs]
+do = "simulate-control"
+of = "plain"
+controllers = ["before"]
+controlled = ["q"]
+measured = ["q", "v"]
+amplitude = 0.02
+omega = 3.0
+rise_time = 0.5
+t_end = 2.0
+points = 201
+step = 1e-3
+effects = { "coulomb-friction@v" = { Fc = 20.0 }, "input-dead-zone@u" = { d = 0.1 } }
+[step.story]
+do = "story"
+record = "held"
+plants = ["plain", "plain"]
+covers = ["wide", "wide"]
+performance = ["proved", "proved"]
+controllers = ["before", "before"]
+runs = "runs"
+"""
+
+
+def write_records(folder):
+    t = np.arange(300) * 5e-3
+    axis = rl.plant("servo-axis", M=95.0, Fv=200.0)
+    rough = rl.with_effects(axis, {"coulomb-friction": {"Fc": 20.0}})
+    for name, level in (("run", 2.0), ("held", 1.8)):
+        u = level * np.where(t < 0.5, 1.0, np.where(t < 1.1, -0.9, 0.8))
+        q = rl.simulate(rough, t, u)["q"]
+        lines = [f"{a:.4f},{b:.4f},{c:.9f}" for a, b, c in zip(t, u, q, strict=True)]
+        (folder / f"{name}.csv").write_text("\n".join(["t [s],u [V],q [m]", *lines]) + "\n", encoding="utf-8")
+
+
+def run_small(folder, text=SMALL):
+    write_records(folder)
+    path = folder / "small.toml"
+    path.write_text(text, encoding="utf-8")
+    return run_recipe(load_recipe(path), folder / "out")
+
+
+def numbers(result, step):
+    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
+
+
+def test_cover_design_and_story(tmp_path):
+    result = run_small(tmp_path)
+    assert [s["error"] for s in result.data["steps"] if s["error"]] == []
+    wide, story = numbers(result, "wide"), numbers(result, "story")
+    # 20 N of the 70 N that the first level is: more than that share was lost, less than all.
+    assert 0.25 < wide["needed_lower"] <= wide["needed"] < 1.0
+    assert wide["radius"] == pytest.approx(1.1 * wide["needed"])
+    assert wide["loads"] == {}
+    assert story["mu"]["fall_percent"] == 0.0
+    assert story["gap"]["ratio"] == story["error"]["ratio"] == story["radius"]["ratio"] == 1.0
+    proved = numbers(result, "proved")["controllers"]["before"]["mu_upper"]
+    assert story["mu"]["before"] == proved
+    page = (result.folder / "report.html").read_text(encoding="utf-8")
+    assert page.index("From the gap to the better controller") < page.index("Requirements")
+    assert page.count("From the gap to the better controller") == 2  # its alternative text and its caption, once
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('plants = ["plain", "plain"]\n', "", "record and plants belong together"),
+        ('controllers = ["before", "before"]', 'controllers = ["before"]', "at least 2"),
+        ('runs = "runs"', 'runs = "proved"', "runs"),
+    ],
+)
+def test_a_wrong_story_is_refused(tmp_path, old, new, says):
+    write_records(tmp_path)
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        load_recipe(path)
+    assert says in str(error.value) + " ".join(error.value.more or ())
+
+
+def test_before_and_after_are_asked_for_the_same():
+    steps = load_recipe(recipe_path("flagship")).recipe.step
+    before, after = (steps[f"task_{word}"].model_dump(exclude={"of", "title", "loads"}) for word in ("before", "after"))
+    assert before == after
+    before, after = (steps[word].model_dump(exclude={"of", "title", "start"}) for word in ("before", "after"))
+    assert before == after
+
+
+@pytest.mark.slow
+def test_flagship(tmp_path):
+    result = run_recipe(load_recipe(recipe_path("flagship")), tmp_path / "out")
+    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
+    assert result.exit_code == 0
