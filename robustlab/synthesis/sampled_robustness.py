@@ -172,8 +172,8 @@ def sampled_robustness(
     n_meas, n_con
         Numbers of measurements and controls, where an uncertain model is given.
     degree
-        Number of polynomials; where left out it grows from 1 to 5 until mu is within ``accuracy`` of what is attained,
-        or changes by less. Degrees whose cover is too loose for the sample time are left out.
+        Number of polynomials; where left out the first of 1 to 5 whose cover is tight enough for the sample time (known
+        before any proof), and the next one where mu is not yet within ``accuracy`` of what is attained.
     accuracy
         Relative distance or change of mu that ends the refinement.
     time_limit
@@ -350,7 +350,8 @@ class _Proofs:
             if small and sampled.uncertain.delta_shape[0] > MOST_CHANNELS:
                 break
             if size * sampled.looseness <= LOOSE:
-                return tuple(d for d in degrees if d >= degree and d <= degree + 1)
+                more = sampled.uncertain.delta_shape[0] * (degree + 1) <= MOST_CHANNELS * degree
+                return (degree, degree + 1) if more and degree < degrees[-1] else (degree,)
             small.append(degree)
         return tuple(small[-1:]) or degrees[:1]
 
