@@ -26,7 +26,10 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["SampledRobustness", "sampled_robustness"]
 
 WHERE = "sampled_robustness"
-DEGREES = (1, 2, 3)
+# Degrees that are tried, and how loose the cover may be (times the size of Delta) for a degree to be worth a try.
+DEGREES, LOOSE = (1, 2, 3, 4, 5), 0.05
+# Largest number of channels of Delta in a loop that is tried: beyond it a single frequency takes minutes.
+MOST_CHANNELS = 48
 # Accuracy of the proofs, of the search for a critical Delta, and of the norm of a member.
 PROOF, SEARCH, MEMBER = 1e-3, 1e-2, 1e-2
 # Sizes of the worst direction that are tried for the member that attains most, and when they have settled.
@@ -169,8 +172,8 @@ def sampled_robustness(
     n_meas, n_con
         Numbers of measurements and controls, where an uncertain model is given.
     degree
-        Number of polynomials; where left out 1, 2, 3 are tried until mu is within ``accuracy`` of what is attained, or
-        changes by less.
+        Number of polynomials; where left out the first of 1 to 5 whose cover is tight enough for the sample time (known
+        before any proof), and the next one where mu is not yet within ``accuracy`` of what is attained.
     accuracy
         Relative distance or change of mu that ends the refinement.
     time_limit
@@ -274,6 +277,7 @@ class _Proofs:
         core = _without_rests(loop)
         performance = len(loop.inputs) > 0 and len(loop.outputs) > 0
         aim = self._aim(core, performance)
+        degrees = self._worthwhile(degrees, aim.size)
         proof, sampled, loop, (mu_lower, member, gain) = self._refined(aim, performance, degrees, accuracy)
         shown = self._with_member(proof, mu_lower, member)
         stability, stability_loop = shown, loop
@@ -337,6 +341,19 @@ class _Proofs:
                 break
         assert best is not None
         return *best, member
+
+    def _worthwhile(self, degrees: tuple[int, ...], size: float) -> tuple[int, ...]:
+        """The degrees without those whose cover is too loose or whose loop is too large: known before any proof."""
+        small: list[int] = []
+        for degree in degrees:
+            sampled = sample_uncertain_plant(self.plant, self.K.dt, degree, self.delay, size)
+            if small and sampled.uncertain.delta_shape[0] > MOST_CHANNELS:
+                break
+            if size * sampled.looseness <= LOOSE:
+                more = sampled.uncertain.delta_shape[0] * (degree + 1) <= MOST_CHANNELS * degree
+                return (degree, degree + 1) if more and degree < degrees[-1] else (degree,)
+            small.append(degree)
+        return tuple(small[-1:]) or degrees[:1]
 
     def _left(self) -> float:
         return max(self.until - time.monotonic(), 1.0)

@@ -68,12 +68,16 @@ class SampledUncertainPlant:
         Names of the disturbances that are taken as constant over a period, because they reach the sampler directly.
     widened
         Names of blocks that a larger one covers: repeated complex scalars became full.
+    looseness
+        Gain from the loop to the rests of the real blocks and back, for Delta of norm one: what the cover may add to
+        the loop.
     """
 
     uncertain: UncertainModel
     degree: int
     held: tuple[str, ...]
     widened: tuple[str, ...]
+    looseness: float
 
 
 def sample_uncertain_plant(
@@ -312,7 +316,13 @@ class _Period:
                 blocks.append(FullBlock(block.name, len(columns[-1]), len(rows[-1]), origin=block.origin))
         names = tuple(self.plant.model.input_names[i] for i in self.channels.held)
         widened = tuple(b.name for b in given if isinstance(b, ComplexScalar) and b.repeats > 1)
-        return SampledUncertainPlant(UncertainModel(self._model(rows, columns), blocks), self.degree, names, widened)
+        uncertain = UncertainModel(self._model(rows, columns), blocks)
+        return SampledUncertainPlant(uncertain, self.degree, names, widened, self._looseness())
+
+    def _looseness(self) -> float:
+        if not self.real_unit:
+            return 0.0
+        return _norm(self.rests[0]) * _norm(np.hstack([kicks[0] for kicks in self.joint_kicks]))
 
     def _coefficient_channels(self, index: int) -> tuple[Array, NDArray[np.intp]]:
         """Coefficients of a group's outputs and inputs, with what Delta does at the sample, or what is held."""
