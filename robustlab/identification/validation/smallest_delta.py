@@ -147,8 +147,8 @@ def validate(
     >>> gain = unstructured(StateSpaceModel([], [], [], [[2.0]], dt=1.0), 1.0)
     >>> steps = Record(range(4), {"u1": [1, 0, 0, 0]}, {"y1": [2.5, 0, 0, 0]})
     >>> found = validate(gain, steps, {"y1": 0.1}, at_rest=True)
-    >>> round(found.upper, 2), found.verdict
-    (0.4, 'not invalidated at gamma = 0.4')
+    >>> round(found.upper, 2), found.invalidated, str(found.status)
+    (0.4, False, 'certified')
     """
     begun, estimated = time.monotonic(), noise is None
     if not isinstance(uncertain, UncertainModel):
