@@ -71,7 +71,8 @@ class FrequencyData(Evidence):
     --------
     >>> import robustlab as rl
     >>> lag = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
-    >>> measured = FrequencyData([0.5, 1.0, 2.0], rl.frequency_response(lag, [0.5, 1.0, 2.0])[:, 0, 0] + 0.1, "u", ["y"])
+    >>> response = rl.frequency_response(lag, [0.5, 1.0, 2.0])[:, 0, 0] + 0.1
+    >>> measured = FrequencyData([0.5, 1.0, 2.0], response, "u", ["y"])
     >>> found = rl.validate(rl.unstructured(lag, 0.2), measured, {"y": 0.02}, domain="frequency")
     >>> round(found.lower, 3), round(found.upper, 3), str(found.status)
     (0.4, 0.4, 'certified')
