@@ -296,7 +296,7 @@ def _wrong_system(seed, kind):
 
 
 def _steady(seed, hidden, n=64, periods=4):
-    """Whole periods of a lag with one block of 20 %; hidden: a cube of the output that peaks at 3 x the noise."""
+    """Whole periods of a lag with one block of 20 %; hidden: a cube of the output of 3 x the noise (rms)."""
     rng = np.random.default_rng(seed)
     form = ["additive", "output-multiplicative", "inverse-output-multiplicative", "inverse-additive"][seed % 4]
     G = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
@@ -309,7 +309,7 @@ def _steady(seed, hidden, n=64, periods=4):
     y, bound = y[-n * periods :], 0.02 * float(np.abs(y).max())
     noise = rng.uniform(-1, 1, len(y))
     noise *= bound * (1 - 1e-9) / np.sqrt(np.mean(noise**2))
-    wrong = 3 * bound * y**3 / np.abs(y**3).max() if hidden else 0.0
+    wrong = 3 * bound * y**3 / np.sqrt(np.mean(y**6)) if hidden else 0.0
     record = rl.Record(np.arange(len(y)) * 0.2, {"u": np.tile(u, periods)}, {"y": y + wrong + noise})
     return model, record, {"y": bound}, {"domain": "frequency"}
 
