@@ -172,6 +172,16 @@ def test_what_delta_cannot_reach_is_invalidated_at_every_gamma():
     )
 
 
+@pytest.mark.parametrize("form", ["inverse-output-multiplicative", "inverse-additive"])
+def test_a_loop_that_nothing_drives_is_at_rest(form):
+    """A harmonic that the input does not hold is not explained by a Delta that makes the loop singular."""
+    model, t = rl.unstructured(LAG, 0.4, form), np.arange(192) * 0.2
+    u = np.tile(np.sin(2 * np.pi * np.arange(64) / 64), 3)
+    y = 0.8 * np.tile(np.sin(2 * np.pi * np.arange(64) / 64), 3) + 0.3 * np.cos(2 * np.pi * np.arange(192) * 3 / 64)
+    found = rl.validate(model, rl.Record(t, {"u": u}, {"y": y}), {"y": 0.02}, domain="frequency")
+    assert found.verdict == "invalidated at every gamma"
+
+
 def test_an_integrator_is_judged_without_its_mean():
     axis = rl.StateSpaceModel([[0.0, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.0, ["u"], ["y"])
     model, n = rl.unstructured(axis, 0.2, "input-multiplicative"), 60

@@ -141,7 +141,10 @@ def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:
         energy = (np.abs(z[:, cols]) ** 2).sum(axis=1)
         back = z[:, cols].conj() / np.where(energy > 0, energy, 1.0)[:, None]
         delta[:, rows, cols] = w[:, rows, None] * back[:, None, :]
-    closed = np.linalg.solve(np.eye(q) - delta @ problem.M11, np.einsum("kij,kj->ki", delta, problem.z0)[..., None])
+    try:
+        closed = np.linalg.solve(np.eye(q) - delta @ problem.M11, np.einsum("kij,kj->ki", delta, problem.z0)[..., None])
+    except np.linalg.LinAlgError:  # a Delta that makes the loop ill-posed is no explanation
+        return np.inf
     noise = problem.e - np.einsum("kij,kj->ki", problem.M21, closed[..., 0])
     difference = noise - problem.noise(w)
     if problem.total:

@@ -92,7 +92,7 @@ def smallest_by_lines(
     NoTrustworthyNumber
         The solver gives no answer, or an impossibility that its multipliers do not prove.
     """
-    programme = _Programme(problem, scaled)
+    programme = _Programme(problem, scaled, deadline)
     known = not np.abs(problem.M11).max(initial=0.0)
     none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     empty = LineMultipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
@@ -239,8 +239,8 @@ class _Solved:
 class _Programme:
     """Cone programmes in the real and imaginary parts of w, and g: one, or one for each line where they are apart."""
 
-    def __init__(self, problem: SpectralProblem, scaled: NDArray[np.bool_]) -> None:
-        self.problem, self.scaled = problem, scaled
+    def __init__(self, problem: SpectralProblem, scaled: NDArray[np.bool_], deadline: float) -> None:
+        self.problem, self.scaled, self.deadline = problem, scaled, deadline
         self.q = problem.M21.shape[2]
         self.n_g = 1 if problem.total else problem.n
         self.at_g = 2 * problem.n * self.q
@@ -362,6 +362,7 @@ class _Programme:
         cost[self.at_g :] = 1.0
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_threads = False, 1
+        settings.time_limit = min(max(self.deadline - time.monotonic(), 1.0), 1e6)
         square = sparse.csc_matrix((self.size, self.size))
         try:
             found = clarabel.DefaultSolver(square, cost, A, b, [c for part in parts for c in part[2]], settings).solve()

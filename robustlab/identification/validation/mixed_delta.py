@@ -29,6 +29,7 @@ __all__ = ["smallest_mixed"]
 
 SHARE = 0.4  # of the time for the search over the constants
 FINEST = 0.02
+LONGEST_RELAXED = 4000  # samples at the beginning of the record from which the lower bound comes
 
 
 def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
@@ -38,7 +39,7 @@ def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
     names = [b.name for b in blocks if isinstance(b, RealScalar)]
     free, kept = scaled[real], scaled[~real]
     begun = time.monotonic()
-    problem = sampled(job.recorded, job.recorded.uncertain.M, blocks)
+    problem = sampled(job.recorded.part(0, LONGEST_RELAXED), job.recorded.uncertain.M, blocks)
     relaxed = smallest_contractions(problem, scaled, job.precision, job.deadline)
     if np.isinf(relaxed.lower):
         return _unexplained(job, relaxed, problem)
@@ -55,6 +56,8 @@ def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
 
     delta = np.zeros(len(names))
     best, step = size_at(delta), 0.5
+    if len(job.recorded.t) > LONGEST_RELAXED:
+        step = 0.0  # nothing explains a record of which only the beginning is judged
     while step > FINEST * max(best if np.isfinite(best) else 1.0, 0.05) and time.monotonic() < stop:
         better = False
         for k in range(len(names)):

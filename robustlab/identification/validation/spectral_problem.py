@@ -66,6 +66,16 @@ class FrequencyData(Evidence):
     ------
     InputError
         Shapes that differ, numbers that are not finite, frequencies that do not increase.
+
+    Examples
+    --------
+    >>> import robustlab as rl
+    >>> lag = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
+    >>> response = rl.frequency_response(lag, [0.5, 1.0, 2.0])[:, 0, 0] + 0.1
+    >>> measured = FrequencyData([0.5, 1.0, 2.0], response, "u", ["y"])
+    >>> found = rl.validate(rl.unstructured(lag, 0.2), measured, {"y": 0.02}, domain="frequency")
+    >>> round(found.lower, 3), round(found.upper, 3), str(found.status)
+    (0.4, 0.4, 'certified')
     """
 
     omega: Array
@@ -330,13 +340,18 @@ def _problem(
         z0[:, cols] /= size
         scales.append(size)
     loop = float(np.abs(M11).max(initial=0.0))
-    for rows, cols in block_slices(uncertain.blocks):
+    silent = []
+    for _, cols in block_slices(uncertain.blocks):
         size = np.linalg.norm(z0[:, cols], axis=1)
-        still = size <= SILENT * max(float(size.max(initial=0.0)), 1e-300)
-        z0[np.ix_(still, range(cols.start, cols.stop))] = 0.0
-        if np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3):  # w cannot make this z move
-            M21[np.ix_(still, range(e.shape[1]), range(rows.start, rows.stop))] = 0.0
-            M11[np.ix_(still, range(p), range(rows.start, rows.stop))] = 0.0
+        silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
+        z0[np.ix_(silent[-1], range(cols.start, cols.stop))] = 0.0
+    # With nothing to start it a well-posed loop is at rest: (I - M11 Delta) z = 0.
+    undriven = np.all(silent, axis=0)
+    for (rows, cols), quiet in zip(block_slices(uncertain.blocks), silent, strict=True):
+        alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
+        still = quiet if alone else undriven
+        M21[np.ix_(still, range(e.shape[1]), range(rows.start, rows.stop))] = 0.0
+        M11[np.ix_(still, range(p), range(rows.start, rows.stop))] = 0.0
     names = tuple(b.name for b in uncertain.blocks)
     layout = tuple(block_slices(uncertain.blocks))
     return SpectralProblem(omega, M11, M21, z0, e, weight, real, total, radius, layout, names, np.array(scales))

@@ -61,7 +61,7 @@ SLACK = 1e-9
 # Sizes below this count as zero.
 SMALLEST, HUGE = 1e-6, 1e100
 # A start by least squares that is larger than the guess by this factor is worse than none.
-FAR = 30.0
+FAR = 1e6
 PENALTIES = (3.0, 1e2, 1e4)
 
 

@@ -85,7 +85,7 @@ def smallest_contractions(
     problem: SampledProblem, scaled: NDArray[np.bool_], precision: float, deadline: float
 ) -> Contractions:
     """Bounds of the smallest gamma over the blocks that ``scaled`` names; the others keep the size 1."""
-    first = _Programme(problem, scaled)
+    first = _Programme(problem, scaled, deadline)
     convex = first.convex
     z = problem.z0
     if not convex:
@@ -264,8 +264,8 @@ class _Solved:
 class _Programme:
     """The cone programme in the sparse variables (x_t, w_t, cumulative energies, g)."""
 
-    def __init__(self, problem: SampledProblem, scaled: NDArray[np.bool_]) -> None:
-        self.problem, self.scaled = problem, scaled
+    def __init__(self, problem: SampledProblem, scaled: NDArray[np.bool_], deadline: float) -> None:
+        self.problem, self.scaled, self.deadline = problem, scaled, deadline
         n, (n_x, q), m = problem.n, problem.B.shape, len(problem.blocks)
         self.at_w, self.at_c = n * n_x, n * (n_x + q)
         self.at_e = self.at_c + n * m
@@ -476,6 +476,7 @@ class _Programme:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
+        settings.time_limit = max(self.deadline - time.monotonic(), 1.0)
         square = sparse.csc_matrix((self.size, self.size)) if P is None else P
         try:
             found = clarabel.DefaultSolver(
