@@ -7,10 +7,11 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from robustlab.recipe.vocabulary import Positive, RefersTo, StepBase, Text, ToController, ToPlant, ToRecord, ToUncertain
+from robustlab.recipe.vocabulary import Positive, RefersTo, StepBase, Text, ToController, ToRecord, ToUncertain
 
 __all__ = ["DataCoverStep", "StoryStep"]
 
+ToPlantOrFile = Annotated[str, RefersTo(("plant", "any"))]
 ToPerformance = Annotated[str, RefersTo(("performance",))]
 ToRuns = Annotated[str, RefersTo(("runs",))]
 BeforeAfter = Field(min_length=2, max_length=2)
@@ -24,7 +25,7 @@ class DataCoverStep(StepBase):
 
     gives: ClassVar[str] = "uncertain"
     do: Literal["data-cover"]
-    of: ToPlant
+    of: ToPlantOrFile
     records: Annotated[list[ToRecord], Field(min_length=1, max_length=20)]
     held_out: list[ToRecord] = Field([], description="Records on which the set is checked; they do not change it.")
     noise: Annotated[dict[str, Positive], Field(min_length=1)] = Field(
@@ -51,7 +52,7 @@ class StoryStep(StepBase):
     do: Literal["story"]
     record: ToRecord | None = Field(None, description="Record that both plants are simulated against, from rest.")
     output: Text = Field("", description="Output of the record to draw; the first where left out.")
-    plants: Annotated[list[ToPlant], BeforeAfter] | None = None
+    plants: Annotated[list[ToPlantOrFile], BeforeAfter] | None = None
     covers: Annotated[list[ToUncertain], BeforeAfter] | None = Field(None, description="data-cover steps.")
     performance: Annotated[list[ToPerformance], BeforeAfter] = Field(description="robust-performance steps.")
     controllers: Annotated[list[ToController], BeforeAfter]
