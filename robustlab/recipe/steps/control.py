@@ -284,7 +284,8 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
     )
     summary = f"Nonlinear simulation of {step.of} under {len(rows)} upper layers."
     note = "Nothing is clipped: 'in limits' says whether the motors' torque and voltage would have been enough."
-    return Outcome(None, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
+    kept = Runs(t, curves["position"], "mm")
+    return Outcome(kept, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
 
 
 def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:

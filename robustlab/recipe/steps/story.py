@@ -120,6 +120,8 @@ def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
     assert step.plants is not None
     record = work.record(step.record)
     output = step.output or next(iter(record.outputs))
+    # Time stamps are rounded; the clock itself is not.
+    clock = record.t[0] + record.dt * np.arange(record.n) if record.is_uniform else record.t
     curves = []
     for name in step.plants:
         plant = work.values[name]
@@ -128,7 +130,7 @@ def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
         model = getattr(plant, "model", None) or plant.state_space()
         x0 = np.linalg.pinv(model.C[shown, : len(plant.states)]) @ first
         inputs = {s.name: record[s.name] for s in plant.inputs}
-        curves.append(rl.simulate(plant, record.t, inputs, x0)[output])
+        curves.append(rl.simulate(plant, clock, inputs, x0)[output])
     measured = record[output]
     rms = [float(np.sqrt(np.mean((c - measured) ** 2))) for c in curves]
     label = f"{output} [{record.unit(output)}]"
