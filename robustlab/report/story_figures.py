@@ -116,6 +116,8 @@ def _error(axes: Axes, story: Story, number: int) -> None:
     for word, curve, largest, colour in zip(WORDS, story.curves, story.errors, (BEFORE, AFTER), strict=True):
         axes.plot(story.t, curve, color=colour, lw=1.2, label=f"{word}: at most {largest:.3g} {story.unit}")
     axes.set(xlabel="time [s]", ylabel=plain_label(f"tracking error [{story.unit}]"), xlim=(story.t[0], story.t[-1]))
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
     ratio = story.errors[0] / max(story.errors[1], 1e-300)
     axes.set_title(f"{number}  The machine itself: error {ratio:.3g} times smaller", loc="left")
     axes.legend(loc="upper right")

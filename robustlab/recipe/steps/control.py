@@ -245,7 +245,7 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
         error = run.largest_error(step.after)
         rows[name] = {
             "order": controller.upper.n_states,
-            "worst_error": 1e3 * float(error[:3].max()),
+            "worst_error": float(1e3 * np.linalg.norm(run.error[t >= step.after, :3], axis=1).max()),
             "position_error": float(error[:3].max()),
             "orientation_error": float(error[3:].max()),
             "largest_torque": float(run.largest_torque().max()),
