@@ -100,7 +100,7 @@ def test_parameters_are_within_the_thesis_tolerances(maker):
 
 
 def test_the_records_excite_what_they_promise(records):
-    square, rich, held_out = (records[name] for name in NAMES)
+    square, rich, held_out, slow_one, slow_two = (records[name] for name in NAMES)
     assert set(np.unique(square[:, 1])) == {-11.8, 0.0, 11.8}
     for record in (rich, held_out):
         u = record[:, 1]
@@ -109,6 +109,11 @@ def test_the_records_excite_what_they_promise(records):
         slow = (np.abs(u) > 0) & (np.abs(u) < 3) & (np.abs(np.gradient(u, 1e-3)) < 20)
         assert slow.sum() > 1000  # ramps
     assert not np.array_equal(rich[:, 1], held_out[:, 1])
+    for record in (slow_one, slow_two):
+        size = np.abs(record[100:, 1])
+        assert (size.min() >= 1.8, size[0], size.max()) == (True, 4.0, 4.0)
+        assert (np.diff(np.sign(record[100:, 1])) != 0).sum() >= 10
+    assert not np.array_equal(slow_one[:, 1], slow_two[:, 1])
     for record in records.values():
         travel = record[:, 2] / (2 * np.pi * 4.8 * 41 / 21) * 0.004
         assert np.abs(travel).max() < STROKE
