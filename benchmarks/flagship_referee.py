@@ -2,8 +2,8 @@
 
     python benchmarks/flagship_referee.py out/flagship
 
-Runs recipes/data/make_jig_record.py's right-hand side (LuGre friction, drop of the driver, true parameters) in classical
-Runge-Kutta steps of 20 us under each controller, sampled and held at 10 kHz, with encoder, tachometer and current noise.
+Runs the right-hand side of recipes/data/make_jig_record.py (LuGre friction, drop of the driver, true parameters) in
+classical Runge-Kutta steps of 20 us under each controller, sampled and held at 10 kHz, with noise on what it sees.
 """
 
 from __future__ import annotations
