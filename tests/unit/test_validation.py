@@ -253,3 +253,9 @@ def test_all_passes_and_windows_that_took_too_long_before():
     far = rl.validate(model, rl.Record(t, {"u": u}, {"q": q + 0.01 * np.sin(9 * t)}), {"q": 1e-4}, window=1.0)
     assert far.invalidated
     assert far.excess > 10
+
+
+def test_a_model_without_blocks_is_no_set():
+    alone = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[2.0]], dt=1.0), [])
+    with pytest.raises(InputError, match="without blocks"):
+        rl.validate(alone, rl.Record(range(4), {"u1": [1, 0, 0, 0]}, {"y1": [2, 0, 0, 0]}), {"y1": 0.1})

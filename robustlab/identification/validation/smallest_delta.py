@@ -153,6 +153,8 @@ def validate(
     begun, estimated = time.monotonic(), noise is None
     if not isinstance(uncertain, UncertainModel):
         raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
+    if not uncertain.blocks:
+        raise InputError("validate", "a model without blocks", "at least one", "rl.compare is for a single model")
     if delta not in ("time-invariant", "time-varying"):
         raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
     if not 1e-4 <= precision <= 0.2:
