@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
+from robustlab.errors import InputError
 from robustlab.identification.validation.contraction_kernel import barrier, diagonal_sums, gain, pull_after, toeplitz
 from robustlab.result import plain
 
