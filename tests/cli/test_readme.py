@@ -32,7 +32,11 @@ def _run(folder, *arguments):
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+# The naming from the README's own record takes a minute; smaller ones run in test_cli_data_discover.py.
+MARKED = [pytest.param(c, marks=pytest.mark.slow) if "data discover" in c else c for c in COMMANDS]
+
+
+@pytest.mark.parametrize("command", MARKED)
 def test_command(folder, command):
     words = command.split()
     assert words[0] == "robustlab"

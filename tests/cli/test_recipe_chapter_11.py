@@ -49,6 +49,7 @@ def test_with_the_right_friction_nothing_is_contradicted(tmp_path):
 TRIED = ("coulomb-friction", "presliding", "input-dead-zone", "brush-drop", "constant-load", "viscous-friction")
 
 
+@pytest.mark.slow
 def test_chapter_11(tmp_path):
     left_out = [name for name in catalogue() if name not in TRIED]
     settings = [f"explained.exclude={json.dumps(left_out)}"]
