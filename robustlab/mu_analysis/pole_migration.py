@@ -336,8 +336,16 @@ def _migrate(
         return best, best_norm
     speed = np.maximum(np.abs(poles), 1e-9 * np.abs(model.A).max())
     phase = np.arange(len(deltas)) * 0.754877666 % 1.0
-    u = v = np.zeros((len(deltas), model.n_states), dtype=complex)
-    first = np.zeros(len(deltas))
+    # The types are stated because inferring them around the loop takes pyright half a minute.
+    pole: ComplexArray
+    row: ComplexArray
+    x: ComplexArray
+    new: ComplexArray
+    norms: Array
+    size: Array
+    u: ComplexArray = np.zeros((len(deltas), model.n_states), dtype=complex)
+    v: ComplexArray = u
+    first: Array = np.zeros(len(deltas))
     for step in range(LEADING + FOLLOWING):
         try:
             # On their way poles meet, and leave the real axis in pairs: only all eigenvalues tell which is next.
@@ -378,6 +386,14 @@ def _descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray
         return deltas
     deltas, norm = deltas.copy(), layout.sizes(deltas).max(axis=1)
     going, trials = np.arange(len(deltas)), len(FRACTIONS)
+    pole: ComplexArray
+    u: ComplexArray
+    v: ComplexArray
+    row: ComplexArray
+    x: ComplexArray
+    now: ComplexArray
+    aim: ComplexArray
+    tried: ComplexArray
     aims = _rightmost(model, deltas)
     aims = np.where(np.isfinite(aims), aims, 0.0)
     try:

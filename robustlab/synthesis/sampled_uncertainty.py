@@ -192,7 +192,7 @@ class _Period:
         m = self.plant.model
         for i, to in enumerate(groups):
             for j, by in enumerate(groups):
-                direct = m.D[np.ix_(to.z, by.w)]
+                direct = m.D[to.z][:, by.w]
                 gains[i, j] += float(np.linalg.norm(direct, 2)) if direct.size else 0.0
         wide = np.array([max(1.0, b.ratio) if isinstance(b, RealScalar) else 1.0 for b in blocks] + [1.0])
         out = np.array([max(_norm(v.rests[i]) for v in self.intervals) for i in range(len(groups))]) * wide
@@ -262,7 +262,7 @@ class _Period:
         found = np.zeros((len(rows), self.width))
         found[:, self.x] = m.C[rows]
         found += m.D[rows][:, c.held] @ self._held() + m.D[rows][:, m.n_inputs - self.n_u :] @ self._control(0)
-        return found + m.D[np.ix_(rows, c.point_w)] @ self._rows(self.point)
+        return found + m.D[rows][:, c.point_w] @ self._rows(self.point)
 
     # --- the rests ----------------------------------------------------------------------------------------------------
 

@@ -87,6 +87,7 @@ def test_the_report_has_the_tables_and_figures(actuator):
     assert {"hinf-loop", "hinf-functions", "performance-mu", "runs-runs"} <= figures
 
 
+@pytest.mark.slow
 def test_the_platform_under_the_thesis_upper_layer(tmp_path):
     """Its robust performance on a cover of all 72 entries, and the nonlinear machine beginning at the other height."""
     steps = [
@@ -142,6 +143,7 @@ noise = { "*" = 0.1 }
 POSE = '[step.k]\ndo = "tracking-problem"\nof = "set"\n'
 
 
+@pytest.mark.slow
 def test_every_design_step_on_a_small_problem(tmp_path):
     text = (
         MOTOR

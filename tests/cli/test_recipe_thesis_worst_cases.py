@@ -27,6 +27,7 @@ def numbers(result, step):
     return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
 
 
+@pytest.mark.slow
 def test_the_thesis_worst_cases(tmp_path):
     fewer = ["entries_worst.n=8", "entries_probability.n=400"]
     result = run_recipe(load_recipe(recipe_path("thesis-worst-cases"), fewer), tmp_path / "out")

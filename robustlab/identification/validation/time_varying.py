@@ -238,7 +238,7 @@ def _unexplained_while_silent(problem: SampledProblem, programme: _Programme) ->
 
 def _repeated(X: Array, n: int) -> Any:
     """Block-diagonal matrix of n times X."""
-    from scipy import sparse
+    sparse: Any = import_module("scipy.sparse")
 
     if not X.size:
         return sparse.csr_matrix((n * X.shape[0], n * X.shape[1]))
@@ -247,7 +247,7 @@ def _repeated(X: Array, n: int) -> Any:
 
 def _placed(rows: Array) -> Any:
     """Row t of (n, k) in columns t k .. of row t."""
-    from scipy import sparse
+    sparse: Any = import_module("scipy.sparse")
 
     n, k = rows.shape
     at = np.repeat(np.arange(n), k), np.arange(n * k)
@@ -279,7 +279,9 @@ class _Programme:
 
     def _motion(self) -> tuple[Any, Array]:
         """Equations of motion; at free starts only across the directions in which the state may jump."""
-        from scipy import linalg, sparse
+        from scipy import linalg
+
+        sparse: Any = import_module("scipy.sparse")  # its types take a minute to infer
 
         p = self.problem
         n_x, n = len(p.A), p.n
@@ -298,7 +300,7 @@ class _Programme:
 
     def _outputs(self) -> Any:
         """Rows that give C2 x + D21 w at the used samples, output after output."""
-        from scipy import sparse
+        sparse: Any = import_module("scipy.sparse")
 
         p = self.problem
         every = sparse.hstack(
@@ -313,7 +315,7 @@ class _Programme:
 
     def _noise(self, radius: float | None) -> tuple[list[Any], list[Array], list[Any]]:
         """Noise within ``radius`` times its bound; None: within the variable g times its bound."""
-        from scipy import sparse
+        sparse: Any = import_module("scipy.sparse")
 
         clarabel: Any = import_module("clarabel")  # its types are not published
 
@@ -346,7 +348,7 @@ class _Programme:
 
         With ``ahead`` that many mean samples of energy are there before the first one: for a first guess.
         """
-        from scipy import sparse
+        sparse: Any = import_module("scipy.sparse")
 
         clarabel: Any = import_module("clarabel")  # its types are not published
 
@@ -430,7 +432,7 @@ class _Programme:
 
     def least_effort(self) -> Array | None:
         """Least energy of w that explains the record; None where no w does."""
-        from scipy import sparse
+        sparse: Any = import_module("scipy.sparse")
 
         squares = np.zeros(self.size)
         squares[self.at_w : self.at_c] = 1.0
@@ -451,7 +453,7 @@ class _Programme:
 
     def _held_still(self, silent: NDArray[np.bool_]) -> tuple[Any, Array, Any]:
         """W of a block is zero where it is silent (n, blocks)."""
-        from scipy import sparse
+        sparse: Any = import_module("scipy.sparse")
 
         clarabel: Any = import_module("clarabel")  # its types are not published
         q = self.problem.B.shape[1]
@@ -466,7 +468,7 @@ class _Programme:
         return still, np.zeros(len(columns)), clarabel.ZeroConeT(len(columns))
 
     def _solve(self, P: Any, cost: Array, blocks: list[Any], offsets: list[Array], cones: list[Any], parts: Any) -> Any:
-        from scipy import sparse
+        sparse: Any = import_module("scipy.sparse")
 
         clarabel: Any = import_module("clarabel")  # its types are not published
 
