@@ -39,7 +39,9 @@ class DataCoverStep(StepBase):
         None, description="s; each window with a free start. The whole record where left out."
     )
     at_rest: bool = Field(False, description="The records start at rest.")
-    decimate: Annotated[int, Field(ge=1, le=100)] = Field(1, description="Keep every so-many-th sample.")
+    decimate: Annotated[int, Field(ge=1, le=100)] = Field(
+        1, description="Keep every so-many-th sample; inputs are averaged in between."
+    )
     time_limit: Positive = Field(120.0, description="s for each record.")
 
 

@@ -125,6 +125,21 @@ def test_cover_design_and_story(tmp_path):
     assert page.count("From the gap to the better controller") == 2  # its alternative text and its caption, once
 
 
+@pytest.mark.parametrize("keep", [1, 2])
+def test_thinning_keeps_what_the_input_did_on_average(tmp_path, keep):
+    """The model is true; every other sample of its input alone would be off by half a volt of one."""
+    t = np.arange(300) * 5e-3
+    u = np.where(t < 0.7, 1.0, -1.0) + 0.5 * (-1.0) ** np.arange(300)
+    q = rl.simulate(rl.plant("servo-axis", M=95.0, Fv=200.0), t, u)["q"]
+    lines = [f"{a:.4f},{b:.4f},{c:.9f}" for a, b, c in zip(t, u, q, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["t [s],u [V],q [m]", *lines]) + "\n", encoding="utf-8")
+    head = SMALL[: SMALL.index("[step.held]")]
+    cover = '[step.wide]\ndo = "data-cover"\nof = "plain"\nrecords = ["run"]\nnoise = { q = 1e-4 }\nat_rest = true\n'
+    (tmp_path / "small.toml").write_text(f"{head}{cover}decimate = {keep}\n", encoding="utf-8")
+    result = run_recipe(load_recipe(tmp_path / "small.toml"), tmp_path / "out")
+    assert numbers(result, "wide")["needed"] < 0.05
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

@@ -18,10 +18,12 @@ def data_cover(step: DataCoverStep, work: Workspace) -> Outcome:
     from robustlab.report.validation_figures import validation_figure
 
     def thinned(name: str) -> Any:
-        r = work.record(name)
-        keep = slice(None, None, step.decimate)
-        outputs = {key: y[keep] for key, y in r.outputs.items()}
-        return rl.Record(r.t[keep], {key: u[keep] for key, u in r.inputs.items()}, outputs, r.units, name, r.meaning)
+        # An input is the mean of what was sent until the next sample that is kept: that is what a held one stands for.
+        r, k = work.record(name), step.decimate
+        n = r.n // k
+        inputs = {key: u[: n * k].reshape(n, k).mean(axis=1) for key, u in r.inputs.items()}
+        outputs = {key: y[: n * k : k] for key, y in r.outputs.items()}
+        return rl.Record(r.t[: n * k : k], inputs, outputs, r.units, name, r.meaning)
 
     found = rl.data_cover(
         work.values[step.of], [thinned(n) for n in step.records], step.noise,
