@@ -76,7 +76,7 @@ def _gap(axes: Axes, story: Story, number: int) -> None:
     axes.plot(gap["t"], gap["curves"][0], color=BEFORE, lw=1.2, label="model before")
     axes.plot(gap["t"], gap["curves"][1], color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="with the named effects")
     axes.set(xlabel="time [s]", ylabel=plain_label(gap["label"]), xlim=(gap["t"][0], gap["t"][-1]))
-    axes.set_title(f"{number}  The gap: {ratio:.3g} times smaller (RMS)", loc="left")
+    axes.set_title(f"{number}  The gap: {_number(ratio)} times smaller (RMS)", loc="left")
     axes.legend(loc="best")
 
 
@@ -94,7 +94,7 @@ def _uncertainty(axes: Axes, story: Story, number: int) -> None:
     lowest = min([*story.radii, *(max(v, floor) for k, v in (story.held_out or {}).items() if k in WORDS)])
     axes.set(yticks=[0, 1], yticklabels=WORDS, ylim=(1.6, -0.6), xlim=(lowest / 3, 4 * max(story.radii)))
     axes.set_xlabel("unmodelled dynamics, share of the input")
-    axes.set_title(f"{number}  The uncertainty: {story.radii[0] / story.radii[1]:.3g} times smaller", loc="left")
+    axes.set_title(f"{number}  The uncertainty: {_number(story.radii[0] / story.radii[1])} times smaller", loc="left")
     axes.legend(loc="lower right")
 
 
@@ -119,5 +119,10 @@ def _error(axes: Axes, story: Story, number: int) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
     ratio = story.errors[0] / max(story.errors[1], 1e-300)
-    axes.set_title(f"{number}  The machine itself: error {ratio:.3g} times smaller", loc="left")
+    axes.set_title(f"{number}  The machine itself: error {_number(ratio)} times smaller", loc="left")
     axes.legend(loc="upper right")
+
+
+def _number(ratio: float) -> str:
+    """Three digits, and no powers of ten below a million."""
+    return f"{ratio:.0f}" if 100 <= ratio < 1e6 else f"{ratio:.3g}"
