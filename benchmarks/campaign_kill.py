@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,11 +37,16 @@ if "robustlab.campaign.worker_process" in sys.orig_argv:
 
     original = work.perform
 
+    def open_below():
+        with open(os.environ["PIECES_GATE"], encoding="utf-8") as gate:
+            return int(gate.read() or 0)
+
     def perform(evaluator, request):
         if request["delta"] is None:
             with open(os.environ["PIECES_LOG"], "a", encoding="utf-8") as log:
                 log.write(f"{request['first']} {request['last']}\\n")
-            time.sleep(float(os.environ["PIECE_DELAY"]))
+            while request["first"] >= open_below():
+                time.sleep(0.02)
         return original(evaluator, request)
 
     work.perform = perform
@@ -73,7 +79,7 @@ def measure(
     kills: int,
     workers: int = 2,
     seed: int = 1,
-    delay: float = 0.0,
+    gated: bool = False,
     unbroken_workers: int | None = None,
 ) -> Outcome:
     """Run both campaigns in ``folder``.
@@ -84,8 +90,9 @@ def measure(
         Size of the campaign, and how often it is killed.
     seed
         Of the moments and the victims.
-    delay
-        Seconds by which every piece of the killed run is held up, so that a small campaign lives long enough.
+    gated
+        Whether each kill comes with the first saved piece, which all later ones wait for: a small campaign cannot
+        end before it.
     unbroken_workers
         Workers of the unbroken run; the same where left out.
     """
@@ -101,23 +108,56 @@ def measure(
     (spy / "sitecustomize.py").write_text(SPY, encoding="utf-8")
     store, log = folder / "killed.sqlite", folder / "pieces.log"
     log.touch()
+    gate = folder / "pieces.gate"
+    gate.write_text(str(samples), encoding="utf-8")
     path = os.pathsep.join(part for part in (str(spy), str(ROOT), os.environ.get("PYTHONPATH", "")) if part)
-    watched = {**os.environ, "PYTHONPATH": path, "PIECES_LOG": str(log), "PIECE_DELAY": str(delay)}
+    watched = {**os.environ, "PYTHONPATH": path, "PIECES_LOG": str(log), "PIECES_GATE": str(gate)}
     task = ["campaign", "run", "motor.h5", "--input", "u=42", "--t-end", "0.1", "-n", str(samples), "--seed", "1"]
     task += ["--workers", str(workers), "--json", "--store", str(store)]
     command = [sys.executable, "-m", "robustlab.cli.main", *task]
 
-    def start() -> subprocess.Popen[bytes]:
-        return subprocess.Popen(command, cwd=folder, env=watched, stdout=subprocess.PIPE)
-
     outcome = Outcome(unbroken, {}, samples, unbroken_seconds)
-    rng = random.Random(seed)
-    begun, process = time.monotonic(), None
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start() -> subprocess.Popen[bytes]:
+        started.append(subprocess.Popen(command, cwd=folder, env=watched, stdout=subprocess.PIPE))
+        return started[-1]
+
+    begun = time.monotonic()
+    try:
+        process = _kill_and_resume(outcome, start, (store, log, gate if gated else None), kills, seed)
+        outcome.killed = json.loads(process.communicate()[0])
+    finally:
+        for process in started:
+            with process:  # closes its pipe and waits
+                process.kill()
+    outcome.killed_seconds = time.monotonic() - begun
+    outcome.pieces = _pieces(log)
+    return outcome
+
+
+def _kill_and_resume(
+    outcome: Outcome,
+    start: Callable[[], subprocess.Popen[bytes]],
+    files: tuple[Path, Path, Path | None],
+    kills: int,
+    seed: int,
+) -> subprocess.Popen[bytes]:
+    """Kill ``kills`` times, start again each time, and return the process that is left to end by itself.
+
+    ``files`` are the store, the log of pieces and, where there is one, the gate of the pieces.
+    """
+    store, log, gate = files
+    rng, process = random.Random(seed), None
+    earlier = 0
     for number in range(kills):
-        # Kill number i at a random moment of the i-th part of the work, and never before anything new is saved.
-        at = max(_saved(store) + 1, int(samples * (number + rng.random()) / (kills + 1)))
-        if process is None:
-            process = start()
+        # Never before anything new is saved; without a gate at a random moment of the i-th part of the work.
+        at = _saved(store) + 1
+        if gate is None:
+            at = max(at, int(outcome.samples * (number + rng.random()) / (kills + 1)))
+        else:
+            gate.write_text(str(at), encoding="utf-8")
+        process = process or start()
         while _saved(store) < at and process.poll() is None:
             time.sleep(0.05)
         time.sleep(0.2 * rng.random())
@@ -125,21 +165,19 @@ def measure(
         crew = _children(process.pid)
         victim = ("main", "all", "worker")[number % 3]
         outcome.kills.append(f"{victim} at {_saved(store)}")
-        if victim == "worker":
-            _kill(rng.choice(crew))
-            continue
-        for pid in [process.pid, *(crew if victim == "all" else [])]:
+        for pid in {"main": [process.pid], "all": [process.pid, *crew], "worker": [rng.choice(crew)]}[victim]:
             _kill(pid)
+        if gate is not None:
+            gate.write_text(str(outcome.samples), encoding="utf-8")
+        if victim == "worker":
+            continue
         process.communicate()
         process = None
         _wait_for_end(crew)
-        open_pieces = [p for p in _pieces(log) if not _is_stored(store, p, samples)]
-        outcome.redone_per_kill.append(len(set(open_pieces)))
-    process = process or start()
-    outcome.killed = json.loads(process.communicate()[0])
-    outcome.killed_seconds = time.monotonic() - begun
-    outcome.pieces = _pieces(log)
-    return outcome
+        open_pieces = [p for p in _pieces(log)[earlier:] if not _is_stored(store, p, outcome.samples)]
+        outcome.redone_per_kill.append(len(open_pieces))
+        earlier = len(_pieces(log))
+    return process or start()
 
 
 def _saved(store: Path) -> int:

@@ -10,7 +10,7 @@ import pytest
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds the workers in /proc")
 def test_eight_hundred_samples_killed_three_times(tmp_path):
-    found = campaign_kill.measure(tmp_path, samples=800, kills=3, delay=0.15, unbroken_workers=1)
+    found = campaign_kill.measure(tmp_path, samples=800, kills=3, gated=True, unbroken_workers=1)
     assert [text.split()[0] for text in found.kills] == ["main", "all", "worker"]
     assert found.killed["digest"] == found.unbroken.digest
     assert found.killed["worst"] == found.unbroken.worst
