@@ -242,7 +242,7 @@ class Problem:
         record, chosen = self.records[k], self.chosen[k]
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
-        x0 = record.starts_after(sum(e.lag(v) for (e, _), v in zip(simulator.effects, values, strict=True)))
+        x0 = self.starts_seen(k, simulator, values)
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
         outputs = simulator.run(factors, values, x0[used], windows).outputs[:, :, list(record.columns)]
@@ -251,6 +251,21 @@ class Problem:
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
         """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
         return [_whiten(e, noise) for e in errors]
+
+    def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
+        """States at all window starts of one record, as they are where its sensors have these effects."""
+        lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
+        return self.records[k].starts_seen(lag, self.shown(simulator.effects, values))
+
+    def shown(self, effects: Sequence[tuple[Effect, Site]], values: Sequence[Mapping[str, float]]) -> dict[int, float]:
+        """Index of each output that the effects scale as a whole -> what is recorded of it over what is there."""
+        found: dict[int, float] = {}
+        names = [s.name for s in self.plant.outputs]
+        for (effect, site), v in zip(effects, values, strict=True):
+            if site.kind == "output" and (gain := effect.shown(v)) != 1.0:
+                k = names.index(site.name)
+                found[k] = found.get(k, 1.0) * gain
+        return found
 
     # --- the fit ---------------------------------------------------------------------------------------------------
 
