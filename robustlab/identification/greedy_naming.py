@@ -403,16 +403,14 @@ def _judged(
     from robustlab.identification.rivals import refit_distance
 
     rivals = [candidate for candidate, _ in entries]
-    fits = [
-        problem.fit(
-            Hypothesis((*rest.candidates, candidate)),
-            naming.noise,
-            np.concatenate([z, fit.z[len(fit.z) - len(candidate.parameters) :]]),
-            naming.fit.starts,
-            iterations=8,
-        )
-        for candidate, fit in entries
-    ]
+    fits = []
+    for candidate, fit in entries:
+        hypothesis = Hypothesis((*rest.candidates, candidate))
+        points = [(np.concatenate([z, fit.z[len(fit.z) - len(candidate.parameters) :]]), naming.fit.starts)]
+        if fit.hypothesis.key == hypothesis.key:
+            points.append((fit.z, fit.starts))
+        point = min(points, key=lambda p: problem.cost(hypothesis, naming.noise, *p))
+        fits.append(problem.fit(hypothesis, naming.noise, *point, iterations=SETTLING))
     wins = _wins([naming.fit, *fits])
     found = []
     for candidate, fit, share in zip(rivals, fits, wins[1:], strict=True):
