@@ -17,6 +17,7 @@ __all__ = [
     "Step",
     "alternatives",
     "held_out_fit",
+    "in_doubt",
     "name_effects",
     "overtaken",
     "rms_percent",
@@ -94,10 +95,13 @@ class Naming:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A hypothesis with another effect in the place of ``instead_of``, judged against the named one."""
+    """A hypothesis with another effect in the place of ``instead_of`` (None: of nothing), judged against the named one.
+
+    Of an effect in the place of nothing the distance is that of the bare model to what the effect predicts.
+    """
 
     candidate: Candidate
-    instead_of: Candidate
+    instead_of: Candidate | None
     fit: Fit
     evidence: float
     wins: float
@@ -370,6 +374,26 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
             and not (entry.candidate.effect.refines == named.effect.id and entry.candidate.site == named.site)
         ]
         found.extend(_judged(problem, naming, named, rest, z, entries[:MOST_RIVALS]))
+    return found
+
+
+def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, Candidate], bool]) -> list[Alternative]:
+    """Where nothing was named: wrong gains that are more probable than none, though not convincingly so.
+
+    Tolerances of other parameters explain the records as well; but what they hide may be beyond its own tolerance.
+    """
+    from robustlab.identification.rivals import refit_distance
+
+    ranking = naming.steps[-1].ranking
+    if naming.fit.hypothesis.candidates or ranking.base.fit.hypothesis.candidates:
+        return []
+    found = []
+    for entry in ranking.ranked:
+        more = entry.evidence - ranking.base.evidence
+        if entry.candidate is not None and _is_gain(entry) and more > 0.0:
+            if allowed(problem, entry.fit, entry.candidate):
+                distance = refit_distance(problem, entry.fit, ranking.base.fit)
+                found.append(Alternative(entry.candidate, None, entry.fit, more, entry.wins, distance))
     return found
 
 
