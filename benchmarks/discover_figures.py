@@ -3,8 +3,8 @@
 What counts. A case that was refused, failed, crashed or ran out of time is a wrong answer everywhere. The *first name*
 is the first of the named effects, "none" under the verdict "no missing effect", "unknown" under the verdict "unknown"
 (also where something was named besides). The *answer set* is the named effects and their rivals, "none" and its
-rivals under "no missing effect". *Exactly one name* is an answer set of one under a verdict other than "unknown"; "none" is such a name,
-too. Names are compared by id: nothing that behaves alike counts as alike.
+rivals under "no missing effect". *Exactly one name* is an answer set of one under a verdict other than "unknown";
+"none" is such a name, too. Names are compared by id: nothing that behaves alike counts as alike.
 """
 
 from __future__ import annotations

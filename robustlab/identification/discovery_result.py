@@ -179,8 +179,9 @@ class Discovery(Evidence):
     status
         CONVERGED, or INCONCLUSIVE where the verdict is ambiguous or unknown (a finding, no failure).
     verdict
-        ``"no missing effect"`` (``rivals`` has what the records do not exclude all the same), ``"named"``, ``"ambiguous"`` (named, but some name has rivals that these records
-        cannot exclude), ``"unknown"`` (something is missing that no effect of the catalogue explains).
+        ``"no missing effect"`` (``rivals`` has what the records do not exclude all the same), ``"named"``,
+        ``"ambiguous"`` (named, but some name has rivals that these records cannot exclude), ``"unknown"`` (something is
+        missing that no effect of the catalogue explains).
     complete
         False where structure remains beyond the named effects.
     effects, rivals

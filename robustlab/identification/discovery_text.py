@@ -46,8 +46,7 @@ def headline(d: Discovery) -> str:
     change = f"error on held-out data {_percent(d.gap_before)} -> {_percent(d.gap_after)} of the range"
     if d.verdict == "no missing effect":
         within = f"refitted within its tolerances its error on held-out data is {_percent(d.gap_after)} of the range"
-        open_ones = _or(r.title for r in d.rivals)
-        hidden = f"; but they do not exclude this: {open_ones}" if d.rivals else ""
+        hidden = f"; but they do not exclude {_or(r.title for r in d.rivals)}" if d.rivals else ""
         return f"{d.plant} lacks no effect that these records show: {within}{hidden}."
     if d.verdict == "named":
         also = "" if d.complete else "; something else remains"

@@ -390,10 +390,11 @@ def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, 
     found = []
     for entry in ranking.ranked:
         more = entry.evidence - ranking.base.evidence
-        if entry.candidate is not None and _is_gain(entry) and more > 0.0:
-            if allowed(problem, entry.fit, entry.candidate):
-                distance = refit_distance(problem, entry.fit, ranking.base.fit)
-                found.append(Alternative(entry.candidate, None, entry.fit, more, entry.wins, distance))
+        if entry.candidate is None or not _is_gain(entry) or more <= 0.0:
+            continue
+        if allowed(problem, entry.fit, entry.candidate):
+            distance = refit_distance(problem, entry.fit, ranking.base.fit)
+            found.append(Alternative(entry.candidate, None, entry.fit, more, entry.wins, distance))
     return found
 
 
