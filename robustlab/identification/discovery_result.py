@@ -73,8 +73,8 @@ class Rival(Evidence):
     name, title, site
         The rival.
     instead_of
-        Id of the named effect whose place it could take; "none" where nothing was named, but this effect is a little
-        more probable than none: the tolerances of other parameters may hide it.
+        Id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
+        probable as none: the tolerances of other parameters may hide it.
     distance
         Refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
         effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare

@@ -109,8 +109,13 @@ class Alternative:
 
     @property
     def cannot_be_told(self) -> bool:
-        """True for a rival."""
-        return self.evidence > -EVIDENCE_TIE or self.wins >= WIN_SHARE or self.distance < CANNOT_TELL
+        """True for a rival.
+
+        Of two wrong gains the records tell nothing but what the tolerances do, which the evidence has weighed.
+        """
+        gains = self.instead_of is not None and _both_gains(self.candidate, self.instead_of)
+        close = self.distance < CANNOT_TELL and not gains
+        return self.evidence > -EVIDENCE_TIE or self.wins >= WIN_SHARE or close
 
 
 def name_effects(
@@ -273,7 +278,7 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
     rough = len(ranking.noise.ar) < AR_ORDER
     helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - (ROUGH_FALL if rough else HELD_OUT_FALL)) * fall_before
     harmless = gain > -HELD_OUT_LOSS and fall_after < (1.0 + HELD_OUT_RISE) * fall_before
-    if not helps and not (_is_gain(chosen) and harmless and not rough):
+    if not helps and not (_is_gain(chosen) and _relieves(chosen.fit, ranking.base.fit) and harmless and not rough):
         text = (
             f"stop: {chosen.id} does not help on held-out data "
             f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"
@@ -281,6 +286,11 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
         return Step(base, ranking, None, text, fall_after, fall_before, chosen)
     text = f"{chosen.id}: held-out error {fall_before:.4g} % -> {fall_after:.4g} % of the range"
     return Step(base, ranking, chosen, text, fall_after, fall_before)
+
+
+def _relieves(gain: Fit, base: Fit) -> bool:
+    """Whether a wrong gain needs less stretched parameters than the base: only then it may stand in for a stretch."""
+    return float(gain.z @ gain.z) < float(base.z @ base.z)
 
 
 def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
@@ -378,9 +388,10 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
 
 
 def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, Candidate], bool]) -> list[Alternative]:
-    """Where nothing was named: wrong gains that are more probable than none, though not convincingly so.
+    """Where nothing was named: wrong gains that would have been named, but for a tie in evidence.
 
-    Tolerances of other parameters explain the records as well; but what they hide may be beyond its own tolerance.
+    Tolerances of other parameters explain the records as well; but what they hide may be beyond its own tolerance. A
+    gain that has no tolerance of its own contradicts nothing: it is in doubt only where it is more probable than none.
     """
     from robustlab.identification.rivals import refit_distance
 
@@ -390,9 +401,10 @@ def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, 
     found = []
     for entry in ranking.ranked:
         more = entry.evidence - ranking.base.evidence
-        if entry.candidate is None or not _is_gain(entry) or more <= 0.0:
+        if entry.candidate is None or not _is_gain(entry) or not _relieves(entry.fit, ranking.base.fit):
             continue
-        if allowed(problem, entry.fit, entry.candidate):
+        least = WRONG_PARAMETER - EVIDENCE_TIE if entry.candidate.site.kind == "parameter" else 0.0
+        if more > least and allowed(problem, entry.fit, entry.candidate):
             distance = refit_distance(problem, entry.fit, ranking.base.fit)
             found.append(Alternative(entry.candidate, None, entry.fit, more, entry.wins, distance))
     return found
