@@ -220,7 +220,7 @@ def _normal_equations(
         moment = np.stack([force[a:b] @ table[a:b, : len(waves)] for a, b in pairwise(edges)])
         # cos^2 and cos sin by the double angle
         double, total = (weight * first * first) @ square[:, : len(waves)], float(weight.sum())
-        cc, cs = 0.5 * (total + double.real), 0.5 * double.imag
+        cc, cs = 0.5 * (total + np.real(double)), 0.5 * np.imag(double)
         gram = np.stack([np.stack([cc, cs], axis=1), np.stack([cs, total - cc], axis=1)], axis=2)
         # The ridge keeps it regular where the samples happen to miss one of the two phases.
         inverse = np.asarray(np.linalg.inv(gram + 1e-6 * total * np.eye(2)), dtype=np.float64)
