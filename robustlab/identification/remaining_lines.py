@@ -224,7 +224,7 @@ def _normal_equations(
         gram = np.stack([np.stack([cc, cs], axis=1), np.stack([cs, total - cc], axis=1)], axis=2)
         # The ridge keeps it regular where the samples happen to miss one of the two phases.
         inverse = np.asarray(np.linalg.inv(gram + 1e-6 * total * np.eye(2)), dtype=np.float64)
-        yield np.stack([moment.real, moment.imag], axis=2), inverse
+        yield np.stack([np.real(moment), np.imag(moment)], axis=2), inverse
 
 
 def _refined(data: MovingSamples, place: _Search, at: int) -> float:
