@@ -2,9 +2,9 @@
 
 What counts. A case that was refused, failed, crashed or ran out of time is a wrong answer everywhere. The *first name*
 is the first of the named effects, "none" under the verdict "no missing effect", "unknown" under the verdict "unknown"
-(also where something was named besides). The *answer set* is the named effects and their rivals, "none" under "no
-missing effect". *Exactly one name* is an answer set of one under a verdict other than "unknown"; "none" is such a name,
-too. Names are compared by id: nothing that behaves alike counts as alike.
+(also where something was named besides). The *answer set* is the named effects and their rivals, "none" and its
+rivals under "no missing effect". *Exactly one name* is an answer set of one under a verdict other than "unknown";
+"none" is such a name, too. Names are compared by id: nothing that behaves alike counts as alike.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def answer(line: Line) -> tuple[str, ...]:
     """The answer set; empty for a case that was lost or is unknown without any name."""
     if line.get("status", "ok") != "ok":
         return ()
-    return ("none",) if line["verdict"] == "no missing effect" else tuple(line["answer"])
+    return ("none", *line["answer"]) if line["verdict"] == "no missing effect" else tuple(line["answer"])
 
 
 def _one_name(line: Line) -> bool:

@@ -38,6 +38,7 @@ from robustlab.identification.greedy_naming import (
     Alternative,
     Naming,
     held_out_fit,
+    in_doubt,
     name_effects,
     overtaken,
     rms_percent,
@@ -153,7 +154,8 @@ def discover(
 
     naming = name_effects(data.problem, data.held, pool, allowed, progress)
     naming, others = overtaken(data.problem, naming, allowed)
-    rivals = [a for a in others if a.cannot_be_told and beyond_tolerance(data.problem, a.fit, a.candidate, limits)]
+    rivals = [a for a in others if a.cannot_be_told and allowed(data.problem, a.fit, a.candidate)]
+    rivals += in_doubt(data.problem, naming, allowed)
     return _result(linear, data, naming, rivals, stated, findings, pool, measured, repeats, period, began)
 
 
@@ -237,6 +239,8 @@ def _result(
     if not complete and naming.fit.hypothesis.candidates:
         naming = replace(naming, settled=settled(problem, naming.fit, naming.noise, 1))
         _, _, left, ratio, floor = _judged(data, naming, records, repeats, period, bool(rivals))
+    if verdict == "unknown" and not naming.fit.hypothesis.candidates:
+        rivals = ()  # nothing was named, and nothing is missing no longer stands beside them
     fit = naming.settled
     gaps, series = _gaps(held, naming)
     effects = tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates)))
@@ -407,7 +411,7 @@ def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...
 
 def _named(problem: Problem, naming: Naming, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
     candidate = naming.fit.hypothesis.candidates[k]
-    own = [a for a in rivals if a.instead_of.key == candidate.key]
+    own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
     confidence = max(0.0, 1.0 - sum(a.wins for a in own))
     step = next((s for s in naming.steps if s.taken is not None and s.entry(candidate) is not None), None)
     place = step.entry(candidate) if step else None
@@ -423,7 +427,8 @@ def _rival(problem: Problem, a: Alternative) -> Rival:
     k = len(a.fit.hypothesis.candidates) - 1
     effect = a.candidate.effect
     return Rival(
-        effect.id, effect.title, a.candidate.site.name, a.instead_of.effect.id, a.distance, a.evidence, float(a.wins),
+        effect.id, effect.title, a.candidate.site.name, a.instead_of.effect.id if a.instead_of else "none", a.distance,
+        a.evidence, float(a.wins),
         _effect_values(problem, a.fit, k),
     )  # fmt: skip
 

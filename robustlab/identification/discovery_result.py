@@ -73,10 +73,12 @@ class Rival(Evidence):
     name, title, site
         The rival.
     instead_of
-        Id of the named effect whose place it could take.
+        Id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
+        probable as none: the tolerances of other parameters may hide it.
     distance
         Refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
-        effect predicts for these very records. d < 3 cannot be told apart.
+        effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
+        model stays from what the rival predicts.
     evidence
         Log evidence relative to the named effect (negative: behind).
     wins
@@ -177,8 +179,9 @@ class Discovery(Evidence):
     status
         CONVERGED, or INCONCLUSIVE where the verdict is ambiguous or unknown (a finding, no failure).
     verdict
-        ``"no missing effect"``, ``"named"``, ``"ambiguous"`` (named, but some name has rivals that these records
-        cannot exclude), ``"unknown"`` (something is missing that no effect of the catalogue explains).
+        ``"no missing effect"`` (``rivals`` has what the records do not exclude all the same), ``"named"``,
+        ``"ambiguous"`` (named, but some name has rivals that these records cannot exclude), ``"unknown"`` (something is
+        missing that no effect of the catalogue explains).
     complete
         False where structure remains beyond the named effects.
     effects, rivals

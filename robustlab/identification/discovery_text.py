@@ -28,6 +28,7 @@ def summary(d: Discovery) -> str:
     lines = [headline(d), "", f"verdict: {d.verdict}, {_scope(d)}"]
     for k, effect in enumerate(d.effects, start=1):
         lines += ["", *_effect_lines(d, k, effect)]
+    lines += [_doubt_line(r) for r in d.rivals if r.instead_of == "none"]
     lines += ["", *_gap_lines(d), "", *_remaining_lines(d)]
     for title, part in (
         ("nominal parameters, refitted within their tolerances", [_nominal_line(p) for p in d.nominal]),
@@ -45,7 +46,8 @@ def headline(d: Discovery) -> str:
     change = f"error on held-out data {_percent(d.gap_before)} -> {_percent(d.gap_after)} of the range"
     if d.verdict == "no missing effect":
         within = f"refitted within its tolerances its error on held-out data is {_percent(d.gap_after)} of the range"
-        return f"{d.plant} lacks no effect that these records show: {within}."
+        hidden = f"; but they do not exclude {_or(r.title for r in d.rivals)}" if d.rivals else ""
+        return f"{d.plant} lacks no effect that these records show: {within}{hidden}."
     if d.verdict == "named":
         also = "" if d.complete else "; something else remains"
         return f"{d.plant} lacks {_listed(e.title for e in d.effects)}: {change}{also}."
@@ -108,6 +110,13 @@ def _effect_lines(d: Discovery, k: int, effect: NamedEffect) -> list[str]:
         told = f"{_number(r.distance)} noise sigmas apart (3 tell), log evidence {r.evidence:+.3g}"
         lines.append(_row("or", f"{r.title}, {r.name} at {r.site} ({values}): {told}, best in {100 * r.wins:.3g} %"))
     return lines
+
+
+def _doubt_line(r: Rival) -> str:
+    """An effect that the tolerances of other parameters may hide."""
+    values = ", ".join(with_interval(p) for p in r.parameters)
+    told = f"log evidence {r.evidence:+.3g} over none, {_number(r.distance)} noise sigmas from it (3 tell)"
+    return _row("not excluded", f"{r.title}, {r.name} at {r.site} ({values}): {told}")
 
 
 def _gap_lines(d: Discovery) -> list[str]:

@@ -47,6 +47,7 @@ DAMPING, LEAST_DAMPING = 1e-4, 1e-10
 BEND = 0.1  # of a step, at which its curvature is measured
 MOST_BENT = 0.75  # share of a step that its correction may be
 TRIES = 8  # damped steps before a fit gives up
+HOPE = 2.0  # times the expected fall of V that a fit may still fall by
 LONGEST_STEP = 2.0  # of a standardised parameter in one step
 WILD = 1e6  # errors beyond this many standard deviations count as this
 
@@ -242,7 +243,7 @@ class Problem:
         record, chosen = self.records[k], self.chosen[k]
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
-        x0 = record.starts_after(sum(e.lag(v) for (e, _), v in zip(simulator.effects, values, strict=True)))
+        x0 = self.starts_seen(k, simulator, values)
         x0[chosen] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
         outputs = simulator.run(factors, values, x0[used], windows).outputs[:, :, list(record.columns)]
@@ -251,6 +252,21 @@ class Problem:
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
         """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
         return [_whiten(e, noise) for e in errors]
+
+    def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
+        """States at all window starts of one record, as they are where its sensors have these effects."""
+        lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
+        return self.records[k].starts_seen(lag, self.shown(simulator.effects, values))
+
+    def shown(self, effects: Sequence[tuple[Effect, Site]], values: Sequence[Mapping[str, float]]) -> dict[int, float]:
+        """Index of each output that the effects scale as a whole -> what is recorded of it over what is there."""
+        found: dict[int, float] = {}
+        names = [s.name for s in self.plant.outputs]
+        for (effect, site), v in zip(effects, values, strict=True):
+            if site.kind == "output" and (gain := effect.shown(v)) != 1.0:
+                k = names.index(site.name)
+                found[k] = found.get(k, 1.0) * gain
+        return found
 
     # --- the fit ---------------------------------------------------------------------------------------------------
 
@@ -266,6 +282,7 @@ class Problem:
         borrowed: Sequence[tuple[Array, Array]] | None = None,
         robust: bool = False,
         draft: bool = False,
+        ceiling: float = np.inf,
     ) -> Fit:
         """Levenberg-Marquardt from z; stops when V falls, or can be expected to fall, by less than ``tolerance``.
 
@@ -273,6 +290,8 @@ class Problem:
         did not see). ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from
         elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance.
         The Hessian of a ``draft`` is not that of its last point (its cost is compared, or it is fitted further).
+        A fit is given up after its first step where twice the fall that can be expected does not bring V below the
+        ``ceiling``.
         """
         z = np.array(z, dtype=float)
         n_x = len(self.plant.states)
@@ -293,7 +312,8 @@ class Problem:
             ]
             count += 1
             hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
-            if rounds <= 0 or self._expected(z, xi, parts, fixed) < tolerance:
+            fall = self._expected(z, xi, parts, fixed)
+            if rounds <= 0 or fall < tolerance or (count > 1 and cost - HOPE * fall > ceiling):
                 break
             improved = 0.0
             for _ in range(TRIES):
@@ -316,6 +336,10 @@ class Problem:
         window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
         covariance = _sandwich(parts, hessian) if robust else None
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
+
+    def cost(self, hypothesis: Hypothesis, noise: NoiseModel, z: Array, starts: Sequence[Array]) -> float:
+        """V at a point."""
+        return _total(self.whitened(self.errors(hypothesis, z, starts), noise), starts, z)
 
     @staticmethod
     def _expected(z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], fixed: bool) -> float:

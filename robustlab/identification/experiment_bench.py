@@ -121,8 +121,13 @@ def noise_of(problem: Problem, present: NoiseModel, trials: Sequence[Trial]) -> 
     return NoiseModel(std, ar), assumed
 
 
-def _as_record(problem: Problem, trial: Trial, truth: int, columns: Sequence[int], count: int) -> PreparedRecord:
-    """The first ``count`` windows of an experiment, started where the hypothesis ``truth`` is; outputs still zero."""
+def _as_record(
+    problem: Problem, trial: Trial, truth: int, shown: Mapping[int, float], columns: Sequence[int], count: int
+) -> PreparedRecord:
+    """The first ``count`` windows of an experiment, started where the hypothesis ``truth`` is; outputs still zero.
+
+    ``shown`` is what the truth lets its sensors show, by output.
+    """
     first = problem.records[0]
     length = first.windows.length
     n = count * length
@@ -131,6 +136,9 @@ def _as_record(problem: Problem, trial: Trial, truth: int, columns: Sequence[int
     names = [s.name for s in problem.plant.inputs]
     record = Record(t, {name: trial.u[:n, k] for k, name in enumerate(names)}, name=trial.excitation.name)
     # What a smoother would know of it: the predicted motion, as well as it knew the present one.
+    share = _told_by_output(problem)
+    told = np.array([x @ share.get(c, np.zeros((x.shape[1],) * 2)) for c in columns])
+    x = x + sum((shown.get(c, 1.0) - 1.0) * part for c, part in zip(columns, told, strict=True))
     start_std = np.median(np.concatenate([r.x0_std for r in problem.records]), axis=0)
     known = [r.smoothed for r in problem.records]
     std = np.median(np.concatenate([s.x_std for s in known]), axis=0)
@@ -142,8 +150,19 @@ def _as_record(problem: Problem, trial: Trial, truth: int, columns: Sequence[int
     )  # fmt: skip
     return PreparedRecord(
         record, trial.u[:n], np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
-        np.tile(start_std, (count, 1)), smoothed, first.push, first.thin, np.zeros(len(columns)),
+        np.tile(start_std, (count, 1)), smoothed, told, first.push, first.thin, np.zeros(len(columns)),
     )  # fmt: skip
+
+
+def _told_by_output(problem: Problem) -> dict[int, Array]:
+    """For each measured output the matrix M with which x M is its share in the smoothed states x of the records."""
+    x = np.concatenate([r.smoothed.x for r in problem.records])
+    size = np.maximum(np.abs(x).max(axis=0), 1e-300)
+    return {
+        column: np.linalg.lstsq(x / size, np.concatenate([r.told[j] for r in problem.records]), rcond=None)[0]
+        / size[:, None]
+        for j, column in enumerate(problem.records[0].columns)
+    }
 
 
 # --- distances -------------------------------------------------------------------------------------------------------
@@ -217,7 +236,10 @@ class Bench:
 
     def _predicted(self, trial: Trial, truth: int, columns: tuple[int, ...], count: int, noise: NoiseModel) -> Problem:
         """The experiment as a problem whose measured outputs are those of the hypothesis ``truth``."""
-        record = _as_record(self.problem, trial, truth, columns, count)
+        hypothesis = self.fits[truth].hypothesis
+        _, values = self.problem.split(hypothesis, self.fits[truth].z)
+        shown = self.problem.shown([(c.effect, c.site) for c in hypothesis.candidates], values)
+        record = _as_record(self.problem, trial, truth, shown, columns, count)
         there = self.problem.on([record])
         return predicted(there, _from_rest(self.fits[truth], there, noise))
 

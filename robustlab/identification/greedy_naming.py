@@ -17,6 +17,7 @@ __all__ = [
     "Step",
     "alternatives",
     "held_out_fit",
+    "in_doubt",
     "name_effects",
     "overtaken",
     "rms_percent",
@@ -94,10 +95,13 @@ class Naming:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A hypothesis with another effect in the place of ``instead_of``, judged against the named one."""
+    """A hypothesis with another effect in the place of ``instead_of`` (None: of nothing), judged against the named one.
+
+    Of an effect in the place of nothing the distance is that of the bare model to what the effect predicts.
+    """
 
     candidate: Candidate
-    instead_of: Candidate
+    instead_of: Candidate | None
     fit: Fit
     evidence: float
     wins: float
@@ -105,8 +109,13 @@ class Alternative:
 
     @property
     def cannot_be_told(self) -> bool:
-        """True for a rival."""
-        return self.evidence > -EVIDENCE_TIE or self.wins >= WIN_SHARE or self.distance < CANNOT_TELL
+        """True for a rival.
+
+        Of two wrong gains the records tell nothing but what the tolerances do, which the evidence has weighed.
+        """
+        gains = self.instead_of is not None and _both_gains(self.candidate, self.instead_of)
+        close = self.distance < CANNOT_TELL and not gains
+        return self.evidence > -EVIDENCE_TIE or self.wins >= WIN_SHARE or close
 
 
 def name_effects(
@@ -269,7 +278,7 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
     rough = len(ranking.noise.ar) < AR_ORDER
     helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - (ROUGH_FALL if rough else HELD_OUT_FALL)) * fall_before
     harmless = gain > -HELD_OUT_LOSS and fall_after < (1.0 + HELD_OUT_RISE) * fall_before
-    if not helps and not (_is_gain(chosen) and harmless and not rough):
+    if not helps and not (_is_gain(chosen) and _relieves(chosen.fit, ranking.base.fit) and harmless and not rough):
         text = (
             f"stop: {chosen.id} does not help on held-out data "
             f"({fall_before:.4g} % -> {fall_after:.4g} % of the range, log-likelihood {gain:+.1f})"
@@ -277,6 +286,11 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
         return Step(base, ranking, None, text, fall_after, fall_before, chosen)
     text = f"{chosen.id}: held-out error {fall_before:.4g} % -> {fall_after:.4g} % of the range"
     return Step(base, ranking, chosen, text, fall_after, fall_before)
+
+
+def _relieves(gain: Fit, base: Fit) -> bool:
+    """Whether a wrong gain needs less stretched parameters than the base: only then it may stand in for a stretch."""
+    return float(gain.z @ gain.z) < float(base.z @ base.z)
 
 
 def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
@@ -373,6 +387,29 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
     return found
 
 
+def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, Candidate], bool]) -> list[Alternative]:
+    """Where nothing was named: wrong gains that would have been named, but for a tie in evidence.
+
+    Tolerances of other parameters explain the records as well; but what they hide may be beyond its own tolerance. A
+    gain that has no tolerance of its own contradicts nothing: it is in doubt only where it is more probable than none.
+    """
+    from robustlab.identification.rivals import refit_distance
+
+    ranking = naming.steps[-1].ranking
+    if naming.fit.hypothesis.candidates or ranking.base.fit.hypothesis.candidates:
+        return []
+    found = []
+    for entry in ranking.ranked:
+        more = entry.evidence - ranking.base.evidence
+        if entry.candidate is None or not _is_gain(entry) or not _relieves(entry.fit, ranking.base.fit):
+            continue
+        least = WRONG_PARAMETER - EVIDENCE_TIE if entry.candidate.site.kind == "parameter" else 0.0
+        if more > least and allowed(problem, entry.fit, entry.candidate):
+            distance = refit_distance(problem, entry.fit, ranking.base.fit)
+            found.append(Alternative(entry.candidate, None, entry.fit, more, entry.wins, distance))
+    return found
+
+
 def _both_gains(first: Candidate, second: Candidate) -> bool:
     return first.effect.gain_like and second.effect.gain_like
 
@@ -403,16 +440,14 @@ def _judged(
     from robustlab.identification.rivals import refit_distance
 
     rivals = [candidate for candidate, _ in entries]
-    fits = [
-        problem.fit(
-            Hypothesis((*rest.candidates, candidate)),
-            naming.noise,
-            np.concatenate([z, fit.z[len(fit.z) - len(candidate.parameters) :]]),
-            naming.fit.starts,
-            iterations=8,
-        )
-        for candidate, fit in entries
-    ]
+    fits = []
+    for candidate, fit in entries:
+        hypothesis = Hypothesis((*rest.candidates, candidate))
+        points = [(np.concatenate([z, fit.z[len(fit.z) - len(candidate.parameters) :]]), naming.fit.starts)]
+        if fit.hypothesis.key == hypothesis.key:
+            points.append((fit.z, fit.starts))
+        point = min(points, key=lambda p: problem.cost(hypothesis, naming.noise, *p))
+        fits.append(problem.fit(hypothesis, naming.noise, *point, iterations=SETTLING))
     wins = _wins([naming.fit, *fits])
     found = []
     for candidate, fit, share in zip(rivals, fits, wins[1:], strict=True):

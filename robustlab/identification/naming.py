@@ -159,18 +159,27 @@ def rank(
     borrowed = few.derivatives(few_base)
 
     def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
-        return job[0], few.fit(job[1], noise, job[2], few_base.starts, FIRST, ROUGH, borrowed=borrowed, draft=True)
+        ceiling = few_base.cost - 2.0 * PROMISING
+        return job[0], few.fit(
+            job[1], noise, job[2], few_base.starts, FIRST, ROUGH, borrowed=borrowed, draft=True, ceiling=ceiling
+        )
 
     def second_of(entry: tuple[Candidate, Fit]) -> tuple[Candidate | None, Fit]:
-        return entry[0], some.fit(entry[1].hypothesis, noise, entry[1].z, some_base.starts, SECOND, ROUGH, draft=True)
+        ceiling = some_base.cost - 2.0 * PROMISING
+        return entry[0], some.fit(
+            entry[1].hypothesis, noise, entry[1].z, some_base.starts, SECOND, ROUGH, draft=True, ceiling=ceiling
+        )
 
     def placed(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
         return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, 2, draft=True)
 
-    def finally_(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
-        fit = entry[1]
-        return entry[0], problem.fit(
-            fit.hypothesis, final_noise, fit.z, fit.starts, LAST if entry[0] else BASE, tolerance=0.02
+    def finally_(entry: tuple[Candidate, Fit]) -> tuple[Candidate, Fit]:
+        candidate, fit = entry
+        gain = candidate.effect.gain_like
+        z, starts = _better_start(problem, final_base, candidate, fit) if gain else (fit.z, fit.starts)
+        ceiling = np.inf if gain else final_base.cost - 2.0 * PROMISING
+        return candidate, problem.fit(
+            fit.hypothesis, final_noise, z, starts, BASE if gain else LAST, tolerance=0.02, ceiling=ceiling
         )
 
     with ThreadPoolExecutor(WORKERS) as pool:
@@ -190,13 +199,23 @@ def rank(
         # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
         reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
         wrong = [fitted[key] for key in fitted if key not in reached and fitted[key][0].effect.gain_like]
-        last: list[tuple[Candidate | None, Fit]] = [
-            (None, base_fit),
-            *second[:KEPT_LAST],
-            *((c, replace(fit, starts=base_fit.starts)) for c, fit in wrong),
-        ]
+        final_base = problem.fit(base, final_noise, base_fit.z, base_fit.starts, BASE, tolerance=0.02)
+        last = [*second[:KEPT_LAST], *((c, replace(fit, starts=base_fit.starts)) for c, fit in wrong)]
         final = list(pool.map(finally_, last))
-    return _ranked(final, final_noise)
+    return _ranked([(None, final_base), *final], final_noise)
+
+
+def _better_start(problem: Problem, base: Fit, candidate: Candidate, fit: Fit) -> tuple[Array, Sequence[Array]]:
+    """Where the fit of a wrong gain goes on: where it is or, if V is lower there, at the base, which it contains."""
+    if candidate.site.kind == "joint":  # friction or a spring that the base has not
+        return fit.z, fit.starts
+    same = _as_refitted(problem, base, candidate) or ({candidate.parameters[0].name: 1.0},)
+    _, z = _extended(problem, base.hypothesis, base.z, candidate, same[0])
+    for k, nuisance in enumerate(problem.nuisances):
+        if candidate.site.kind == "parameter" and nuisance.label == candidate.site.name:
+            z[k] = 0.0  # the effect's own factor is the whole factor
+    points = [(fit.z, fit.starts), (z, base.starts)]
+    return min(points, key=lambda point: problem.cost(fit.hypothesis, base.noise, *point))
 
 
 def _from_leader(problem: Problem, base: Fit, leader: Fit) -> Fit:
@@ -224,7 +243,7 @@ def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dic
 
 def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[tuple[Candidate, Hypothesis, Array]]:
     """For a wrong gain: nominal parameters back at their values, and the gain at what the most stretched one had."""
-    if not candidate.effect.gain_like or candidate.site.kind == "parameter" or not problem.nuisances:
+    if not candidate.effect.gain_like or candidate.site.kind in ("parameter", "joint") or not problem.nuisances:
         return []
     stretch = [n.spread * z for n, z in zip(problem.nuisances, base.z, strict=False)]
     likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0)

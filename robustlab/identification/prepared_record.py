@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.identification.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.record import Record
+from robustlab.statespace import StateSpaceModel
 
 __all__ = ["PreparedRecord", "prepare", "start_std", "window_length"]
 
@@ -47,6 +49,8 @@ class PreparedRecord:
         (n_windows, n_x).
     smoothed
         What the smoother found along the record.
+    told
+        Share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records.
     push
         Directions of the unknown forces, (n_x, n_forces).
     thin
@@ -63,6 +67,7 @@ class PreparedRecord:
     x0: Array
     x0_std: Array
     smoothed: SmoothedRecord
+    told: Array
     push: Array
     thin: int
     resolution: Array
@@ -77,14 +82,30 @@ class PreparedRecord:
         """Measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
-    def starts_after(self, lag: float) -> Array:
-        """States at the window starts where the sensors show them ``lag`` seconds late, (n_windows, n_x)."""
-        if lag == 0.0:
-            return self.x0.copy()
-        at = np.minimum(self.windows.starts + lag / self.record.dt, len(self.smoothed.x) - 1.001)
+    def starts_seen(self, lag: float, shown: Mapping[int, float]) -> Array:
+        """States at the window starts, (n_windows, n_x), where sensors show them late or scaled.
+
+        Parameters
+        ----------
+        lag
+            Seconds by which the sensors are late.
+        shown
+            Index of an output of the plant -> what is recorded of it over what is there. The smoother took the records
+            for the truth, and its states are linear in them: of each the share that this output told is divided by
+            the gain.
+        """
+        x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
+        for j, column in enumerate(self.columns):
+            if (gain := shown.get(column, 1.0)) != 1.0:
+                x0 += (1.0 / gain - 1.0) * self._at(self.told[j], lag)
+        return x0
+
+    def _at(self, x: Array, lag: float) -> Array:
+        """Samples of x (n, n_x) at the window starts, ``lag`` seconds later."""
+        at = np.minimum(self.windows.starts + lag / self.record.dt, len(x) - 1.001)
         k = at.astype(int)
         part = (at - k)[:, None]
-        return (1.0 - part) * self.smoothed.x[k] + part * self.smoothed.x[k + 1]
+        return (1.0 - part) * x[k] + part * x[k + 1]
 
 
 def window_length(plant: LinearPlant, records: list[Record]) -> int:
@@ -144,6 +165,7 @@ def prepare(
     push = np.column_stack([p.force for p in joints]) if joints else model.B
     bare = plant.state_space().select(None, [names[k] for k in columns])
     smoothed = smooth_disturbance(bare, push, record.t, u, y, jumps=False)
+    told = _told(bare, push, record.t, u, y, smoothed)
     measured = np.isfinite(y)
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
     stretches = _between_gaps(lost)
@@ -166,8 +188,23 @@ def prepare(
             std[:, own] = np.maximum(std[:, own], CURRENT_SHARE * float(np.sqrt(np.mean(amperes**2))))
     thin = max(1, length // POINTS_PER_WINDOW)
     return PreparedRecord(
-        record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, push, thin, resolution
+        record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, told, push, thin, resolution
     )
+
+
+def _told(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord) -> Array:
+    """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
+
+    Noise and bandwidth are held, so that the smoother is linear. (A larger output would raise the least noise that it
+    takes for a quantised one.)
+    """
+    shares = []
+    for j in range(y.shape[1]):
+        half = y.copy()
+        half[:, j] *= 0.5
+        less = smooth_disturbance(bare, push, t, u, half, smoothed.noise_std, smoothed.bandwidth, jumps=False)
+        shares.append(2.0 * (smoothed.x - less.x))
+    return np.stack(shares)
 
 
 def _lead(first: int, last: int, length: int) -> int:

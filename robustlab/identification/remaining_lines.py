@@ -19,8 +19,9 @@ like some.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 __all__ = ["remaining_lines"]
 
 Array = NDArray[np.float64]
+Turns = NDArray[np.complex128]
 
 ALARM = 0.01
 MOST_LINES = 4
@@ -72,7 +74,7 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
     Raises
     ------
     InputError
-        Lengths that differ, NaN, a std that is not positive.
+        Lengths that differ, NaN, a std that is not positive, labels of blocks that go back.
     """
     try:
         data = moving_samples(left.force, left.std, left.coordinates, left.blocks)
@@ -80,6 +82,8 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
         if "blocks" in str(fault):  # too little motion: nothing to say
             return ()
         raise
+    if (np.diff(data.block) < 0).any():
+        raise InputError("remaining lines: blocks", "labels that go back", "contiguous blocks, one after the other")
     signs = random_signs(data.n_blocks, 0)
     data = replace(data, d=_without_curves(data))
     searches = list(_searches(data))
@@ -181,32 +185,46 @@ def _strongest(
 def _power(data: MovingSamples, place: _Search, signs: Array) -> Array:
     """Explained power of every wave number for every set of signs, (n_signs, n_waves)."""
     parts = []
+    tables = _tables(place, place.waves[:CHUNK])  # the wave numbers are evenly spaced: each chunk only turns on
     for first in range(0, len(place.waves), CHUNK):
         waves = place.waves[first : first + CHUNK]
         power = np.zeros((len(signs), len(waves)))
-        for moment, inverse in _normal_equations(data, place, waves):
-            turned = np.einsum("sb,bwp->swp", signs, moment, optimize=True)
-            power += np.einsum("swp,wpq,swq->sw", turned, inverse, turned, optimize=True)
+        for moment, inverse in _normal_equations(data, place, waves, tables):
+            root = np.einsum("bwp,wpq->qbw", moment, np.linalg.cholesky(inverse))
+            power += (signs @ root[0]) ** 2 + (signs @ root[1]) ** 2
         parts.append(power)
     return np.hstack(parts)
 
 
-def _normal_equations(data: MovingSamples, place: _Search, waves: Array) -> Iterator[tuple[Array, Array]]:
+def _tables(place: _Search, waves: Array) -> list[tuple[Turns, Turns]]:
+    """For each group the phase factors of the waves over that of the first, (n_samples, n_waves), and their squares."""
+    x = place.x - place.x.min()
+    factors = [np.exp(2j * np.pi * np.outer(x[place.group == g], waves - waves[0])) for g in place.groups]
+    return [(factor, factor * factor) for factor in factors]
+
+
+def _normal_equations(
+    data: MovingSamples, place: _Search, waves: Array, tables: Sequence[tuple[Turns, Turns]] | None = None
+) -> Iterator[tuple[Array, Array]]:
     """For each group the sums over each block of (cos, sin) times the force, and the inverse sums of their products.
 
-    Shapes (n_blocks, n_waves, 2) and (n_waves, 2, 2).
+    Shapes (n_blocks, n_waves, 2) and (n_waves, 2, 2). ``tables`` are those of as many or more wave numbers with the
+    same steps.
     """
-    for g in place.groups:
-        own = place.group == g
-        phase = 2.0 * np.pi * np.outer(place.x[own] - place.x.min(), waves)
-        cos, sin = np.cos(phase), np.sin(phase)
+    for g, (table, square) in zip(place.groups, tables or _tables(place, waves), strict=True):
+        own = np.flatnonzero(place.group == g)
+        first = np.exp(2j * np.pi * waves[0] * (place.x[own] - place.x.min()))
         weight = data.weight[own]
-        belongs = (np.arange(data.n_blocks)[:, None] == data.block[own]) * (weight * data.d[own])
-        cc, cs, total = weight @ cos**2, weight @ (cos * sin), float(weight.sum())
+        force = weight * data.d[own] * first
+        edges = np.searchsorted(data.block[own], np.arange(data.n_blocks + 1))  # blocks follow each other
+        moment = np.stack([force[a:b] @ table[a:b, : len(waves)] for a, b in pairwise(edges)])
+        # cos^2 and cos sin by the double angle
+        double, total = (weight * first * first) @ square[:, : len(waves)], float(weight.sum())
+        cc, cs = 0.5 * (total + np.real(double)), 0.5 * np.imag(double)
         gram = np.stack([np.stack([cc, cs], axis=1), np.stack([cs, total - cc], axis=1)], axis=2)
         # The ridge keeps it regular where the samples happen to miss one of the two phases.
         inverse = np.asarray(np.linalg.inv(gram + 1e-6 * total * np.eye(2)), dtype=np.float64)
-        yield np.stack([belongs @ cos, belongs @ sin], axis=2), inverse
+        yield np.stack([np.real(moment), np.imag(moment)], axis=2), inverse
 
 
 def _refined(data: MovingSamples, place: _Search, at: int) -> float:

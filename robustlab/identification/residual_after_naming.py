@@ -110,7 +110,8 @@ def _of_record(
     push, name, unit = (joint.force, joint.name, joint.unit) if joint else (model.B[:, 0], first.name, first.unit)
     windows = record.windows
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
-    known, columns, added = _known_inputs(simulator, factors, values, record, fit.starts[k])
+    x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
+    known, columns, added = _known_inputs(simulator, factors, values, record, x0)
     linear = StateSpaceModel(
         model.A, np.hstack([model.B, columns]), model.C[list(record.columns)],
         np.hstack([model.D[list(record.columns)], np.zeros((len(record.columns), columns.shape[1]))]),
@@ -153,11 +154,11 @@ def _known_inputs(
     factors: dict[str, float],
     values: Sequence[dict[str, float]],
     record: PreparedRecord,
-    xi: Array,
+    x0: Array,
 ) -> tuple[Array, Array, Array]:
     """Inputs of the linear model (n, n_u + n_laws), columns of the laws' forces (n_x, n_laws), what sensors add."""
     windows = Windows(record.windows.starts, record.windows.length)
-    motion = simulator.run(factors, values, record.x0 + record.x0_std * xi, windows)
+    motion = simulator.run(factors, values, x0, windows)
     model = simulator.model(factors, values)
     laws = [law for (e, site), v in zip(simulator.effects, values, strict=True) for law in e.laws(site, v)]
     columns = np.zeros((len(model.A), len(laws)))

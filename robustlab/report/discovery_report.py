@@ -40,6 +40,10 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
         found.append((in_words(e), values, e.equation))
         rivals = ", ".join(e.rivals) or "none"
         found.append((f"{e.name}: confidence", f"{100 * e.confidence:.3g} %; cannot be told from: {rivals}", ""))
+    for r in d.rivals:
+        if r.instead_of == "none":
+            values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
+            found.append((f"Not excluded: {r.title}", values, "tolerances of other parameters may hide it"))
     for g in d.gaps.values():
         sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
         found.append(

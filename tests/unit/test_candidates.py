@@ -331,6 +331,31 @@ def test_windows_lie_between_gaps():
     assert np.isnan(ready.measured).sum() == 2 * 2
 
 
+def test_window_starts_follow_the_gain_of_a_sensor():
+    plant = rl.plant("servo-axis")
+    run = rl.simulate(plant, T, U)
+    gain, model = 0.9, port_model(plant)
+    true = prepare(plant, model, rl.Record(T, run.inputs, {"q": run["q"]}), 100)
+    seen = prepare(plant, model, rl.Record(T, run.inputs, {"q": gain * run["q"]}), 100)
+    size = np.abs(true.x0).max(axis=0)
+    q = seen.columns[0]
+    assert np.abs(seen.starts_seen(0.0, {}) - true.x0).max() > 0.05 * size.max()
+    # The motion that the reading comes from, up to the roughness of what a smoother tells.
+    assert np.abs((seen.starts_seen(0.0, {q: gain}) - true.x0) / size).max() < 2e-3
+    # A late sensor, too: the same samples later on.
+    late = seen.starts_seen(3 * T[1], {q: gain})
+    assert np.abs((late - true.smoothed.x[true.windows.starts + 3]) / size).max() < 2e-3
+
+
+def test_the_shares_of_the_outputs_add_up_to_the_states_where_nothing_else_moves_them():
+    plant = rl.plant("servo-axis")
+    run = rl.simulate(plant, T, U)
+    still = {name: np.zeros(len(T)) for name in run.inputs}
+    ready = prepare(plant, port_model(plant), rl.Record(T, still, run.outputs), 100)
+    assert len(ready.told) == len(run.outputs)
+    assert np.abs(ready.told.sum(axis=0) - ready.smoothed.x).max() < 1e-6 * np.abs(ready.smoothed.x).max()
+
+
 def test_a_sensors_step_is_seen():
     plant = rl.plant("servo-axis")
     run = rl.simulate(plant, T, U)

@@ -1,5 +1,6 @@
 """Naming on small simulated records whose missing effect is known: ranking, distance, what is left, and `discover`."""
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -15,8 +16,17 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.candidates import candidates
 from robustlab.identification.discovery import beyond_tolerance
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem, simulated_outputs
-from robustlab.identification.greedy_naming import CANNOT_TELL, held_out_fit, name_effects, rms_percent
-from robustlab.identification.naming import rank, whitening
+from robustlab.identification.greedy_naming import (
+    CANNOT_TELL,
+    Alternative,
+    Naming,
+    Step,
+    held_out_fit,
+    in_doubt,
+    name_effects,
+    rms_percent,
+)
+from robustlab.identification.naming import Ranked, Ranking, rank, whitening
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
 from robustlab.identification.prepared_record import prepare
 from robustlab.identification.residual_after_naming import left_over
@@ -102,6 +112,56 @@ def test_a_delay_before_and_behind_a_linear_plant_cannot_be_told_apart():
 def test_a_delay_and_a_gain_are_told_apart_safely():
     problem, fits = late()
     assert refit_distance(problem, fits["input-delay @ u"], fits["sensor-gain @ q"]) > 10.0
+
+
+@cache
+def louder() -> tuple[Problem, dict[str, Fit]]:
+    """An input that acts 8 % stronger than logged, seen on the position alone."""
+    run = rl.simulate(AXIS, T, 1.08 * U)
+    record = rl.Record(T, {"u": U}, {"q": run["q"], "v": run["v"]}, name="louder")
+    problem, pool = problem_of(noisy(record, outputs=("q",)))
+    return problem, {key: fitted(problem, pool[key]) for key in ("input-gain @ u", "sensor-gain @ q")}
+
+
+def test_a_gain_of_the_input_and_one_of_the_only_sensor_are_one_model():
+    problem, fits = louder()
+    before, behind = fits["input-gain @ u"], fits["sensor-gain @ q"]
+    for fit in (before, behind):
+        assert fit.hypothesis.candidates[0].values(fit.z[2:])["s"] == pytest.approx(1.08, abs=0.02)
+    assert refit_distance(problem, before, behind) < CANNOT_TELL / 3
+    assert refit_distance(problem, behind, before) < CANNOT_TELL / 3
+    assert behind.evidence == pytest.approx(before.evidence, abs=1.5)
+
+
+def test_a_wrong_gain_is_in_doubt_only_where_it_relieves_the_tolerances():
+    problem, pool = problem_of(plain())
+    inertia, gain = pool["inertia @ M"], pool["input-gain @ u"]
+    stretched = replace(fitted(problem), z=np.array([2.0, 2.0]))
+
+    def doubted(candidate, more, base=stretched, allowed=True):
+        entry = Ranked(candidate, fitted(problem, candidate), more, 0.5)
+        ranking = Ranking((entry, Ranked(None, base, 0.0, 0.5)), base.noise)
+        step = Step(NONE, ranking, None, "stop", np.nan)
+        naming = Naming(base, base, base, (step,), base.noise, base.cost, 1)
+        return [a.candidate.key for a in in_doubt(problem, naming, lambda *_: allowed)]
+
+    assert doubted(inertia, 0.5) == ["inertia @ M"]
+    assert doubted(inertia, -0.5) == ["inertia @ M"]  # it has a tolerance, and lies beyond it
+    assert doubted(inertia, -1.5) == []
+    assert doubted(inertia, 0.5, allowed=False) == []  # within its tolerance
+    assert doubted(inertia, 0.5, base=replace(stretched, z=np.zeros(2))) == []  # it relieves nothing
+    assert doubted(gain, 0.5) == ["input-gain @ u"]
+    assert doubted(gain, -0.5) == []  # it has no tolerance that it could contradict
+
+
+def test_of_two_wrong_gains_the_evidence_decides_and_not_the_distance():
+    problem, pool = problem_of(plain())
+    inertia, gain, delay = pool["inertia @ M"], pool["input-gain @ u"], pool["input-delay @ u"]
+    fit = fitted(problem)
+    assert not Alternative(inertia, gain, fit, -5.0, 0.0, 1.0).cannot_be_told
+    assert Alternative(inertia, gain, fit, -2.0, 0.0, 1.0).cannot_be_told
+    assert Alternative(delay, gain, fit, -5.0, 0.0, 1.0).cannot_be_told
+    assert not Alternative(delay, gain, fit, -5.0, 0.0, 4.0).cannot_be_told
 
 
 def test_an_effect_has_no_distance_to_itself():

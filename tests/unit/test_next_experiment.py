@@ -124,9 +124,10 @@ def test_a_rival_too_weak_to_be_shown_buys_no_sensor():
 
 def test_a_torque_constant_and_a_sensor_gain_ask_for_an_independent_measurement():
     _, _, _, found = proposal("torque-constant", "rich", "torque-constant", "sensor-gain", factor=0.93)
-    assert found.separation < 3
+    # What is left between them are the tolerances of the time constant: 3 to 4 noise sigmas for any signal.
+    assert 2.0 < found.separation < 5.0
     assert not found.separates
-    assert found.advice.startswith("nothing on the menu separates sensor-gain and torque-constant")
+    assert "separate sensor-gain and torque-constant" in found.advice
     assert "open-circuit voltage" in found.advice
     assert "known from elsewhere" in found.advice
 

@@ -17,7 +17,7 @@ import numba as nb
 from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.effects.law_kernel import GQ, Q0, Q, law
 from robustlab.dynamics.effects.spatial_wave import order_prior, orders_or_usual, wave_mean
-from robustlab.dynamics.effects.step_solutions import bracket, guess, is_open, narrowed
+from robustlab.dynamics.effects.step_solutions import CLOSE, SECANTS, bracket, guess, is_open, narrowed
 
 __all__ = ["EFFECT", "cogging_force"]
 
@@ -33,6 +33,16 @@ def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     """Parameters p = (A_c, A_s, k)."""
     most = abs(p[0]) + abs(p[1])
     args = (seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2])
+    # The force hardly changes the way: a secant from no force at all is there in three or four looks.
+    before, r_before = 0.0, _residual(0.0, args)
+    force = -r_before
+    for _ in range(SECANTS):
+        r = _residual(force, args)
+        if abs(r) <= CLOSE * most:
+            return force
+        if abs(r) > 0.5 * abs(r_before):
+            break
+        before, r_before, force = force, r, force - r * (force - before) / (r - r_before)
     b = bracket(-most, _residual(-most, args), most, _residual(most, args))
     while is_open(b):
         force = guess(b)

@@ -276,6 +276,10 @@ class Effect(ABC):
         """Time in s by which the recorded outputs, and states told from them, lie behind the plant."""
         return 0.0
 
+    def shown(self, values: Mapping[str, float]) -> float:
+        """What is recorded of an output over what is there; 1 where the output is not scaled as a whole."""
+        return 1.0
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
         """Sector, delay or bound of the effect at this amplitude of its signal; None where the model has it all."""
         return None

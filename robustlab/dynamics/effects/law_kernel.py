@@ -103,14 +103,18 @@ def step_windows(
     x = x0[0].copy()
     free = np.empty(n)
     seen = np.zeros(N_SEEN)
-    f = np.zeros(max(n_laws, 1))
     z_next = memory.copy()
-    gq = np.zeros(max(n_laws, 1))
-    gv = np.zeros(max(n_laws, 1))
+    places = max(n_laws, 1)
+    f = np.zeros(places)
+    q0, v0, q_free, v_free = np.zeros(places), np.zeros(places), np.zeros(places), np.zeros(places)
+    gq, gv = np.zeros((places, places)), np.zeros((places, places))  # what force k does to the motion at port j
     for j in range(n_laws):
-        for i in range(n):
-            gq[j] += position[j, i] * gamma_f[j, i]
-            gv[j] += velocity[j, i] * gamma_f[j, i]
+        for k in range(n_laws):
+            for i in range(n):
+                gq[j, k] += position[j, i] * gamma_f[k, i]
+                gv[j, k] += velocity[j, i] * gamma_f[k, i]
+    sweeps = SWEEPS if n_laws > 1 else 1
+    seen[6] = h
     for w in range(starts.shape[0]):
         for i in range(own):
             x[i] = x0[w, i]
@@ -130,42 +134,41 @@ def step_windows(
                         a += gamma_u[i, c] * u[row, c]
                     free[i] = a
                 for j in range(n_laws):
-                    f[j] = 0.0
-                sweeps = SWEEPS if n_laws > 1 else 1
+                    a, b, c_q, c_v = 0.0, 0.0, 0.0, 0.0
+                    for i in range(n):
+                        a += position[j, i] * x[i]
+                        b += velocity[j, i] * x[i]
+                        c_q += position[j, i] * free[i]
+                        c_v += velocity[j, i] * free[i]
+                    q0[j], v0[j], q_free[j], v_free[j] = a, b, c_q, c_v
+                # The forces of the step before are where the sweeps begin.
+                seen[7] = t0 + row * h
                 for _sweep in range(sweeps):
                     change = 0.0
                     largest = 0.0
                     for j in range(n_laws):
-                        q0 = 0.0
-                        v0 = 0.0
-                        q = -gq[j] * f[j]
-                        v = -gv[j] * f[j]
-                        for i in range(n):
-                            q0 += position[j, i] * x[i]
-                            v0 += velocity[j, i] * x[i]
-                            q += position[j, i] * free[i]
-                            v += velocity[j, i] * free[i]
-                        seen[0] = q0
-                        seen[1] = v0
-                        seen[2] = q
-                        seen[3] = v
-                        seen[4] = gq[j]
-                        seen[5] = gv[j]
-                        seen[6] = h
-                        seen[7] = t0 + row * h
+                        a, b = q_free[j], v_free[j]
+                        for other in range(n_laws):
+                            if other != j:
+                                a += gq[j, other] * f[other]
+                                b += gv[j, other] * f[other]
+                        seen[0] = q0[j]
+                        seen[1] = v0[j]
+                        seen[2] = a
+                        seen[3] = b
+                        seen[4] = gq[j, j]
+                        seen[5] = gv[j, j]
                         force = laws[j](parameters[j], memory[j], z_next[j], seen)
-                        delta = force - f[j]
-                        if delta != 0.0:
-                            for i in range(n):
-                                free[i] += gamma_f[j, i] * delta
-                            f[j] = force
-                        change = max(change, abs(delta) * gv[j])
-                        largest = max(largest, abs(force) * gv[j])
+                        change = max(change, abs(force - f[j]) * gv[j, j])
+                        largest = max(largest, abs(force) * gv[j, j])
+                        f[j] = force
                     if change <= AGREED * largest:
                         break
                 for j in range(n_laws):
                     for i in range(memory.shape[1]):
                         memory[j, i] = z_next[j, i]
+                    for i in range(n):
+                        free[i] += gamma_f[j, i] * f[j]
                 for i in range(n):
                     x[i] = free[i]
 

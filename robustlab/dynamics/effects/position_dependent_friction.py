@@ -16,7 +16,15 @@ import numba as nb
 from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.effects.law_kernel import GQ, GV, Q0, V0, Q, V, law
 from robustlab.dynamics.effects.spatial_wave import order_prior, orders_or_usual, wave_mean
-from robustlab.dynamics.effects.step_solutions import bracket, dry_mean_force, guess, is_open, narrowed
+from robustlab.dynamics.effects.step_solutions import (
+    CLOSE,
+    SECANTS,
+    bracket,
+    dry_mean_force,
+    guess,
+    is_open,
+    narrowed,
+)
 
 __all__ = ["EFFECT", "uneven_force"]
 
@@ -38,6 +46,16 @@ def uneven_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     """Parameters p = (F_c, P_c, P_s, k)."""
     args = (seen[V0], seen[V], seen[GV], seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2], p[3])
     most = max(0.0, p[0]) + abs(p[1]) + abs(p[2])
+    # The friction hardly changes the way: a secant from the mean level is there in three or four looks.
+    before, r_before = max(0.0, p[0]), _residual(max(0.0, p[0]), args)
+    level = before - r_before
+    for _ in range(SECANTS):
+        r = _residual(level, args)
+        if abs(r) <= CLOSE * most:
+            return _force(level, args)
+        if abs(r) > 0.5 * abs(r_before):
+            break
+        before, r_before, level = level, r, level - r * (level - before) / (r - r_before)
     b = bracket(0.0, _residual(0.0, args), most, _residual(most, args))
     while is_open(b):
         level = guess(b)

@@ -31,6 +31,9 @@ class SensorGain(Effect):
     def output(self, y: Array, values: Mapping[str, float], h: float) -> Array:
         return values["s"] * y
 
+    def shown(self, values: Mapping[str, float]) -> float:
+        return values["s"]
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "output", values["s"], values["s"])
 

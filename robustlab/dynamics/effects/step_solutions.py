@@ -13,10 +13,13 @@ import math
 
 import numba as nb
 
-__all__ = ["bracket", "dry_mean_force", "guess", "is_open", "narrowed", "stribeck_mean"]
+__all__ = ["CLOSE", "SECANTS", "bracket", "dry_mean_force", "guess", "is_open", "narrowed", "stribeck_mean"]
 
 ROUNDING = 4e-16
 MOST_LOOKS = 200
+CLOSE = 1e-13  # of the largest force: what the rounding of a position of many turns leaves
+SECANTS = 6  # looks of a law whose force hardly acts back on itself, before it brackets its root
+FAR = 6.1  # Stribeck velocities, beyond which exp(-(v/vs)^2) is below rounding
 SERIES_BELOW = 1e-3  # of the Stribeck velocity: there the difference of two error functions has lost digits
 
 
@@ -89,7 +92,7 @@ def _slide(start, free, compliance, level, rise, width):  # type: ignore[no-unty
     accelerated there.
     """
     fall, swing = compliance * level, compliance * rise
-    if rise == 0.0:
+    if rise == 0.0 or min(start, free - fall) > FAR * width:
         return free - fall if free >= fall else -1.0
     here = start - free + fall + swing * stribeck_mean(start, start, width)
     if here <= 0.0:
