@@ -43,6 +43,8 @@ def data_cover(step: DataCoverStep, work: Workspace) -> Outcome:
     numbers = {k: v for k, v in found.to_json(series=False).items() if k not in ("validations", "loads")}
     numbers["loads"] = {x.name: x.bound for x in found.loads}
     held = "none held out" if math.isnan(found.held_out) else f"{found.held_out:.3g}"
+    if found.loads and not math.isnan(found.held_out):
+        held += f", with loads up to {found.held_out_loads:.3g} of their bounds"
     facts = (
         Fact("Unmodelled dynamics in the set", f"{found.radius:.3g} of the input"),
         Fact("Needed by the records", f"{found.needed_lower:.3g} to {found.needed:.3g}"),
