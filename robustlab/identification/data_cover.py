@@ -49,7 +49,7 @@ class DataCover(Evidence):
     status
         The worst of the validations', those of the records held out included.
     model
-        The set; its inputs are the loads, each at most one, then the plant's. None where no radius explains some record.
+        The set; its inputs are the loads, each at most one, then the plant's. None where no radius explains a record.
     radius
         Of the unmodelled dynamics in ``model``: ``margin`` times the smallest, at least ``least``.
     needed, needed_lower

@@ -295,7 +295,7 @@ def test_a_state_that_only_a_constant_shows_is_free_in_the_relaxation_too():
         [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.1, 0.0]], 0.0, ["w1", "w2", "u"], ["z1", "z2", "y"],
     )  # fmt: skip
     hidden = rl.UncertainModel(M, [rl.RealScalar("d"), rl.FullBlock("rest", 1, 1)])
-    t = np.arange(60) * 0.2
+    t = np.arange(30) * 0.4
     u = np.where(t > 6, 1.0, 0.0)
     y = rl.simulate(hidden.evaluate({"d": 0.5, "rest": np.zeros((1, 1))}), t, u, [0.0, 1.0])["y"]
     found = rl.validate(hidden, rl.Record(t, {"u": u}, {"y": y}), {"y": 0.01}, delta="time-varying")

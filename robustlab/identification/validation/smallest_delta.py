@@ -276,9 +276,10 @@ class _Job:
         if gamma and not fit.witness(weights, none) > 1:
             found = f"the noise bound is missed by {excess - 1:.1e} of itself: too close to tell"
             raise NoTrustworthyNumber(f"validate: {self.recorded.uncertain!r}", found)
+        label = "noise alone: the set has no block"
+        recheck = (lambda: np.inf if fit.witness(weights, none) > 1 else 0.0) if gamma else None
         return _Found(
-            gamma, gamma, "noise alone: the set has no block", True, {}, None, _NONE, _NONE, fit.whole(noise), (), {}, {},
-            {}, (lambda: np.inf if fit.witness(weights, none) > 1 else 0.0) if gamma else None, excess,
+            gamma, gamma, label, True, {}, None, _NONE, _NONE, fit.whole(noise), (), {}, {}, {}, recheck, excess,
         )  # fmt: skip
 
     def constant(self, scaled: NDArray[np.bool_]) -> _Found:
