@@ -31,7 +31,7 @@ from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["EffectLoads", "effect_loads"]
+__all__ = ["EffectLoads", "effect_loads", "resting_start"]
 
 Array = NDArray[np.float64]
 
@@ -92,15 +92,10 @@ class EffectLoads:
         if missing:
             raise InputError(where, f"no input {missing[0]!r}", ", ".join(s.name for s in self.plant.inputs))
         u = np.column_stack([record.inputs[s.name] for s in self.plant.inputs])
-        shown = [k for k, s in enumerate(self.plant.outputs) if s.name in record.outputs]
-        own = self.plant.model.own
-        first = np.array([record.outputs[self.plant.outputs[k].name][0] for k in shown])
-        x0 = np.linalg.pinv(self.plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
         if not record.is_uniform:
             raise InputError(where, "irregular sampling", "equal steps", "resample the record")
-        # Time stamps are rounded; the clock itself is not.
-        clock = record.t[0] + record.dt * np.arange(record.n)
-        return u, self.plant.stepped(clock, u, self.plant.whole_state(np.asarray(x0, dtype=np.float64)))[0]
+        clock, x0 = resting_start(self.plant, record)
+        return u, self.plant.stepped(clock, u, self.plant.whole_state(x0))[0]
 
     def _size(self, j: int, record: Record, known: Sequence[NoiseInput]) -> float:
         """Largest size of a load along a record where all bounds here are one; ``known`` has those of the others."""
@@ -180,6 +175,21 @@ class EffectLoads:
         if off > EXACT:
             raise NoTrustworthyNumber(where, f"they miss the simulated states by {off:.1e} of their size")
         return signals
+
+
+def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[Array, Array]:
+    """A record's clock (n,), and the smallest state of the plant alone that shows the outputs measured first.
+
+    Time stamps are rounded; a uniform clock itself is not.
+    """
+    extended = isinstance(plant, ExtendedPlant)
+    own = plant.model.own if extended else len(plant.states)
+    C = plant.model.C if extended else plant.state_space().C
+    shown = [k for k, s in enumerate(plant.outputs) if s.name in record.outputs]
+    first = np.array([record.outputs[plant.outputs[k].name][0] for k in shown])
+    x0 = np.linalg.pinv(C[shown, :own]) @ first if shown else np.zeros(own)
+    clock = record.t[0] + record.dt * np.arange(record.n) if record.is_uniform else record.t
+    return clock, np.asarray(x0, dtype=np.float64)
 
 
 def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()) -> EffectLoads:
