@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from sampled_robustness import spectral_radius
+from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.result import plain
