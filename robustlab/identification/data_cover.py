@@ -58,7 +58,7 @@ class DataCover(Evidence):
         The smallest radius for the records that were held out, from above; NaN without such.
     held_out_loads
         Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the set's loads
-        are too small for them: a force without a bound of its own takes that of ``records``.
+        are too small for them: a force without a bound of its own takes that of ``records``, times ``margin``.
     margin, least
         As given.
     loads
@@ -136,7 +136,8 @@ def data_cover(
     held_out
         Records on which the set is checked; they do not change it.
     margin, least
-        The radius is ``margin`` times the smallest that explains the records, and at least ``least``.
+        The radius is ``margin`` times the smallest that explains the records, and at least ``least``; a load without a
+        bound of its own is ``margin`` times the largest along the records.
     sigmas
         Half width of the range of a fitted value in its standard deviations.
     noise_norm, window, at_rest, precision, time_limit, progress
@@ -166,7 +167,7 @@ def data_cover(
     names = [r.name for r in (*records, *held_out)]
     if len(set(names)) < len(names):
         raise InputError("data_cover", "two records of one name", "names of their own")
-    made = effect_loads(plant, sigmas, records)
+    made = effect_loads(plant, sigmas, records, margin)
     bare = _unmodelled(UncertainModel(made.model.nominal.select(_inputs(made.model), list(noise)), []), made, 1.0)
     found: dict[str, Validation] = {}
     reached: dict[str, float] = {}

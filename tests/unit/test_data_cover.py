@@ -100,9 +100,10 @@ def test_a_held_out_record_beyond_the_loads_of_the_set_does_not_pass():
     found = rl.data_cover(dragged, [run(1.0, "slow")], {"q": 1e-5}, held_out=[run(6.0, "fast")], at_rest=True)
     assert found.held_out <= found.radius  # the motion itself needs no unmodelled dynamics
     assert found.held_out_loads > 2
+    assert found.loads[0].bound == pytest.approx(1.1 * effect_loads(dragged, records=[run(1.0, "slow")]).loads[0].bound)
     assert not found.passes
     assert "NOT explained" in found.summary()
-    again = rl.data_cover(dragged, [run(1.0, "slow")], {"q": 1e-5}, held_out=[run(0.9, "less")], at_rest=True)
+    again = rl.data_cover(dragged, [run(1.0, "slow")], {"q": 1e-5}, held_out=[run(1.04, "little more")], at_rest=True)
     assert again.passes
 
 

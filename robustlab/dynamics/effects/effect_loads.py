@@ -192,7 +192,7 @@ def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[A
     return clock, np.asarray(x0, dtype=np.float64)
 
 
-def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()) -> EffectLoads:
+def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
     """A plant with effects as its linear part with bounded loads.
 
     Parameters
@@ -205,6 +205,8 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
     records
         Where a force has no bound whatever the motion (quadratic drag), it takes the largest value along these records;
         its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
+    margin
+        That largest value counts so many times: another record may move a little faster.
 
     Raises
     ------
@@ -242,11 +244,13 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
     pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
     whole = _loads_first(pushed.uncertain(), len(plant.inputs), loads, ways)
     bare = EffectLoads(plant, whole, tuple(replace(x, bound=1.0) for x in loads), tuple(acts))
-    bounded = _bounded_by(bare, loads, records)
+    bounded = _bounded_by(bare, loads, records, margin)
     return EffectLoads(plant, _scaled(whole, bounded), tuple(bounded), tuple(acts))
 
 
-def _bounded_by(bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record]) -> list[NoiseInput]:
+def _bounded_by(
+    bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record], margin: float
+) -> list[NoiseInput]:
     """Loads without a bound get the largest value along the records; ``bare`` has all of them in their own units."""
     free = [load for load in loads if not np.isfinite(load.bound)]
     if free and not records:
@@ -254,9 +258,10 @@ def _bounded_by(bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequenc
         raise InputError(where, "no bound whatever the motion", "records whose motion bounds it")
     if not free:
         return list(loads)
-    within = f"within the motion of {', '.join(r.name for r in records)}"
+    times = "" if margin == 1.0 else f"{margin:g} times the largest "
+    within = f"{times}within the motion of {', '.join(r.name for r in records)}"
     return [
-        replace(x, bound=max(bare._size(j, r, loads) for r in records), origin=f"{x.origin}; {within}")
+        replace(x, bound=margin * max(bare._size(j, r, loads) for r in records), origin=f"{x.origin}; {within}")
         if x in free else x
         for j, x in enumerate(loads)
     ]  # fmt: skip
