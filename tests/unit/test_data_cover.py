@@ -77,6 +77,17 @@ def test_a_force_that_only_the_whole_motion_tells_is_bounded_by_all_of_it():
 
 
 @pytest.mark.parametrize(
+    ("effect", "values", "times"),
+    [("quadratic-drag", {"c": (400.0, 20.0)}, 1.1), ("gear-efficiency", {"eta": (0.9, 0.01)}, 1.2)],
+)
+def test_the_range_of_a_fitted_value_is_on_top_of_what_a_record_shows(effect, values, times):
+    known = {name: value for name, (value, _) in values.items()}
+    run = record(axis(**{effect: known}))
+    bare, ranged = (effect_loads(axis(**{effect: v}), records=[run]).loads[0].bound for v in (known, values))
+    assert ranged == pytest.approx(times * bare, rel=1e-6)
+
+
+@pytest.mark.parametrize(
     ("effect", "values"),
     [
         ("constant-load", {"T0": (-3.0, 0.5)}),

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from robustlab.dynamics.effects.attached_effect import AttachedEffect
 from robustlab.dynamics.effects.effect_blocks import NoiseInput, with_forces
+from robustlab.dynamics.effects.effect_contract import Law
 from robustlab.dynamics.effects.extended_plant import ExtendedPlant, with_effects
 from robustlab.dynamics.effects.extended_uncertainty import without_signals
-from robustlab.dynamics.effects.force_blocks import largest_offset, values_in_words
+from robustlab.dynamics.effects.force_blocks import corners, largest_gain, largest_offset, values_in_words
 from robustlab.dynamics.effects.law_forces import is_set_valued, rest_band, steady_force
 from robustlab.dynamics.effects.port_model import Port, port_model
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -41,6 +42,8 @@ EXACT = 1e-6
 STEPS = 16
 # Of what the laws at one port leave open, one that position and speed tell takes so much less than the others.
 TOLD = 1e-3
+# Samples, those of the largest force, at which a law is asked with other values of its parameters.
+MOST = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +100,15 @@ class EffectLoads:
         clock, x0 = resting_start(self.plant, record)
         return u, self.plant.stepped(clock, u, self.plant.whole_state(x0))[0]
 
-    def _size(self, j: int, record: Record, known: Sequence[NoiseInput]) -> float:
+    def _size(self, j: int, record: Record, known: Sequence[NoiseInput], sigmas: float) -> float:
         """Largest size of a load along a record where all bounds here are one; ``known`` has those of the others."""
         u, states = self._motion(record)
+        told, e = self._told(j, states), self.acts[j][0]
+        if told is not None:  # for all its values, along the motion of the nominal ones
+            largest, port = states[np.argsort(-np.abs(told))[:MOST]], self._law(j)[1]
+            laws = [law for values in corners(e, sigmas) for law in e.effect.laws(e.site, values)]
+            return max(float(np.abs(_law_along(law, port, largest)).max()) for law in laws)
         signals, others = self._signals(record, u, states), self._sharing().get(j, [])
-        told = self._told(j, states) if others else signals[:, j]
-        if told is not None:
-            return float(np.abs(told).max())
         # The whole force at the port, and what the others may have taken off it.
         whole = float(np.abs(signals[:, [j, *others]].sum(axis=1)).max())
         for i in others:
@@ -113,7 +118,8 @@ class EffectLoads:
                 found = f"{known[j].name} and {known[i].name}"
                 raise InputError("effect_loads", found, "forces that the motion or a bound tells apart")
             whole += size
-        return whole
+        nominal = largest_gain(e, 0.0)
+        return whole * (largest_gain(e, sigmas) / nominal if nominal else 1.0)
 
     def _sharing(self) -> dict[int, list[int]]:
         """For each load that is not alone at its port, the others there: their sum is all that a motion tells."""
@@ -123,18 +129,16 @@ class EffectLoads:
 
     def _told(self, j: int, states: Array) -> Array | None:
         """The force of a load's law at each sample (n,); None where position and speed do not tell it."""
-        assert isinstance(self.plant, ExtendedPlant)
-        e = self.acts[j][0]
-        law, port = next((law, port) for other, law, port in self.plant.laws if other is e)
-        v = states @ port.velocity
-        q = np.zeros_like(v) if port.position is None else states @ port.position
+        e, (law, port) = self.acts[j][0], self._law(j)
         seen = e.effect.footprint(e.site, e.values, 1.0)
-        if law.memory or seen is None or seen.signal == "force" or is_set_valued(law, float(q[0])):
+        if law.memory or seen is None or seen.signal == "force" or is_set_valued(law, 0.0):
             return None
-        return np.array([
-            steady_force(law, at, speed) if speed else 0.5 * sum(rest_band(law, at))
-            for at, speed in zip(q.tolist(), v.tolist(), strict=True)
-        ])  # fmt: skip
+        return _law_along(law, port, states)
+
+    def _law(self, j: int) -> tuple[Law, Port]:
+        """The law of a load's effect, and its port in the plant with all effects."""
+        assert isinstance(self.plant, ExtendedPlant)
+        return next((law, port) for e, law, port in self.plant.laws if e is self.acts[j][0])
 
     def _shares(self, states: Array) -> tuple[Array, Array]:
         """For each load what its law alone tells of it (n - 1, n_loads), and its share of what that leaves open."""
@@ -175,6 +179,16 @@ class EffectLoads:
         if off > EXACT:
             raise NoTrustworthyNumber(where, f"they miss the simulated states by {off:.1e} of their size")
         return signals
+
+
+def _law_along(law: Law, port: Port, states: Array) -> Array:
+    """Force of a law that position and speed tell, at each state (n,)."""
+    v = states @ port.velocity
+    q = np.zeros_like(v) if port.position is None else states @ port.position
+    return np.array([
+        steady_force(law, at, speed) if speed else 0.5 * sum(rest_band(law, at))
+        for at, speed in zip(q.tolist(), v.tolist(), strict=True)
+    ])  # fmt: skip
 
 
 def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[Array, Array]:
@@ -244,12 +258,12 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
     pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
     whole = _loads_first(pushed.uncertain(), len(plant.inputs), loads, ways)
     bare = EffectLoads(plant, whole, tuple(replace(x, bound=1.0) for x in loads), tuple(acts))
-    bounded = _bounded_by(bare, loads, records, margin)
+    bounded = _bounded_by(bare, loads, records, sigmas, margin)
     return EffectLoads(plant, _scaled(whole, bounded), tuple(bounded), tuple(acts))
 
 
 def _bounded_by(
-    bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record], margin: float
+    bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record], sigmas: float, margin: float
 ) -> list[NoiseInput]:
     """Loads without a bound get the largest value along the records; ``bare`` has all of them in their own units."""
     free = [load for load in loads if not np.isfinite(load.bound)]
@@ -261,7 +275,7 @@ def _bounded_by(
     times = "" if margin == 1.0 else f"{margin:g} times the largest "
     within = f"{times}within the motion of {', '.join(r.name for r in records)}"
     return [
-        replace(x, bound=margin * max(bare._size(j, r, loads) for r in records), origin=f"{x.origin}; {within}")
+        replace(x, bound=margin * max(bare._size(j, r, loads, sigmas) for r in records), origin=f"{x.origin}; {within}")
         if x in free else x
         for j, x in enumerate(loads)
     ]  # fmt: skip
