@@ -132,6 +132,7 @@ def validate(
         time-invariant, z unknown     pulse responses by Gauss-Newton          that of time-varying ones (relaxation)
         constant                      values by descent, replayed              boxes tested at points (not proved)
         constant and dynamic          search over the constants                that of all time-varying (relaxation)
+        none                          0 where noise alone explains the record  infinite elsewhere, weights re-checked
         ============================  =======================================  =====================================
 
         z is known where it depends neither on Delta nor on a free state: additive and multiplicative uncertainty.
