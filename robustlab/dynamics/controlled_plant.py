@@ -59,10 +59,12 @@ def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], meas
     model, where = as_model(K, "controller"), f"{plant.name} under control"
     c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
     sizes = (len(c) + len(m), len(plant.inputs))
-    if (model.n_inputs, model.n_outputs) != sizes or model.is_discrete:
-        kind = "discrete" if model.is_discrete else "continuous"
-        found = f"{model.n_inputs} inputs and {model.n_outputs} outputs, {kind}"
-        raise InputError(f"{where}: controller", found, f"{sizes[0]} and {sizes[1]}, continuous")
+    if (model.n_inputs, model.n_outputs) != sizes:
+        found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
+        raise InputError(f"{where}: controller", found, f"{sizes[0]} and {sizes[1]}")
+    if model.is_discrete:
+        hint = "the design before its step discretise; that step (rl.discretise_controller) judges the sampled loop"
+        raise InputError(f"{where}: controller", f"a discrete one, dt = {model.dt:g} s", "a continuous one", hint)
     n, n_k, n_r = len(plant.states), model.n_states, len(c)
     from_r, from_y = model.B[:, :n_r], model.B[:, n_r:]
     d_r, d_y = model.D[:, :n_r], model.D[:, n_r:]

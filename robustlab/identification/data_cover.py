@@ -36,6 +36,8 @@ __all__ = ["DataCover", "data_cover"]
 
 # No plant is known better than this at every frequency: the radius of a set never goes below.
 LEAST_RADIUS = 0.02
+# Loads along a record are means over its samples, known to this share of their bounds.
+LOADS_TOLD = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,15 +47,18 @@ class DataCover(Evidence):
     Attributes
     ----------
     status
-        The worst of the validations'; INFEASIBLE where no radius explains some record (then ``model`` is None).
+        The worst of the validations', those of the records held out included.
     model
-        The set; its inputs are the loads, each at most one, then the plant's.
+        The set; its inputs are the loads, each at most one, then the plant's. None where no radius explains a record.
     radius
         Of the unmodelled dynamics in ``model``: ``margin`` times the smallest, at least ``least``.
     needed, needed_lower
         The smallest radius that explains all records, from above and from below.
     held_out
         The smallest radius for the records that were held out, from above; NaN without such.
+    held_out_loads
+        Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the set's loads
+        are too small for them: a force without a bound of its own takes that of ``records``, times ``margin``.
     margin, least
         As given.
     loads
@@ -68,6 +73,7 @@ class DataCover(Evidence):
     needed: float
     needed_lower: float
     held_out: float
+    held_out_loads: float
     margin: float
     least: float
     loads: tuple[NoiseInput, ...]
@@ -75,8 +81,8 @@ class DataCover(Evidence):
 
     @property
     def passes(self) -> bool:
-        """Whether the set explains the records that were held out."""
-        return self.held_out <= self.radius
+        """Whether the set explains the records that were held out, with loads within their bounds."""
+        return self.held_out <= self.radius and self.held_out_loads <= 1 + LOADS_TOLD
 
     def summary(self) -> str:
         """The radius and what stands behind it, for reading."""
@@ -84,7 +90,8 @@ class DataCover(Evidence):
         lines.append(f"needed by the records: {self.needed_lower:.4g} to {self.needed:.4g}")
         if not np.isnan(self.held_out):
             word = "explained" if self.passes else "NOT explained"
-            lines.append(f"held out: needs {self.held_out:.4g}, {word} by the set")
+            loads = f", loads up to {self.held_out_loads:.3g} of their bounds" if self.loads else ""
+            lines.append(f"held out: needs {self.held_out:.4g}{loads}, {word} by the set")
         lines += [f"load {x.name}: at most {x.bound:.4g} {x.unit}, {x.origin}" for x in self.loads]
         lines += [v.summary() for v in self.validations.values()]
         return "\n".join(lines)
@@ -129,7 +136,8 @@ def data_cover(
     held_out
         Records on which the set is checked; they do not change it.
     margin, least
-        The radius is ``margin`` times the smallest that explains the records, and at least ``least``.
+        The radius is ``margin`` times the smallest that explains the records, and at least ``least``; a load without a
+        bound of its own is ``margin`` times the largest along the records.
     sigmas
         Half width of the range of a fitted value in its standard deviations.
     noise_norm, window, at_rest, precision, time_limit, progress
@@ -159,12 +167,15 @@ def data_cover(
     names = [r.name for r in (*records, *held_out)]
     if len(set(names)) < len(names):
         raise InputError("data_cover", "two records of one name", "names of their own")
-    made = effect_loads(plant, sigmas, records)
+    made = effect_loads(plant, sigmas, records, margin)
     bare = _unmodelled(UncertainModel(made.model.nominal.select(_inputs(made.model), list(noise)), []), made, 1.0)
     found: dict[str, Validation] = {}
+    reached: dict[str, float] = {}
     for record in (*records, *held_out):
+        driven = made.along(record)
+        reached[record.name] = max((float(np.abs(driven[x.name]).max()) for x in made.loads), default=0.0)
         found[record.name] = validate(
-            bare, made.along(record), noise, noise_norm=noise_norm, delta="time-varying", at_rest=at_rest,
+            bare, driven, noise, noise_norm=noise_norm, delta="time-varying", at_rest=at_rest,
             window=window, precision=precision, time_limit=time_limit, progress=progress,
         )  # fmt: skip
     mine = [found[r.name] for r in records]
@@ -178,6 +189,7 @@ def data_cover(
         needed=needed,
         needed_lower=max(v.lower for v in mine),
         held_out=max((found[r.name].upper for r in held_out), default=float("nan")),
+        held_out_loads=max((reached[r.name] for r in held_out), default=float("nan")),
         margin=margin,
         least=least,
         loads=made.loads,

@@ -16,7 +16,7 @@ from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figu
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
 
-__all__ = ["Story", "story_figure"]
+__all__ = ["Story", "fall_in_words", "fall_percent", "story_figure"]
 
 Array = NDArray[np.float64]
 BEFORE, AFTER = COLOURS["worst"], COLOURS["nominal"]
@@ -84,31 +84,35 @@ def _uncertainty(axes: Axes, story: Story, number: int) -> None:
     assert story.radii is not None
     floor = 1e-6
     for k, (radius, colour) in enumerate(zip(story.radii, (BEFORE, AFTER), strict=True)):
-        axes.barh(k, radius, color=colour, alpha=0.8, height=0.5, label="unmodelled, in the set" if k == 0 else None)
-        axes.annotate(f"{100 * radius:.3g} %", (radius, k), (5, 0), textcoords="offset points", va="center")
+        seen, label = max(radius, floor), "unmodelled, in the set" if k == 0 else None
+        axes.barh(k, seen, color=colour, alpha=0.8, height=0.5, label=label)
+        axes.annotate(f"{100 * radius:.3g} %", (seen, k), (5, 0), textcoords="offset points", va="center")
         if story.held_out is not None:
             need = max(story.held_out[WORDS[k]], floor)
             label = "needed by held-out data" if k == 0 else None
             axes.plot(need, k, "o", color=COLOURS["reference"], ms=7, mfc="white", mew=1.6, label=label, zorder=4)
     logarithmic(axes.xaxis)
-    lowest = min([*story.radii, *(max(v, floor) for k, v in (story.held_out or {}).items() if k in WORDS)])
-    axes.set(yticks=[0, 1], yticklabels=WORDS, ylim=(1.6, -0.6), xlim=(lowest / 3, 4 * max(story.radii)))
+    shown = [*story.radii, *(v for k, v in (story.held_out or {}).items() if k in WORDS)]
+    lowest, highest = min(max(v, floor) for v in shown), max(*story.radii, floor)
+    axes.set(yticks=[0, 1], yticklabels=WORDS, ylim=(1.6, -0.6), xlim=(lowest / 3, 4 * highest))
     axes.set_xlabel("unmodelled dynamics, share of the input")
-    axes.set_title(f"{number}  The uncertainty: {_number(story.radii[0] / story.radii[1])} times smaller", loc="left")
+    fall = f"{_number(story.radii[0] / story.radii[1])} times smaller" if story.radii[1] > 0 else "none is left"
+    axes.set_title(f"{number}  The uncertainty: {fall}", loc="left")
     axes.legend(loc="lower right")
 
 
 def _mu(axes: Axes, story: Story, number: int) -> None:
     for word, margin, mu, colour in zip(WORDS, story.margins, story.mu, (BEFORE, AFTER), strict=True):
-        axes.plot(margin.omega, margin.mu_upper, color=colour, label=f"{word}: at most {mu:.3g} at all frequencies")
-        axes.axhline(mu, color=colour, lw=0.7, alpha=0.7)
+        proved = f"at most {mu:.3g} at all frequencies" if np.isfinite(mu) else "nothing is proved"
+        axes.plot(margin.omega, margin.mu_upper, color=colour, label=f"{word}: {proved}")
+        if np.isfinite(mu):
+            axes.axhline(mu, color=colour, lw=0.7, alpha=0.7)
     axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), label="1: requirement met by every member")
     logarithmic(axes.xaxis)
     omega = story.margins[0].omega
     axes.set(xlabel="frequency [rad/s]", ylabel="μ of robust performance", xlim=(omega[0], omega[-1]))
-    axes.set_ylim(0, 1.35 * max(1.0, *story.mu))
-    fall = 100 * (1 - story.mu[1] / story.mu[0])
-    axes.set_title(f"{number}  What is proved: μ {fall:.3g} % lower", loc="left")
+    axes.set_ylim(0, 1.35 * max(1.0, *(mu for mu in story.mu if np.isfinite(mu))))
+    axes.set_title(f"{number}  What is proved: μ {fall_in_words(*story.mu)}", loc="left")
     axes.legend(loc="upper right")
 
 
@@ -121,6 +125,17 @@ def _error(axes: Axes, story: Story, number: int) -> None:
     ratio = story.errors[0] / max(story.errors[1], 1e-300)
     axes.set_title(f"{number}  The machine itself: error {_number(ratio)} times smaller", loc="left")
     axes.legend(loc="upper right")
+
+
+def fall_percent(before: float, after: float) -> float:
+    """By how many percent mu fell; NaN where one of both is not proved: a fall from infinity is none."""
+    return 100 * (1 - after / before) if np.isfinite([before, after]).all() and before > 0 else float("nan")
+
+
+def fall_in_words(before: float, after: float) -> str:
+    """The fall of mu, or that there is none to tell."""
+    fall = fall_percent(before, after)
+    return f"{fall:.3g} % lower" if np.isfinite(fall) else "not to be compared"
 
 
 def _number(ratio: float) -> str:

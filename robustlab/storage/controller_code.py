@@ -90,7 +90,8 @@ def c_source(
     Raises
     ------
     InputError
-        A continuous model, one without inputs or outputs, a prefix that is no identifier.
+        A continuous model, one in deviations from an operating point, one without inputs or outputs, a prefix that is
+        no identifier.
 
     Examples
     --------
@@ -102,6 +103,9 @@ def c_source(
         raise InputError(
             "C export", "a continuous controller (dt = 0)", "a discrete one", "discretise it with its sample time first"
         )
+    if model.operating_point is not None:
+        hint = "take u and y of that point off in the program around it, and export the model without the point"
+        raise InputError("C export", "a model in deviations from an operating point", "one without", hint)
     if not model.n_inputs or not model.n_outputs:
         raise InputError("C export", f"{model.n_inputs} inputs and {model.n_outputs} outputs", "at least one of each")
     if not PREFIX.fullmatch(prefix) or any(prefix in words.split() for words in RESERVED):

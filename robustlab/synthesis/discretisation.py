@@ -46,6 +46,9 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
 
     .. math:: \dot x = A x + B u \quad\to\quad x_{k+1} = A_d x_k + B_d u_k
 
+    The states of ``zoh`` and ``impulse`` are those of the model, and so is its operating point; the other methods have
+    states of their own, and none.
+
     Parameters
     ----------
     model
@@ -91,7 +94,8 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
         found = StateSpaceModel(*{"zoh": held_input, "foh": _first_order_hold, "impulse": _impulse}[method](m, dt))
     return StateSpaceModel(
         found.A, found.B, found.C, found.D, dt, m.inputs, m.outputs,
-        m.states if found.n_states == m.n_states else None, where=f"discretise ({method})",
+        m.states if found.n_states == m.n_states else None,
+        m.operating_point if method in ("zoh", "impulse") else None, where=f"discretise ({method})",
     )  # fmt: skip
 
 

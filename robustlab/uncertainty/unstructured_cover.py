@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
+from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.model_set import system_matrices
@@ -58,6 +59,10 @@ STILL = 1e-7
 # Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
 DENSE = 150
+# No resonance at the Nyquist frequency is looked at more closely than this share of that frequency.
+NEAREST = 1e-6
+# Up to here a lift is rounding, or a peak just beside a frequency of the grid.
+LIFT = 1.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,12 +167,12 @@ def _around(
         return np.hypot(_bound(models, centre, form, w), floor)
 
     fit = overbound(omega, np.hypot(size, floor), *wanted, exact=exact, dt=centre.dt)
-    fit = _to_the_ends(fit, models, centre, form)
+    fit = _to_the_ends(fit, models, centre, form, wanted[1])
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
     proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
     if proved and max(n.upper for n in norms) > 1.0:  # a peak between two frequencies of the grid
-        fit = _lifted(fit, max(n.upper for n in norms))
+        fit = _lifted(fit, max(n.upper for n in norms), wanted[1])
         deltas = _deltas(models, centre, form, fit.weight)
         norms = [hinf_norm(d, 1e-9) for d in deltas]
     if proved:
@@ -180,18 +185,22 @@ def _around(
     return UnstructuredCover(model, number, fit, sizes, proved, deltas if proved else (), radius)
 
 
-def _to_the_ends(fit: Overbound, models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> Overbound:
+def _to_the_ends(
+    fit: Overbound, models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, tolerance: float
+) -> Overbound:
     """The weight, lifted where the error beyond the grid's ends is a little larger."""
     beyond = _beyond(fit.omega, centre.dt)
     ratio = float(
         (_bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])).max()
     )
-    return fit if ratio <= 1.0 else _lifted(fit, ratio)
+    return fit if ratio <= 1.0 else _lifted(fit, ratio, tolerance)
 
 
 def _beyond(omega: Array, dt: float) -> Array:
+    """Frequencies outside the grid; for a discrete model the last is that of Nyquist itself."""
     low, high = omega[0] / BEYOND, omega[-1] * BEYOND
-    return low if dt else np.concatenate([low, high])
+    rest = np.pi / dt - omega[-1] if dt else 0.0
+    return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, DENSE) if dt else high])
 
 
 def _require_bounded(
@@ -213,11 +222,13 @@ def _require_bounded(
         raise NoTrustworthyNumber(f"cover: form {form}", found, "an error that a proper weight bounds", hint)
 
 
-def _lifted(fit: Overbound, factor: float) -> Overbound:
+def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
+    """The weight times a factor; INACCURATE where it is the factor that takes it beyond the tolerance."""
     w, g = fit.weight, factor * (1.0 + 1e-9)
     raised = StateSpaceModel(w.A, w.B, g * w.C, g * w.D, w.dt)
     size = g * fit.magnitude
     ratio = size / fit.bound
+    far = factor > LIFT and float(ratio.max()) - 1.0 > tolerance
     return Overbound(
         raised,
         fit.order,
@@ -226,7 +237,7 @@ def _lifted(fit: Overbound, factor: float) -> Overbound:
         fit.omega,
         fit.bound,
         size,
-        fit.status,
+        Status.INACCURATE if far else fit.status,
         fit.least,
     )
 
@@ -329,9 +340,14 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
     size = np.abs(found)
     known = found[size > STILL * size.max(initial=0.0)]
     size = np.abs(known) if len(known) else np.ones(1)
-    low, top = float(size.min()) * 1e-2, 0.999 * np.pi / dt if dt else np.inf
-    high = min(float(size.max()) * 1e2, top)
+    low, top = float(size.min()) * 1e-2, np.pi / dt if dt else np.inf
+    high = 0.999 * top if dt else float(size.max()) * 1e2
     omega = [np.geomspace(min(low, 0.1 * high), high, points)]
+    if dt:  # negative real poles and zeros are resonances at the Nyquist frequency
+        rates = np.abs(known.real[np.abs(known.imag) > high])
+        rates = np.unique(np.log(np.maximum(rates[rates < 0.03 * top], NEAREST * top)).round(1))
+        omega += [top - rate * np.geomspace(0.03, 30.0, 25) for rate in np.exp(rates).tolist()]
+        high = top * (1 - 0.01 * NEAREST)
     for p in known.tolist():
         if abs(p.real) < 0.3 * abs(p.imag) and abs(p.imag) < high:
             near = abs(p.imag) + max(abs(p.real), 1e-6 * abs(p.imag)) * np.linspace(-3, 3, 13)

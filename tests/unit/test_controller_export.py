@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.errors import UsageError
+from robustlab.errors import InputError, UsageError
+from robustlab.statespace import OperatingPoint
 from robustlab.storage.controller_code import c_source
 
 GCC = shutil.which("gcc")
@@ -181,3 +182,9 @@ def test_other_extensions_are_refused(tmp_path):
         rl.export_controller(tmp_path / "k.py", random_controller(0))
     with pytest.raises(UsageError, match="saturation"):
         rl.export_controller(tmp_path / "k.mat", random_controller(0), saturation=(-1, 1))
+
+
+def test_c_code_of_deviations_is_refused():
+    point = OperatingPoint(x=[0.0], u=[2.0], y=[5.0])
+    with pytest.raises(InputError, match="operating point"):
+        c_source(rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1, operating_point=point))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.uncertainty.parametric_cover import parametric_cover
 from robustlab.uncertainty.unstructured import FORMS
+from robustlab.uncertainty.unstructured_cover import _lifted
 
 
 def lag(gain, time, dt=0.0):
@@ -137,6 +138,26 @@ def test_every_form_holds_every_model(form):
         k = 1234
         member = found.model.response(omega[k : k + 1], {"unmodelled": [[delta[k]]]})[0, 0, 0]
         assert member == pytest.approx(response[k], rel=1e-9)
+
+
+def test_a_discrete_cover_holds_its_models_up_to_the_nyquist_frequency():
+    # Poles and zeros next to z = -1: resonances in the last thousandth of the frequencies.
+    poles = (-0.999, -0.9999, -0.9995)
+    sizes = (1e-3, 1e-3, 1.2e-3)
+    models = [rl.StateSpaceModel([[p]], [[1.0]], [[-g]], [[0.3]], 0.1) for p, g in zip(poles, sizes, strict=True)]
+    found = rl.cover(models, "output-multiplicative", gain=False)
+    omega = np.pi / 0.1 * np.concatenate([np.linspace(1e-3, 1.0, 500), 1.0 - np.geomspace(1e-8, 1e-2, 500)])
+    weight = np.abs(rl.frequency_response(found.fit.weight, omega)[:, 0, 0])
+    centre = rl.frequency_response(found.model.nominal, omega)[:, 0, 0]
+    for model in models:
+        error = rl.frequency_response(model, omega)[:, 0, 0] / centre - 1
+        assert (np.abs(error) / weight).max() < 1 + 1e-4
+
+
+def test_a_weight_that_had_to_be_lifted_beyond_the_tolerance_says_so():
+    fit = rl.overbound([0.1, 1.0, 10.0], [1.0, 1.0, 1.0])
+    assert _lifted(fit, 1.05, 0.1).status is rl.Status.CONVERGED
+    assert _lifted(fit, 1.2, 0.1).status is rl.Status.INACCURATE
 
 
 def test_an_additive_cover_is_proved_with_deltas_as_systems():

@@ -49,6 +49,75 @@ def test_an_effect_without_a_bound_takes_that_of_the_records():
     assert "run" in loads.loads[0].origin
 
 
+def test_forces_at_one_joint_are_told_apart_by_their_laws():
+    both = axis(**{"coulomb-friction": {"Fc": 20.0}, "quadratic-drag": {"c": 400.0}})
+    run = record(both)
+    loads = effect_loads(both, records=[run])
+    friction, drag = (x.name for x in loads.loads)
+    v = rl.simulate(both, T, PUSH)["v"]
+    # Half of their sum, as least squares share it, is less than the drag alone.
+    assert loads.loads[1].bound == pytest.approx(400.0 * np.abs(v).max() ** 2, rel=1e-6)
+    seen = loads.along(run)
+    assert np.abs(seen[friction]).max() <= 1 + 1e-3
+    moving = (np.abs(v[:-1]) > 0.05) & (np.abs(v[1:]) > 0.05)
+    true = -0.5 * 400.0 * (v[:-1] * np.abs(v[:-1]) + v[1:] * np.abs(v[1:]))
+    assert (seen[drag][:-1] * loads.loads[1].bound)[moving] == pytest.approx(true[moving], abs=0.02)
+    nominal = loads.model.nominal
+    again = rl.simulate(nominal, T, {name: seen[name] for name in nominal.input_names})
+    assert again["q"] == pytest.approx(seen["q"], abs=20.0 * 5e-3**2 / 95.0)
+
+
+def test_a_force_that_only_the_whole_motion_tells_is_bounded_by_all_of_it():
+    rough = axis(**{"coulomb-friction": {"Fc": 2.0}, "gear-efficiency": {"eta": 0.9}})
+    run = record(rough)
+    bound = effect_loads(rough, records=[run]).loads[1].bound
+    moved = rl.simulate(rough, T, PUSH)
+    net = np.abs(35.0 * PUSH - 200.0 * moved["v"] - 2.0 * np.sign(moved["v"]))
+    assert bound >= 0.1 * net[np.abs(moved["v"]) > 0.01].max()
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "times"),
+    [("quadratic-drag", {"c": (400.0, 20.0)}, 1.1), ("gear-efficiency", {"eta": (0.9, 0.01)}, 1.2)],
+)
+def test_the_range_of_a_fitted_value_is_on_top_of_what_a_record_shows(effect, values, times):
+    known = {name: value for name, (value, _) in values.items()}
+    run = record(axis(**{effect: known}))
+    bare, ranged = (effect_loads(axis(**{effect: v}), records=[run]).loads[0].bound for v in (known, values))
+    assert ranged == pytest.approx(times * bare, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("constant-load", {"T0": (-3.0, 0.5)}),
+        ("cogging", {"Ac": (0.0, 0.2), "As": (-4.0, 0.3), "k": (20.0, 0.1)}),
+        ("input-dead-zone", {"d": (0.3, 0.05)}),
+    ],
+)
+def test_loads_have_the_bounds_that_the_blocks_have(effect, values):
+    rough = axis(**{effect: values})
+    made = {x.name: x.bound for x in rl.uncertain_from(rough).noise}
+    assert {x.name: x.bound for x in effect_loads(rough).loads} == pytest.approx(made, rel=1e-12)
+
+
+def test_a_held_out_record_beyond_the_loads_of_the_set_does_not_pass():
+    dragged = axis(**{"quadratic-drag": {"c": 60.0}})
+
+    def run(size, name):
+        t, u = T[:150], size * PUSH[:150]
+        return rl.Record(t, {"u": u}, {"q": rl.simulate(dragged, t, u)["q"]}, {"u": "V", "q": "m"}, name)
+
+    found = rl.data_cover(dragged, [run(1.0, "slow")], {"q": 1e-5}, held_out=[run(6.0, "fast")], at_rest=True)
+    assert found.held_out <= found.radius  # the motion itself needs no unmodelled dynamics
+    assert found.held_out_loads > 2
+    assert found.loads[0].bound == pytest.approx(1.1 * effect_loads(dragged, records=[run(1.0, "slow")]).loads[0].bound)
+    assert not found.passes
+    assert "NOT explained" in found.summary()
+    again = rl.data_cover(dragged, [run(1.0, "slow")], {"q": 1e-5}, held_out=[run(1.04, "little more")], at_rest=True)
+    assert again.passes
+
+
 def test_effects_that_are_no_loads_and_plants_that_are_none_are_refused():
     with pytest.raises(InputError, match="neither linear nor bounded"):
         effect_loads(axis(**{"input-delay": {"d": 0.01}}))

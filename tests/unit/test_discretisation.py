@@ -8,6 +8,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
 import robustlab as rl
+from robustlab.statespace import OperatingPoint
 from robustlab.synthesis.discretisation import METHODS, merged_modes
 from robustlab.synthesis.lifting import mean_and_variance
 
@@ -155,3 +156,13 @@ def test_mean_and_variance_of_an_interval_are_integrals(h):
     np.testing.assert_allclose(mean, exact * np.sqrt(h), rtol=1e-9)
     about = quad_vec(spread, 0, h, epsrel=1e-10, epsabs=1e-300)[0]
     np.testing.assert_allclose(variance, about, atol=1e-7 * np.abs(about).max())
+
+
+@pytest.mark.parametrize(("method", "kept"), [("zoh", True), ("impulse", True), ("tustin", False), ("foh", False)])
+def test_the_operating_point_stays_where_the_states_do(method, kept):
+    point = OperatingPoint(x=[0.3], u=[2.0], y=[5.0])
+    lag = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], operating_point=point)
+    found = rl.discretise(lag, 0.1, method).operating_point
+    assert (found is not None) == kept
+    if found is not None:
+        assert (found.x, found.u, found.y) == (point.x, point.u, point.y)

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.effect_blocks import delay_block, effect_blocks
+from robustlab.dynamics.effects.effect_blocks import _above_beyond, delay_block, effect_blocks
 from robustlab.dynamics.effects.effect_loads import effect_loads
 from robustlab.identification.discovery_result import Discovery
 from robustlab.identification.remaining_uncertainty import uncertain_from
 from robustlab.identification.unnamed_effect import ForceCurve, ResidualForce
+from robustlab.uncertainty.overbound import overbound
 
 SERVO = {"M": (95.0, 0.1), "Fv": (200.0, 0.05), "gain": 35.0}
 
@@ -98,6 +99,25 @@ def test_every_delay_lies_inside_the_weight(spread, pade):
         member = made.response(omega[k : k + 1], {"delay": [[delta[k]]]})[0, 0, 0]
         assert member == pytest.approx(np.exp(-1j * omega[k] * d), rel=1e-9)
     assert fit.excess < 0.2
+
+
+def test_a_weight_that_falls_below_its_bound_beyond_the_grid_is_lifted():
+    def error(omega):
+        return np.hypot(0.1, omega / (10.0 + omega))
+
+    omega = np.geomspace(0.1, 20.0, 30)
+    fit = overbound(omega, error(omega), 1, 0.3, exact=error)
+    beyond = np.geomspace(20.0, 1e6, 200)
+
+    def lowest(made):
+        return (np.abs(rl.frequency_response(made.weight, beyond)[:, 0, 0]) / error(beyond)).min()
+
+    assert lowest(fit) < 1  # on the grid it is above
+    lifted = _above_beyond(fit, beyond, error)
+    assert lowest(lifted) == pytest.approx(1.0)
+    own = np.abs(rl.frequency_response(lifted.weight, lifted.omega)[:, 0, 0])
+    assert own == pytest.approx(lifted.magnitude, rel=1e-9)
+    assert lifted.excess == pytest.approx((own / lifted.bound).max() - 1)
 
 
 def test_sectors_of_drivers():

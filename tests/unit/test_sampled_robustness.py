@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sampled_robustness import spectral_radius
 from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.result import plain
-from robustlab.statespace import lower_lft
 from robustlab.synthesis.held_intervals import ChannelGroup, held_interval
 from robustlab.synthesis.lifting import mean_and_variance
 
@@ -22,34 +22,6 @@ def first_order(radius=0.3):
     return rl.UncertainModel(
         rl.StateSpaceModel([[-1.0]], [[-radius, 1.0, 1.0]], [[1.0]] * 3, [[0.0] * 3] * 3), [rl.RealScalar("pole")]
     )
-
-
-def spectral_radius(P, K, delay):
-    """Largest pole modulus of the sampled loop of a model with one control and one measurement, by hand."""
-    n, dt = P.n_states, K.dt
-    whole = int(delay / dt + 1e-12)
-    part = delay - whole * dt
-
-    def held(h):
-        block = np.zeros((n + 1, n + 1))
-        block[:n, :n], block[:n, n] = P.A, P.B[:, -1]
-        moved = expm(block * h)
-        return moved[:n, :n], moved[:n, n]
-
-    past = whole + 1
-    A, B = np.zeros((n + past, n + past)), np.zeros((n + past, 1))
-    A[:n, :n] = held(dt)[0]
-    late, rest = held(part)[1], held(dt - part)
-    A[:n, n + whole] = rest[0] @ late
-    if whole:
-        A[:n, n + whole - 1] = rest[1]
-    else:
-        B[:n, 0] = rest[1]
-    B[n, 0] = 1.0
-    A[n + 1 :, n:-1] += np.eye(past - 1)
-    C = np.hstack([P.C[-1:], np.zeros((1, past))])
-    loop = lower_lft(rl.StateSpaceModel(A, B, C, [[0.0]], dt), rl.StateSpaceModel(K.A, K.B, K.C, K.D, dt))
-    return np.abs(loop.poles()).max()
 
 
 def test_the_margin_of_a_first_order_lag_is_the_closed_form():

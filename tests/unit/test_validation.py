@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
-from robustlab.errors import InputError
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.validation import smallest_delta
+from robustlab.identification.validation.constant_parameters import Parameters
 from robustlab.identification.validation.contraction_kernel import barrier, diagonal_sums, gain, pull_after, toeplitz
 from robustlab.result import plain
 
@@ -256,7 +258,56 @@ def test_all_passes_and_windows_that_took_too_long_before():
     assert far.excess > 10
 
 
-def test_a_model_without_blocks_is_no_set():
-    alone = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[2.0]], dt=1.0), [])
+@pytest.mark.parametrize(("norm", "bound"), [("peak", 0.01), ("rms", 0.006)])
+def test_without_blocks_noise_alone_explains_a_record_or_nothing_does(norm, bound):
+    alone = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"]), [])
+    t = np.arange(100) * 0.1
+    noise = np.random.default_rng(0).uniform(-1, 1, 100)
+    y = rl.simulate(alone.nominal, t, np.sin(t), [0.7])["y"]
+    near = rl.validate(alone, rl.Record(t, {"u": np.sin(t)}, {"y": y + 0.009 * noise}), {"y": bound}, noise_norm=norm)
+    assert (near.lower, near.upper, near.status) == (0.0, 0.0, rl.Status.CERTIFIED)
+    assert 0.8 < near.excess <= 1
+    far_record = rl.Record(t, {"u": np.sin(t)}, {"y": y + 0.018 * noise})
+    far = rl.validate(alone, far_record, {"y": bound}, noise_norm=norm)
+    assert far.status is rl.Status.INFEASIBLE
+    assert far.recheck() == np.inf
+    assert far.excess == pytest.approx(2 * near.excess, rel=1e-3)  # affine in the noise, free states included
     with pytest.raises(InputError, match="without blocks"):
-        rl.validate(alone, rl.Record(range(4), {"u1": [1, 0, 0, 0]}, {"y1": [2, 0, 0, 0]}), {"y1": 0.1})
+        rl.validate(alone, far_record, {"y": bound}, domain="frequency")
+
+
+def test_the_noise_of_a_part_may_be_larger_than_the_rms_of_the_whole(monkeypatch):
+    monkeypatch.setattr(smallest_delta, "LONGEST", 60)
+    plant = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
+    t = np.arange(150) * 0.05
+    u = np.sign(np.sin(7.0 * t) + 0.3 * np.sin(21.0 * t))
+    noise = np.where(np.arange(150) < 60, 0.5 * u, 0.0)  # at the beginning, and as if the gain were another
+    record = rl.Record(t, {"u": u}, {"y": rl.simulate(plant, t, u)["y"] + noise})
+    bound = 1.01 * np.sqrt(np.mean(noise**2))
+    found = rl.validate(rl.unstructured(plant, 0.2), record, {"y": bound}, noise_norm="rms", at_rest=True)
+    assert found.lower == 0.0  # the nominal model explains it
+
+
+def test_a_state_that_only_a_constant_shows_is_free_in_the_relaxation_too():
+    # x2 is in no output of the nominal model; with d = 0.5 it is, and it does not start at zero.
+    M = rl.StateSpaceModel(
+        [[-1.0, 0.0], [0.0, -0.3]], [[1.0, 0.0, 1.0], [0.0, 0.0, 1.0]], [[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]],
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.1, 0.0]], 0.0, ["w1", "w2", "u"], ["z1", "z2", "y"],
+    )  # fmt: skip
+    hidden = rl.UncertainModel(M, [rl.RealScalar("d"), rl.FullBlock("rest", 1, 1)])
+    t = np.arange(30) * 0.4
+    u = np.where(t > 6, 1.0, 0.0)
+    y = rl.simulate(hidden.evaluate({"d": 0.5, "rest": np.zeros((1, 1))}), t, u, [0.0, 1.0])["y"]
+    found = rl.validate(hidden, rl.Record(t, {"u": u}, {"y": y}), {"y": 0.01}, delta="time-varying")
+    assert found.lower <= 0.5
+    assert found.upper <= 0.55
+    assert not found.invalidated
+
+
+def test_bounds_that_contradict_each_other_are_no_result(monkeypatch):
+    alone = Parameters(0.4, 0.3, np.array([0.3]), np.zeros((4, 1)), 1, True, 1.0)
+    monkeypatch.setattr(smallest_delta, "smallest_parameters", lambda *_: alone)
+    gain = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 2.0]], dt=1.0), [rl.RealScalar("k")])
+    steps = rl.Record(range(4), {"u2": [1, 0, 0, 0]}, {"y2": [2.3, 0, 0, 0]})
+    with pytest.raises(NoTrustworthyNumber, match=r"lower bound of gamma, 0\.4, above"):
+        rl.validate(gain, steps, {"y2": 0.1})

@@ -25,7 +25,7 @@ of uncertain time delays in the H-infinity framework", Int. J. Control 59 (1994)
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -470,6 +470,7 @@ def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[Unce
 
     omega = np.geomspace(1e-3, 1e3, 160) / delay
     fit = overbound(omega, error(omega), pade + WEIGHT_EXTRA, 0.1, exact=error)
+    fit = _above_beyond(fit, np.geomspace(1e3, 1e8, 200) / delay, error)
     w, n = fit.weight, pade
     model = StateSpaceModel(
         np.block([[a, np.zeros((n, w.n_states))], [np.zeros((w.n_states, n)), w.A]]),
@@ -478,6 +479,17 @@ def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[Unce
         np.array([[0.0, w.D[0, 0]], [1.0, d[0, 0]]]),
     )
     return UncertainModel(model, [FullBlock(name, 1, 1)]), fit
+
+
+def _above_beyond(fit: Overbound, omega: Array, error: Callable[[Array], Array]) -> Overbound:
+    """The weight, lifted where it falls below the error at frequencies above those of its fit."""
+    w = fit.weight
+    lift = float((error(omega) / np.abs(frequency_response(w, omega)[:, 0, 0])).max())
+    if lift <= 1.0:
+        return fit
+    excess, lowest = ((1.0 + x) * lift - 1.0 for x in (fit.excess, fit.lowest))
+    raised = StateSpaceModel(w.A, w.B, lift * w.C, lift * w.D)
+    return dataclasses.replace(fit, weight=raised, excess=excess, lowest=lowest, magnitude=lift * fit.magnitude)
 
 
 def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int) -> UncertainModel:

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from robustlab.dynamics.effects.attached_effect import AttachedEffect
 from robustlab.dynamics.effects.effect_blocks import NoiseInput, with_forces
+from robustlab.dynamics.effects.effect_contract import Law
 from robustlab.dynamics.effects.extended_plant import ExtendedPlant, with_effects
 from robustlab.dynamics.effects.extended_uncertainty import without_signals
-from robustlab.dynamics.effects.force_blocks import values_in_words
+from robustlab.dynamics.effects.force_blocks import corners, largest_gain, largest_offset, values_in_words
+from robustlab.dynamics.effects.law_forces import is_set_valued, rest_band, steady_force
 from robustlab.dynamics.effects.port_model import Port, port_model
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.simulation import transition
@@ -30,7 +32,7 @@ from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["EffectLoads", "effect_loads"]
+__all__ = ["EffectLoads", "effect_loads", "resting_start"]
 
 Array = NDArray[np.float64]
 
@@ -38,6 +40,10 @@ Array = NDArray[np.float64]
 EXACT = 1e-6
 # Points of a sample at which a response is looked at.
 STEPS = 16
+# Of what the laws at one port leave open, one that position and speed tell takes so much less than the others.
+TOLD = 1e-3
+# Samples, those of the largest force, at which a law is asked with other values of its parameters.
+MOST = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +58,14 @@ class EffectLoads:
         Its inputs are the loads, each over its bound, so that they are at most one, then the plant's.
     loads
         Name of the input, bound, unit and origin of each load.
+    acts
+        For each load its effect, and the port or the number of the input where it acts.
     """
 
     plant: LinearPlant | ExtendedPlant
     model: UncertainModel
     loads: tuple[NoiseInput, ...]
+    acts: tuple[tuple[AttachedEffect, Port | int], ...] = ()
 
     def along(self, record: Record) -> Record:
         """The record with the loads as further inputs, as the plant with its effects makes them under its inputs.
@@ -73,28 +82,76 @@ class EffectLoads:
         """
         if not self.loads:
             return record
+        signals = self._signals(record, *self._motion(record))
+        added = {load.name: signals[:, k] for k, load in enumerate(self.loads)}
+        units = {**record.units, **{load.name: "1" for load in self.loads}}
+        return Record(record.t, {**record.inputs, **added}, record.outputs, units, record.name, record.meaning)
+
+    def _motion(self, record: Record) -> tuple[Array, Array]:
+        """Inputs (n, n_u), and the states of the plant with its effects under them (n, n_x)."""
         assert isinstance(self.plant, ExtendedPlant)
         where = f"loads along {record.name}"
         missing = [s.name for s in self.plant.inputs if s.name not in record.inputs]
         if missing:
             raise InputError(where, f"no input {missing[0]!r}", ", ".join(s.name for s in self.plant.inputs))
         u = np.column_stack([record.inputs[s.name] for s in self.plant.inputs])
-        shown = [k for k, s in enumerate(self.plant.outputs) if s.name in record.outputs]
-        own = self.plant.model.own
-        first = np.array([record.outputs[self.plant.outputs[k].name][0] for k in shown])
-        x0 = np.linalg.pinv(self.plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
         if not record.is_uniform:
             raise InputError(where, "irregular sampling", "equal steps", "resample the record")
-        # Time stamps are rounded; the clock itself is not.
-        clock = record.t[0] + record.dt * np.arange(record.n)
-        states, _ = self.plant.stepped(clock, u, self.plant.whole_state(np.asarray(x0, dtype=np.float64)))
-        signals = self._signals(record, u, states, where)
-        added = {load.name: signals[:, k] for k, load in enumerate(self.loads)}
-        units = {**record.units, **{load.name: "1" for load in self.loads}}
-        return Record(record.t, {**record.inputs, **added}, record.outputs, units, record.name, record.meaning)
+        clock, x0 = resting_start(self.plant, record)
+        return u, self.plant.stepped(clock, u, self.plant.whole_state(x0))[0]
 
-    def _signals(self, record: Record, u: Array, states: Array, where: str) -> Array:
+    def _size(self, j: int, record: Record, known: Sequence[NoiseInput], sigmas: float) -> float:
+        """Largest size of a load along a record where all bounds here are one; ``known`` has those of the others."""
+        u, states = self._motion(record)
+        told, e = self._told(j, states), self.acts[j][0]
+        if told is not None:  # for all its values, along the motion of the nominal ones
+            largest, port = states[np.argsort(-np.abs(told))[:MOST]], self._law(j)[1]
+            laws = [law for values in corners(e, sigmas) for law in e.effect.laws(e.site, values)]
+            return max(float(np.abs(_law_along(law, port, largest)).max()) for law in laws)
+        signals, others = self._signals(record, u, states), self._sharing().get(j, [])
+        # The whole force at the port, and what the others may have taken off it.
+        whole = float(np.abs(signals[:, [j, *others]].sum(axis=1)).max())
+        for i in others:
+            told = None if np.isfinite(known[i].bound) else self._told(i, states)
+            size = known[i].bound if told is None else float(np.abs(told).max())
+            if not np.isfinite(size):
+                found = f"{known[j].name} and {known[i].name}"
+                raise InputError("effect_loads", found, "forces that the motion or a bound tells apart")
+            whole += size
+        nominal = largest_gain(e, 0.0)
+        return whole * (largest_gain(e, sigmas) / nominal if nominal else 1.0)
+
+    def _sharing(self) -> dict[int, list[int]]:
+        """For each load that is not alone at its port, the others there: their sum is all that a motion tells."""
+        at = {j: way.name for j, (_, way) in enumerate(self.acts) if isinstance(way, Port)}
+        found = {j: [i for i in at if i != j and at[i] == at[j]] for j in at}
+        return {j: others for j, others in found.items() if others}
+
+    def _told(self, j: int, states: Array) -> Array | None:
+        """The force of a load's law at each sample (n,); None where position and speed do not tell it."""
+        e, (law, port) = self.acts[j][0], self._law(j)
+        seen = e.effect.footprint(e.site, e.values, 1.0)
+        if law.memory or seen is None or seen.signal == "force" or is_set_valued(law, 0.0):
+            return None
+        return _law_along(law, port, states)
+
+    def _law(self, j: int) -> tuple[Law, Port]:
+        """The law of a load's effect, and its port in the plant with all effects."""
+        assert isinstance(self.plant, ExtendedPlant)
+        return next((law, port) for e, law, port in self.plant.laws if e is self.acts[j][0])
+
+    def _shares(self, states: Array) -> tuple[Array, Array]:
+        """For each load what its law alone tells of it (n - 1, n_loads), and its share of what that leaves open."""
+        prior, share = np.zeros((len(states) - 1, len(self.loads))), np.ones(len(self.loads))
+        for j in self._sharing():
+            told = self._told(j, states)
+            if told is not None:
+                prior[:, j], share[j] = 0.5 * (told[1:] + told[:-1]) / self.loads[j].bound, TOLD
+        return prior, share
+
+    def _signals(self, record: Record, u: Array, states: Array) -> Array:
         """Loads (n, n_loads): what the linear part needs to go through the simulated states."""
+        where = f"loads along {record.name}"
         nominal, h = self.model.nominal, record.dt
         names = [s.name for s in nominal.states]
         x = states[:, [[s.name for s in self.plant.states].index(name) for name in names]]
@@ -108,7 +165,10 @@ class EffectLoads:
         rest = x[1:] - x[:-1] @ phi.T - u[:-1] @ gamma[:, k:].T - signals[:-1] @ gamma[:, :k].T
         size = np.abs(x).max(axis=0, initial=0.0) + 1e-300
         if columns:
-            found = np.linalg.lstsq(gamma[:, columns] / size[:, None], (rest / size).T, rcond=None)[0].T
+            prior, share = (part[..., columns] for part in self._shares(states))
+            open_still = rest - prior @ gamma[:, columns].T
+            solved = np.linalg.lstsq(gamma[:, columns] * share / size[:, None], (open_still / size).T, rcond=None)[0]
+            found = prior + solved.T * share
             signals[:-1, columns] = found
             signals[-1, columns] = found[-1]
             rest = rest - found @ gamma[:, columns].T
@@ -121,7 +181,32 @@ class EffectLoads:
         return signals
 
 
-def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()) -> EffectLoads:
+def _law_along(law: Law, port: Port, states: Array) -> Array:
+    """Force of a law that position and speed tell, at each state (n,)."""
+    v = states @ port.velocity
+    q = np.zeros_like(v) if port.position is None else states @ port.position
+    return np.array([
+        steady_force(law, at, speed) if speed else 0.5 * sum(rest_band(law, at))
+        for at, speed in zip(q.tolist(), v.tolist(), strict=True)
+    ])  # fmt: skip
+
+
+def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[Array, Array]:
+    """A record's clock (n,), and the smallest state of the plant alone that shows the outputs measured first.
+
+    Time stamps are rounded; a uniform clock itself is not.
+    """
+    extended = isinstance(plant, ExtendedPlant)
+    own = plant.model.own if extended else len(plant.states)
+    C = plant.model.C if extended else plant.state_space().C
+    shown = [k for k, s in enumerate(plant.outputs) if s.name in record.outputs]
+    first = np.array([record.outputs[plant.outputs[k].name][0] for k in shown])
+    x0 = np.linalg.pinv(C[shown, :own]) @ first if shown else np.zeros(own)
+    clock = record.t[0] + record.dt * np.arange(record.n) if record.is_uniform else record.t
+    return clock, np.asarray(x0, dtype=np.float64)
+
+
+def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
     """A plant with effects as its linear part with bounded loads.
 
     Parameters
@@ -134,6 +219,8 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
     records
         Where a force has no bound whatever the motion (quadratic drag), it takes the largest value along these records;
         its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
+    margin
+        That largest value counts so many times: another record may move a little faster.
 
     Raises
     ------
@@ -159,31 +246,38 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
         rest = with_effects(plant.plant, linear)
         base, ports = without_signals(rest, rest.linear_model(), sigmas), rest.model.ports
     loads: list[NoiseInput] = []
-    ways: list[Port | int] = []
+    acts: list[tuple[AttachedEffect, Port | int]] = []
     for e in plant.effects:
         if e in linear or not e.effect.nameable:
             continue
         bound, unit, way = _load(plant, ports, e, sigmas)
-        loads.append(NoiseInput(_name(e), bound, unit, f"{e.effect.title} at {e.site.name}; {values_in_words(e)}"))
-        ways.append(way)
+        name = f"load {e.site.name}: {e.effect.id}"
+        loads.append(NoiseInput(name, bound, unit, f"{e.effect.title} at {e.site.name}; {values_in_words(e)}"))
+        acts.append((e, way))
+    ways = [way for _, way in acts]
     pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
     whole = _loads_first(pushed.uncertain(), len(plant.inputs), loads, ways)
-    bounded = _bounded_by(EffectLoads(plant, whole, tuple(replace(x, bound=1.0) for x in loads)), loads, records)
-    return EffectLoads(plant, _scaled(whole, bounded), tuple(bounded))
+    bare = EffectLoads(plant, whole, tuple(replace(x, bound=1.0) for x in loads), tuple(acts))
+    bounded = _bounded_by(bare, loads, records, sigmas, margin)
+    return EffectLoads(plant, _scaled(whole, bounded), tuple(bounded), tuple(acts))
 
 
-def _bounded_by(bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record]) -> list[NoiseInput]:
+def _bounded_by(
+    bare: EffectLoads, loads: Sequence[NoiseInput], records: Sequence[Record], sigmas: float, margin: float
+) -> list[NoiseInput]:
     """Loads without a bound get the largest value along the records; ``bare`` has all of them in their own units."""
     free = [load for load in loads if not np.isfinite(load.bound)]
     if free and not records:
         where = f"effect_loads: {free[0].name}"
         raise InputError(where, "no bound whatever the motion", "records whose motion bounds it")
-    seen = [bare.along(record) for record in records] if free else []
-    within = f"within the motion of {', '.join(r.name for r in records)}"
+    if not free:
+        return list(loads)
+    times = "" if margin == 1.0 else f"{margin:g} times the largest "
+    within = f"{times}within the motion of {', '.join(r.name for r in records)}"
     return [
-        replace(x, bound=max(float(np.abs(r[x.name]).max()) for r in seen), origin=f"{x.origin}; {within}")
+        replace(x, bound=margin * max(bare._size(j, r, loads, sigmas) for r in records), origin=f"{x.origin}; {within}")
         if x in free else x
-        for x in loads
+        for j, x in enumerate(loads)
     ]  # fmt: skip
 
 
@@ -203,18 +297,16 @@ def _is_linear(e: AttachedEffect) -> bool:
 
 def _load(plant: ExtendedPlant, ports: Any, e: AttachedEffect, sigmas: float) -> tuple[float, str, Port | int]:
     """Bound, unit, and the port or the number of the input where it acts."""
-    largest = {name: value + np.sign(value) * sigmas * e.std.get(name, 0.0) for name, value in e.values.items()}
     where = f"effect_loads: {e.effect.title} at {e.site}"
     hint = "rl.uncertain_from has sectors and weights for such effects"
     if e.site.kind == "input":
-        bound = e.effect.input_error(largest)
+        bound = e.effect.input_error({name: v + sigmas * e.std.get(name, 0.0) for name, v in e.values.items()})
         k = [s.name for s in plant.inputs].index(e.site.name)
         if bound is not None:
             return float(bound), plant.inputs[k].unit, k
     elif e.site.name in ports and not e.effect.structural:
-        seen = e.effect.footprint(e.site, largest, 1.0)
-        bound = float("inf") if seen is None or not seen.offset else float(seen.offset)
-        return bound, ports[e.site.name].unit, ports[e.site.name]
+        bound = largest_offset(e, sigmas)  # as in the blocks of `rl.uncertain_from`, which takes the same loads
+        return bound or float("inf"), ports[e.site.name].unit, ports[e.site.name]
     raise InputError(where, "neither linear nor bounded whatever the motion", "effects that are one of these", hint)
 
 
@@ -251,14 +343,9 @@ def _driver_errors(made: EffectLoads, u: Array, h: float) -> list[tuple[NoiseInp
     assert isinstance(made.plant, ExtendedPlant)
     found: list[tuple[NoiseInput, Array]] = []
     seen = {s.name: u[:, k] for k, s in enumerate(made.plant.inputs)}
-    for e in made.plant.effects:
+    for load, (e, _) in zip(made.loads, made.acts, strict=True):
         if e.site.kind == "input":
             after = e.effect.input(seen[e.site.name], e.values, h)
-            load = next(x for x in made.loads if x.name == _name(e))
             found.append((load, after - seen[e.site.name]))
             seen[e.site.name] = after
     return found
-
-
-def _name(e: AttachedEffect) -> str:
-    return f"load {e.site.name}: {e.effect.id}"

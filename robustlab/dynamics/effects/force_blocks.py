@@ -46,7 +46,9 @@ __all__ = [
     "ForceParts",
     "ForceSector",
     "check_amplitudes",
+    "corners",
     "force_parts",
+    "largest_gain",
     "largest_offset",
     "values_in_words",
     "force_columns",
@@ -219,6 +221,11 @@ def largest_offset(e: AttachedEffect, width: float) -> float:
     return max((f.offset for f in _footprints(e, 1.0, width)), default=0.0)
 
 
+def largest_gain(e: AttachedEffect, width: float) -> float:
+    """Largest gain of an effect's signal, over the ranges of its fitted values; 0 where there is none."""
+    return max((max(abs(f.gain_lower), abs(f.gain_upper)) for f in _footprints(e, 1.0, width)), default=0.0)
+
+
 def values_in_words(e: AttachedEffect) -> str:
     """Equation, values and source of an effect."""
     said = ", ".join(f"{name} = {value:.6g}" for name, value in e.values.items())
@@ -289,14 +296,20 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
     return ForceSector(e, port, seen.signal, low, high, valid, dry and seen.signal != "force")
 
 
-def _footprints(e: AttachedEffect, amplitude: float, width: float) -> Iterator[Footprint]:
-    """Footprints at the corners of the fitted values' ranges."""
+def corners(e: AttachedEffect, width: float) -> Iterator[dict[str, float]]:
+    """An effect's values at the corners of the ranges of those that are fitted, ``width`` standard deviations."""
     spread = {name: width * std for name, std in e.std.items() if std}
     positive = {p.name for p in e.parameters if p.prior.kind != "linear"}
     for signs in itertools.product(*[(-1.0, 1.0)] * len(spread)):
         moved = {n: e.values[n] + s * spread[n] for n, s in zip(spread, signs, strict=True)}
         least = {n: max(v, 1e-3 * e.values[n]) if n in positive else v for n, v in moved.items()}
-        found = e.effect.footprint(e.site, {**e.values, **least}, amplitude)
+        yield {**e.values, **least}
+
+
+def _footprints(e: AttachedEffect, amplitude: float, width: float) -> Iterator[Footprint]:
+    """Footprints at the corners of the fitted values' ranges."""
+    for values in corners(e, width):
+        found = e.effect.footprint(e.site, values, amplitude)
         if found is not None:
             yield found
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.line_programme import SpectralSizes, smallest_by_lines
 from robustlab.identification.validation.result import BlockSize, Validation
 from robustlab.identification.validation.spectral_problem import (
@@ -43,6 +43,9 @@ def validate_by_lines(
     estimated: bool,
 ) -> Validation:
     """Bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
+    if not uncertain.blocks:
+        hint = 'domain="time" tells whether noise alone explains a record'
+        raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
     if isinstance(data, Record):
         spectrum = spectrum_of_record(uncertain, data, {k: float(np.asarray(v)) for k, v in noise.items()}, period)
     else:

@@ -76,7 +76,7 @@ def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
     evidence = {"energy": relaxed.multipliers.D, "noise": relaxed.multipliers.noise}
     return replace(
         found,
-        lower=min(relaxed.lower, upper),
+        lower=relaxed.lower,
         upper=upper,
         label=label,
         multipliers=evidence,

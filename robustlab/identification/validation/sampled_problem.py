@@ -27,7 +27,7 @@ from robustlab.identification.response import response_of
 from robustlab.identification.validation.recursion import powers, states
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.uncertainty.blocks import Block, ComplexScalar, block_slices
+from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
@@ -71,6 +71,9 @@ class Recorded:
         Which of the two.
     used
         False where a sample of an output is missing, shape (n, n_y).
+    counts
+        Over how many samples of each output a root mean square is bounded, (n_y,): those of the whole record, in a part
+        of it, too. The noise of a part may be larger than that of the whole.
     starts
         First sample of each window.
     at_rest
@@ -85,6 +88,7 @@ class Recorded:
     bound: Array
     norm: NoiseNorm
     used: NDArray[np.bool_]
+    counts: NDArray[np.int_]
     starts: tuple[int, ...]
     at_rest: bool
 
@@ -139,7 +143,8 @@ def prepared(
     y = np.column_stack([shifted.outputs[name] for name in names])
     used = _used(missing or {}, names, n, where)
     starts = _starts(window, record, n_x, where)
-    return Recorded(chosen, record.t, u, y, response.outputs, bound, norm, used, starts, at_rest)
+    counts = np.maximum(used.sum(axis=0), 1)
+    return Recorded(chosen, record.t, u, y, response.outputs, bound, norm, used, counts, starts, at_rest)
 
 
 @dataclass(frozen=True)
@@ -257,21 +262,26 @@ class SampledProblem:
 
 
 def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> SampledProblem:
-    """The problem for a model whose Delta channels belong to the given (dynamic) blocks; zero-order hold on u and w."""
+    """The problem for a model whose Delta channels belong to the given blocks; zero-order hold on u and w.
+
+    Real blocks among them count as systems (a relaxation). A constant may show states at the outputs that the nominal
+    model hides, so that what such a block sees is free as well.
+    """
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     A, B, C, D = held(M, recorded.dt)
     n_u = B.shape[1] - q
     forced = _forced(A, B[:, q:], C, D[:, q:], recorded.u if n_u else np.zeros((len(recorded.t), 0)))
     z0, y0 = forced[:, :p], forced[:, p:]
     scale_w, scale_z, scales = np.ones(q), np.ones(p), []
-    layout = []
+    layout, seen = [], [C[p:] / recorded.bound[:, None]]
     for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
         size = float(np.sqrt(np.mean(z0[:, cols] ** 2))) or 1.0
         scale_w[rows], scale_z[cols] = size, size
         scales.append(size)
         layout.append((rows, cols, isinstance(block, ComplexScalar) and block.repeats > 1))
-    count = np.maximum(recorded.used.sum(axis=0), 1)
-    radius = np.ones(len(recorded.bound)) if recorded.norm == "peak" else np.sqrt(count)
+        if isinstance(block, RealScalar):
+            seen.append(C[cols] / size)
+    radius = np.ones(len(recorded.bound)) if recorded.norm == "peak" else np.sqrt(recorded.counts)
     return SampledProblem(
         A,
         B[:, :q] * scale_w,
@@ -286,7 +296,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         radius,
         recorded.starts,
         recorded.at_rest,
-        shown(A, C[p:] / recorded.bound[:, None]),
+        shown(A, np.vstack(seen)),
         tuple(layout),
         tuple(b.name for b in blocks),
         np.array(scales),

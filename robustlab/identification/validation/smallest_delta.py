@@ -36,6 +36,7 @@ from robustlab.identification.validation.sampled_problem import (
 from robustlab.identification.validation.spectral_problem import FrequencyData
 from robustlab.identification.validation.time_invariant import PulseResponses, smallest_pulse_responses
 from robustlab.identification.validation.time_varying import Contractions, smallest_contractions
+from robustlab.identification.validation.window_fit import WindowFit
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, RealScalar
@@ -55,6 +56,8 @@ LONGEST_PROGRAMME = 8000
 CONFIDENCE = 0.99
 # Sizes below this count as zero.
 SMALLEST = 1e-6
+# Rounding in the noise of an explanation, over its bound; and between a lower and an upper bound that meet.
+SLACK, MEET = 1e-9, 1e-4
 
 
 def validate(
@@ -80,7 +83,8 @@ def validate(
     ----------
     uncertain
         The set. Real blocks are constants; complex and full blocks are causal systems. A continuous model is sampled
-        with all inputs, also w, held between samples.
+        with all inputs, also w, held between samples. Without any block noise alone has to explain the record: gamma is
+        0, or there is none.
     record
         The measurement, on a uniform clock; all inputs of the set must be recorded, and some of its outputs. In the
         frequency domain also a measured frequency response (`FrequencyData`).
@@ -128,6 +132,7 @@ def validate(
         time-invariant, z unknown     pulse responses by Gauss-Newton          that of time-varying ones (relaxation)
         constant                      values by descent, replayed              boxes tested at points (not proved)
         constant and dynamic          search over the constants                that of all time-varying (relaxation)
+        none                          0 where noise alone explains the record  infinite elsewhere, weights re-checked
         ============================  =======================================  =====================================
 
         z is known where it depends neither on Delta nor on a free state: additive and multiplicative uncertainty.
@@ -153,8 +158,6 @@ def validate(
     begun, estimated = time.monotonic(), noise is None
     if not isinstance(uncertain, UncertainModel):
         raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
-    if not uncertain.blocks:
-        raise InputError("validate", "a model without blocks", "at least one", "rl.compare is for a single model")
     if delta not in ("time-invariant", "time-varying"):
         raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
     if not 1e-4 <= precision <= 0.2:
@@ -258,11 +261,27 @@ class _Job:
         """Bounds over the blocks that ``scaled`` names, the others within 1."""
         blocks = self.recorded.uncertain.blocks
         real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
+        if not blocks:
+            return self.noise_alone()
         if not real.any():
             return self.dynamic({}, scaled)
         if real.all():
             return self.constant(scaled)
         return smallest_mixed(self, scaled)
+
+    def noise_alone(self) -> _Found:
+        """Without a block the record is explained by its noise, or not at all."""
+        fit, none = WindowFit(self.recorded, []), np.zeros(0)
+        excess, noise, weights = fit.excess(fit.windows(none))
+        gamma = 0.0 if excess <= 1 + SLACK else np.inf
+        if gamma and not fit.witness(weights, none) > 1:
+            found = f"the noise bound is missed by {excess - 1:.1e} of itself: too close to tell"
+            raise NoTrustworthyNumber(f"validate: {self.recorded.uncertain!r}", found)
+        label = "noise alone: the set has no block"
+        recheck = (lambda: np.inf if fit.witness(weights, none) > 1 else 0.0) if gamma else None
+        return _Found(
+            gamma, gamma, label, True, {}, None, _NONE, _NONE, fit.whole(noise), (), {}, {}, {}, recheck, excess,
+        )  # fmt: skip
 
     def constant(self, scaled: NDArray[np.bool_]) -> _Found:
         """All blocks are real."""
@@ -388,6 +407,9 @@ def _result(
     precision: float,
     job: _Job,
 ) -> Validation:
+    if np.isfinite(found.upper) and found.lower > found.upper * (1 + MEET) + SMALLEST:
+        contradiction = f"a lower bound of gamma, {found.lower:.6g}, above the upper one, {found.upper:.6g}"
+        raise NoTrustworthyNumber(f"validate {record.name}", contradiction)
     offset = np.column_stack([record.outputs[s.name] for s in recorded.outputs]) - recorded.y
     measured = recorded.y + offset
     explained, error = np.full(measured.shape, np.nan), 0.0
@@ -409,7 +431,7 @@ def _result(
     return Validation(
         status=_status(found, precision, late),
         record=record.name,
-        lower=float(found.lower),
+        lower=float(min(found.lower, found.upper)),
         upper=float(found.upper),
         label=found.label,
         blocks={b.name: _block(b, found, alone, job.delta) for b in recorded.uncertain.blocks},

@@ -59,7 +59,7 @@ class WindowFit:
         self.recorded, self.blocks = recorded, blocks
         ends = [*recorded.starts[1:], len(recorded.t)]
         self.cuts = [slice(a, b) for a, b in zip(recorded.starts, ends, strict=True)]
-        self.count = np.maximum(recorded.used.sum(axis=0), 1)
+        self.count = recorded.counts
         self._repeats = [b.repeats for b in blocks]
         self._known: dict[tuple[bytes, tuple[int, ...]], Windows | None] = {}
         self._kept = max(16, KEPT_NUMBERS // (recorded.used.size + 1))
@@ -114,6 +114,8 @@ class WindowFit:
     def _member(self, delta: Array) -> Member | None:
         """``F_u(M, Delta)`` as plain matrices; None where it is (nearly) ill-posed."""
         M = self.recorded.uncertain.M
+        if not self.blocks:
+            return Member(M.A, M.B, M.C, M.D, M.dt)
         each = np.repeat(np.asarray(delta, dtype=np.float64), self._repeats)
         q = len(each)
         loop = np.eye(q) - each[:, None] * M.D[:q, :q]

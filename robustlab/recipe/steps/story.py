@@ -43,6 +43,8 @@ def data_cover(step: DataCoverStep, work: Workspace) -> Outcome:
     numbers = {k: v for k, v in found.to_json(series=False).items() if k not in ("validations", "loads")}
     numbers["loads"] = {x.name: x.bound for x in found.loads}
     held = "none held out" if math.isnan(found.held_out) else f"{found.held_out:.3g}"
+    if found.loads and not math.isnan(found.held_out):
+        held += f", with loads up to {found.held_out_loads:.3g} of their bounds"
     facts = (
         Fact("Unmodelled dynamics in the set", f"{found.radius:.3g} of the input"),
         Fact("Needed by the records", f"{found.needed_lower:.3g} to {found.needed:.3g}"),
@@ -57,16 +59,16 @@ def data_cover(step: DataCoverStep, work: Workspace) -> Outcome:
 
 def story(step: StoryStep, work: Workspace) -> Outcome:
     """Gap, uncertainty, robust performance and the machine's error, before and after."""
-    from robustlab.report.story_figures import Story, story_figure
+    from robustlab.report.story_figures import Story, fall_in_words, fall_percent, story_figure
 
     mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(step.performance, step.controllers, strict=True)]
     errors = [_of_controller(work, step.runs, k, "worst_error") for k in step.controllers]
     numbers: dict[str, Any] = {
-        "mu": {"before": mu[0], "after": mu[1], "fall_percent": 100 * (1 - mu[1] / mu[0])},
+        "mu": {"before": mu[0], "after": mu[1], "fall_percent": fall_percent(*mu)},
         "error": {"before": errors[0], "after": errors[1], "ratio": _ratio(*errors)},
     }
     facts = [
-        Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {100 * (1 - mu[1] / mu[0]):.3g} % lower"),
+        Fact("μ of robust performance, proved", f"{mu[0]:.4g} → {mu[1]:.4g}: {fall_in_words(*mu)}"),
     ]
     gap = None
     if step.record is not None and step.plants is not None:
@@ -117,20 +119,20 @@ def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
     import numpy as np
 
     import robustlab as rl
+    from robustlab.dynamics import LinearPlant
+    from robustlab.dynamics.effects.effect_loads import resting_start
+    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
 
     assert step.record is not None
     assert step.plants is not None
     record = work.record(step.record)
     output = step.output or next(iter(record.outputs))
-    # Time stamps are rounded; the clock itself is not.
-    clock = record.t[0] + record.dt * np.arange(record.n) if record.is_uniform else record.t
     curves = []
     for name in step.plants:
         plant = work.values[name]
-        shown = [k for k, s in enumerate(plant.outputs) if s.name in record.outputs]
-        first = np.array([record.outputs[plant.outputs[k].name][0] for k in shown])
-        model = getattr(plant, "model", None) or plant.state_space()
-        x0 = np.linalg.pinv(model.C[shown, : len(plant.states)]) @ first
+        if not isinstance(plant, LinearPlant | ExtendedPlant):
+            raise InputError(f"plants: {name}", f"a {type(plant).__name__}", "a linear plant, with or without effects")
+        clock, x0 = resting_start(plant, record)
         inputs = {s.name: record[s.name] for s in plant.inputs}
         curves.append(rl.simulate(plant, clock, inputs, x0)[output])
     measured = record[output]
