@@ -166,10 +166,26 @@ def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6
     X = 0.5 * (X + X.T)
     if not np.isfinite(X).all():
         return None
+    residual, left = _hamiltonian_residual(A, G, Q, X)
+    for _ in range(NEWTON_STEPS):  # as in _refined_care
+        if residual <= REFINED:
+            break
+        step = _newton_step(A - G @ X, left)
+        if step is None:
+            break
+        after, left_after = _hamiltonian_residual(A, G, Q, X + step)
+        if not after < residual or np.linalg.eigvals(A - G @ (X + step)).real.max() >= 0:
+            break
+        X, residual, left = X + step, after, left_after
+    return X if residual <= tolerance else None
+
+
+def _hamiltonian_residual(A: Array, G: Array, Q: Array, X: Array) -> tuple[float, Array]:
+    """Relative residual of the equation with the quadratic term given whole, and its left-hand side."""
     linear, quadratic = A.T @ X, X @ G @ X
     size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
-    residual = np.linalg.norm(linear + linear.T - quadratic + Q)
-    return X if residual <= tolerance * size else None
+    left = linear + linear.T - quadratic + Q
+    return (float(np.linalg.norm(left) / size) if size else 0.0), left
 
 
 def balanced_eigenvalues(matrix: Array) -> Array | None:
@@ -247,28 +263,31 @@ def _refined_care(
     The Schur vectors of a Hamiltonian are known to eps times its norm; where its eigenvalues span ten decades X may
     be wrong by tens of per cent while the relative residual is 1e-3. Newton converges quadratically from there.
     """
-    from scipy.linalg import LinAlgError, solve_continuous_lyapunov
-
     a, b, q, _, s = equation
     for _ in range(NEWTON_STEPS):
         if found is None or found.residual <= REFINED:
             break
         X = found.X
-        left = a.T @ X + X @ a + q + (X @ b + s) @ found.gain
-        try:
-            with warnings.catch_warnings():
-                # A step along eigenvalues that nearly mirror each other is judged by the residual after it.
-                warnings.simplefilter("ignore", RuntimeWarning)
-                step = solve_continuous_lyapunov((a + b @ found.gain).T, -0.5 * (left + left.T))
-        except (LinAlgError, ValueError):
-            break
-        if not np.isfinite(step).all():
-            break
-        after = _checked_care(equation, X + 0.5 * (step + step.T))
+        step = _newton_step(a + b @ found.gain, a.T @ X + X @ a + q + (X @ b + s) @ found.gain)
+        after = None if step is None else _checked_care(equation, X + step)
         if after is None or after.residual >= found.residual:
             break
         found = after
     return found
+
+
+def _newton_step(closed: Array, left: Array) -> Array | None:
+    """Symmetric dX with ``closed^T dX + dX closed + left = 0``; None where there is none."""
+    from scipy.linalg import LinAlgError, solve_continuous_lyapunov
+
+    with warnings.catch_warnings():
+        # Eigenvalues that nearly mirror each other: the step is judged by the residual after it.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            step = solve_continuous_lyapunov(closed.T, -0.5 * (left + left.T))
+        except (LinAlgError, ValueError):
+            return None
+    return 0.5 * (step + step.T) if np.isfinite(step).all() else None
 
 
 def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:
