@@ -22,6 +22,7 @@ from robustlab.synthesis.direct_scalings import grown, minimised
 from robustlab.synthesis.dk_design import DKStep, DKSynthesis
 from robustlab.synthesis.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, unit_scalings
 from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.nominal_start import nominal_start
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.pointwise_scalings import MuCurve, as_complex, mu_curve
 from robustlab.synthesis.robust_loop import Iterate, RobustProblem
@@ -48,6 +49,7 @@ ROUGH, FINE = 0.1, 0.03
 FEW, MANY = 6, 30
 CURVES = 1.5  # time to keep for the end, in computations of mu over frequency
 BAND_LEVEL, BEYOND = 0.3, 30.0
+CLEARLY = 0.9  # share of the peak of mu at which the nominal start is preferred
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
 PROOF_ACCURACY = 1e-3
 
@@ -208,6 +210,7 @@ class _Search:
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
+        self.curved: Iterate | None = None  # whose curve that is
         self.warm: DynamicScalings | None = None
         self.reserve = 0.0
 
@@ -227,7 +230,9 @@ class _Search:
     # --- stages ------------------------------------------------------------------------------------------------------
 
     def start(self, K0: Any) -> None:
-        """The controller given, or that of H-infinity synthesis for the plant without scalings."""
+        """The controller given; else that of H-infinity synthesis for the plant without scalings, or of its performance
+        channels alone (see `nominal_start`) where that one has a clearly smaller mu.
+        """
         scalings = unit_scalings(self.blocks)
         if K0 is None:
             design = hinf(self.plant, gamma_rel=1.0, time_limit=START * self.time_limit)
@@ -242,6 +247,19 @@ class _Search:
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
+        if K0 is None and self.blocks[-1].name == PERFORMANCE and not self._late():
+            K = nominal_start(self.plant, self.blocks[-1].rows, self.blocks[-1].cols, START * self.time_limit)
+            other = None if K is None else self.problem.proved(K, scalings, 1.0)
+            if other is not None:
+                self._prefer(other, found)
+
+    def _prefer(self, other: Iterate, found: Iterate) -> None:
+        """Go on from the other start where its mu is clearly smaller."""
+        before = self._followed(found)
+        if self._followed(other).peak < CLEARLY * before.peak:
+            self._keep(other, "nominal start")
+        else:
+            self.curve, self.curved = before, found
 
     def alternate(self, progress: float) -> None:
         """D-K iteration until two iterations in a row gain less than ``progress``."""
@@ -252,7 +270,7 @@ class _Search:
         for _ in range(ITERATIONS):
             if self._late() or stuck == 2:
                 break
-            self.curve = self._curve(now.loop, self.blocks)
+            self.curve = self._followed(now)
             before = self.best.level
             scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self._late)
             refitted = self.problem.proved(now.K, scalings, now.level)
@@ -315,10 +333,16 @@ class _Search:
         self.reserve = max(self.reserve, CURVES * (time.monotonic() - begin))
         return curve
 
+    def _followed(self, iterate: Iterate) -> MuCurve:
+        """The curve of complex mu of an iterate; it is not computed again for the same one."""
+        if self.curve is None or self.curved is not iterate:
+            self.curve, self.curved = self._curve(iterate.loop, self.blocks), iterate
+        return self.curve
+
     def _band(self) -> tuple[float, float]:
         """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
         if self.curve is None:
-            self.curve = self._curve(self.best.loop, self.blocks)
+            self.curve = self._followed(self.best)
         high = self.curve.omega[self.curve.levels > BAND_LEVEL * self.curve.peak]
         return float(high[0] / BEYOND), float(high[-1] * BEYOND)
 
