@@ -306,21 +306,28 @@ class _Search:
         self.until = until
         if self.mixed:
             warm = self.warm is not None and self.warm.mixed
-            first = self.warm if warm and self.warm is not None else self._chosen(FIRST_LOSS).scalings
+            first = self.warm if warm and self.warm is not None else self._few_states()
             self._grow(_with_g(first, self.real), "D-G-K")
+
+    def _few_states(self) -> DynamicScalings:
+        """A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states."""
+        known = self._chosen(FIRST_LOSS).scalings
+        fitted = fitted_scalings(self._followed(self.best), self.blocks, FIRST_LOSS, self.max_states, self._late)
+        return min(known, fitted, key=lambda scalings: scalings.n_states)
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
         """Minimise, enlarge the scalings, and so on, until that brings nothing."""
         found = minimised(self.problem, scalings, self.best.level)
         band = self._band()
         falls, before = 0, np.inf
-        while found is not None and not self._late():
+        while found is not None:
             scalings, level = found
-            iterate = self.problem.solve(scalings, level)
+            solve = self.problem.at_level if self._late() else self.problem.solve  # the time goes into the minimisation
+            iterate = solve(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
             falls = falls + 1 if level > before * (1 - PROGRESS) else 0
-            if falls == FALLS:
+            if falls == FALLS or self._late():
                 break
             before = level
             larger = grown(self.problem, scalings, level, band, self.max_states)
