@@ -14,6 +14,7 @@ from robustlab.mu_analysis.axis_model import continuous
 from robustlab.mu_analysis.certificate import project
 from robustlab.mu_analysis.intervals import AxisCover, cover_axis
 from robustlab.mu_analysis.lower import lower_bounds
+from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller import Controller
@@ -304,7 +305,7 @@ class _Search:
             self.until = until if k else min(until, time.monotonic() + share * max(left, 0.0))
             self._grow(scalings, "direct")
         self.until = until
-        if self.mixed:
+        if self.mixed and not self._late():
             warm = self.warm is not None and self.warm.mixed
             first = self.warm if warm and self.warm is not None else self._few_states()
             self._grow(_with_g(first, self.real), "D-G-K")
@@ -317,13 +318,17 @@ class _Search:
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
         """Minimise, enlarge the scalings, and so on, until that brings nothing."""
+        if self._late():
+            return
         found = minimised(self.problem, scalings, self.best.level)
         band = self._band()
         falls, before = 0, np.inf
         while found is not None:
             scalings, level = found
-            solve = self.problem.at_level if self._late() else self.problem.solve  # the time goes into the minimisation
-            iterate = solve(scalings, level)
+            if self._late() and level >= self.best.level:
+                break
+            # What a minimisation reached by the end of its time is not thrown away.
+            iterate = (self.problem.at_level if self._late() else self.problem.solve)(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
             falls = falls + 1 if level > before * (1 - PROGRESS) else 0
@@ -378,7 +383,12 @@ class _Search:
         left = Deadline(self.until - time.monotonic())
         chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel), left)
         blocks = self.real if self.mixed else self.blocks
-        curve = self._last_curve(chosen, blocks)
+        # All that costs time comes before the proof by intervals, which takes whatever is left.
+        norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
+        curve = self._last_curve(chosen, blocks, norm.frequency)
+        lower, delta, omega = _lower(curve, blocks)
+        loop = self.plant.close(chosen.K)
+        stable = proved_stable(loop.A, loop.is_discrete)
         cover = AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
@@ -388,14 +398,12 @@ class _Search:
             )
         proved = not cover.open and cover.beta < chosen.level
         gamma = cover.beta if proved else chosen.level
-        lower, delta, omega = _lower(curve, blocks)
         if lower > gamma * (1 + 1e-6):
             raise NoTrustworthyNumber("synth dk", f"lower bound {lower:.9g} of mu above the proved {gamma:.9g}")
         frequency = omega
-        loop = self.plant.close(chosen.K)
         if loop.is_discrete:
             frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
-        doubts = _doubts(chosen, proved, loop)
+        doubts = _doubts(stable, None if proved else norm)
         return DKSynthesis(
             K=chosen.K,
             gamma=gamma,
@@ -415,10 +423,9 @@ class _Search:
             history=tuple(self.history),
         )
 
-    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
-        """The curve of mu, or, where time is short, around the peak of the scaled loop alone."""
+    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:
+        """The curve of mu, or, where time is short, around the peak of the scaled loop alone (rad/s)."""
         end = self.begin + self.time_limit
-        peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
         if end - time.monotonic() < 0.6 * self.reserve:
             return mu_curve(chosen.loop, blocks, lambda: True, around)
@@ -438,13 +445,12 @@ class _Search:
         return "; ".join(parts)
 
 
-def _doubts(chosen: Iterate, by_intervals: bool, loop: StateSpaceModel) -> list[str]:
-    """What lost digits on the way to the bound; nothing where it is proved."""
+def _doubts(stable: bool, norm: HinfNorm | None) -> list[str]:
+    """What lost digits on the way to the bound; nothing where it is proved. ``norm``: of the scaled loop, if used."""
     doubts: list[str] = []
-    if not proved_stable(loop.A, loop.is_discrete):
+    if not stable:
         doubts.append("eigenvalues are so ill-conditioned that stability of the loop was not proved beyond rounding")
-    norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
-    if not by_intervals and norm.status is not Status.CERTIFIED:
+    if norm is not None and norm.status is not Status.CERTIFIED:
         doubts.append(f"norm of the scaled loop: {norm.reason}")
     return doubts
 

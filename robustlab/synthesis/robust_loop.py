@@ -118,12 +118,14 @@ class RobustProblem:
 
     def at_level(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
         """The controller at a level that is known to be the smallest one of these scalings; does not ask the clock."""
-        return self._backed_off(self.search(scalings), scalings, beta)
+        return self._backed_off(self.search(scalings), scalings, beta, BACKOFF[:3])
 
-    def _backed_off(self, search: LevelSearch, scalings: DynamicScalings, beta: float) -> Iterate | None:
+    def _backed_off(
+        self, search: LevelSearch, scalings: DynamicScalings, beta: float, shares: tuple[float, ...] = BACKOFF
+    ) -> Iterate | None:
         """The controller of smallest proved level among those a little above the level ``beta``."""
         best: Iterate | None = None
-        for share in BACKOFF:
+        for share in shares:
             if best is not None and best.level <= beta * (1 + share):
                 break  # a higher level promises nothing better
             K = search.controller(scalings.parameters(), beta * (1 + share))
