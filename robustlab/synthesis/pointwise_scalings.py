@@ -63,8 +63,8 @@ def mu_curve(
     """The curve of a stable continuous loop on frequencies that follow it.
 
     The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
-    intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where ``stop`` says so after some of the
-    first frequencies, spread over all of them, it is left at these.
+    intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where
+    ``stop`` says so, asked after every few frequencies, it is left at those (the first ones are spread over all).
     """
     omega, response, bounds = _spread(loop, blocks, default_grid(loop, FIRST, 1.0) if first is None else first, stop)
     for _ in range(ROUNDS):
