@@ -256,7 +256,7 @@ def _solution(A: Array, B: Array, Q: Array, R: Array, S: Array, n_w: int) -> tup
         return None
     B_2, S_2 = B[:, n_w:], S[:, n_w:]
     poles = balanced_eigenvalues(A - B_2 @ np.linalg.solve(R[n_w:, n_w:], B_2.T @ found.X + S_2.T))
-    if poles is None or poles.real.max(initial=-1.0) >= 0:
+    if poles is None or np.real(poles).max(initial=-1.0) >= 0:
         return None
     return found.X, found.gain
 
