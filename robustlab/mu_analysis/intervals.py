@@ -149,14 +149,19 @@ def cover_axis(
     scale = float(np.median(poles)) if len(poles) else 1.0
     beta = beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
-    while cover.open and time.monotonic() < until:
+    spent = 0.0  # time that the last interval took: of 70 blocks seconds, so that the clock is asked before each
+    while cover.open and time.monotonic() + spent < until:
         omega = cover.take_points(pending, scale, BATCH)
         bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
         cover.points += len(omega)
         finite = [b.beta for b in bounds if np.isfinite(b.beta)]
         beta = max(beta, max(finite, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
         for w, bound in zip(omega, bounds, strict=True):
+            begin = time.monotonic()
+            if begin + spent >= until:
+                return cover
             piece = extend(model, bound, beta, float(w))
+            spent = time.monotonic() - begin
             if piece is not None:
                 cover.add(piece)
     return cover

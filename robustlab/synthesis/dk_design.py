@@ -22,7 +22,7 @@ class DKStep:
     Attributes
     ----------
     stage
-        ``"start"``, ``"D-K"``, ``"direct"`` or ``"D-G-K"``.
+        ``"start"``, ``"nominal start"``, ``"D-K"``, ``"direct"`` or ``"D-G-K"``.
     gamma
         What the scalings of the iterate prove for mu at all frequencies.
     mu

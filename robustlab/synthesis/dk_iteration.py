@@ -14,6 +14,7 @@ from robustlab.mu_analysis.axis_model import continuous
 from robustlab.mu_analysis.certificate import project
 from robustlab.mu_analysis.intervals import AxisCover, cover_axis
 from robustlab.mu_analysis.lower import lower_bounds
+from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller import Controller
@@ -22,6 +23,7 @@ from robustlab.synthesis.direct_scalings import grown, minimised
 from robustlab.synthesis.dk_design import DKStep, DKSynthesis
 from robustlab.synthesis.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, unit_scalings
 from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.nominal_start import nominal_start
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.pointwise_scalings import MuCurve, as_complex, mu_curve
 from robustlab.synthesis.robust_loop import Iterate, RobustProblem
@@ -48,6 +50,7 @@ ROUGH, FINE = 0.1, 0.03
 FEW, MANY = 6, 30
 CURVES = 1.5  # time to keep for the end, in computations of mu over frequency
 BAND_LEVEL, BEYOND = 0.3, 30.0
+CLEARLY = 0.9  # share of the peak of mu at which the nominal start is preferred
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
 PROOF_ACCURACY = 1e-3
 
@@ -208,6 +211,7 @@ class _Search:
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
+        self.curved: Iterate | None = None  # whose curve that is
         self.warm: DynamicScalings | None = None
         self.reserve = 0.0
 
@@ -227,7 +231,9 @@ class _Search:
     # --- stages ------------------------------------------------------------------------------------------------------
 
     def start(self, K0: Any) -> None:
-        """The controller given, or that of H-infinity synthesis for the plant without scalings."""
+        """The controller given; else that of H-infinity synthesis for the plant without scalings, or of its performance
+        channels alone (see `nominal_start`) where that one has a clearly smaller mu.
+        """
         scalings = unit_scalings(self.blocks)
         if K0 is None:
             design = hinf(self.plant, gamma_rel=1.0, time_limit=START * self.time_limit)
@@ -242,6 +248,19 @@ class _Search:
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
+        if K0 is None and self.blocks[-1].name == PERFORMANCE and not self._late():
+            K = nominal_start(self.plant, self.blocks[-1].rows, self.blocks[-1].cols, START * self.time_limit)
+            other = None if K is None else self.problem.proved(K, scalings, 1.0)
+            if other is not None:
+                self._prefer(other, found)
+
+    def _prefer(self, other: Iterate, found: Iterate) -> None:
+        """Go on from the other start where its mu is clearly smaller."""
+        before = self._followed(found)
+        if self._followed(other).peak < CLEARLY * before.peak:
+            self._keep(other, "nominal start")
+        else:
+            self.curve, self.curved = before, found
 
     def alternate(self, progress: float) -> None:
         """D-K iteration until two iterations in a row gain less than ``progress``."""
@@ -252,7 +271,7 @@ class _Search:
         for _ in range(ITERATIONS):
             if self._late() or stuck == 2:
                 break
-            self.curve = self._curve(now.loop, self.blocks)
+            self.curve = self._followed(now)
             before = self.best.level
             scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self._late)
             refitted = self.problem.proved(now.K, scalings, now.level)
@@ -286,23 +305,34 @@ class _Search:
             self.until = until if k else min(until, time.monotonic() + share * max(left, 0.0))
             self._grow(scalings, "direct")
         self.until = until
-        if self.mixed:
+        if self.mixed and not self._late():
             warm = self.warm is not None and self.warm.mixed
-            first = self.warm if warm and self.warm is not None else self._chosen(FIRST_LOSS).scalings
+            first = self.warm if warm and self.warm is not None else self._few_states()
             self._grow(_with_g(first, self.real), "D-G-K")
+
+    def _few_states(self) -> DynamicScalings:
+        """A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states."""
+        known = self._chosen(FIRST_LOSS).scalings
+        fitted = fitted_scalings(self._followed(self.best), self.blocks, FIRST_LOSS, self.max_states, self._late)
+        return min(known, fitted, key=lambda scalings: scalings.n_states)
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
         """Minimise, enlarge the scalings, and so on, until that brings nothing."""
+        if self._late():
+            return
         found = minimised(self.problem, scalings, self.best.level)
         band = self._band()
         falls, before = 0, np.inf
-        while found is not None and not self._late():
+        while found is not None:
             scalings, level = found
-            iterate = self.problem.solve(scalings, level)
+            if self._late() and level >= self.best.level:
+                break
+            # What a minimisation reached by the end of its time is not thrown away.
+            iterate = (self.problem.at_level if self._late() else self.problem.solve)(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
             falls = falls + 1 if level > before * (1 - PROGRESS) else 0
-            if falls == FALLS:
+            if falls == FALLS or self._late():
                 break
             before = level
             larger = grown(self.problem, scalings, level, band, self.max_states)
@@ -315,10 +345,16 @@ class _Search:
         self.reserve = max(self.reserve, CURVES * (time.monotonic() - begin))
         return curve
 
+    def _followed(self, iterate: Iterate) -> MuCurve:
+        """The curve of complex mu of an iterate; it is not computed again for the same one."""
+        if self.curve is None or self.curved is not iterate:
+            self.curve, self.curved = self._curve(iterate.loop, self.blocks), iterate
+        return self.curve
+
     def _band(self) -> tuple[float, float]:
         """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
         if self.curve is None:
-            self.curve = self._curve(self.best.loop, self.blocks)
+            self.curve = self._followed(self.best)
         high = self.curve.omega[self.curve.levels > BAND_LEVEL * self.curve.peak]
         return float(high[0] / BEYOND), float(high[-1] * BEYOND)
 
@@ -347,7 +383,12 @@ class _Search:
         left = Deadline(self.until - time.monotonic())
         chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel), left)
         blocks = self.real if self.mixed else self.blocks
-        curve = self._last_curve(chosen, blocks)
+        # All that costs time comes before the proof by intervals, which takes whatever is left.
+        norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
+        curve = self._last_curve(chosen, blocks, norm.frequency)
+        lower, delta, omega = _lower(curve, blocks)
+        loop = self.plant.close(chosen.K)
+        stable = proved_stable(loop.A, loop.is_discrete)
         cover = AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
@@ -357,14 +398,12 @@ class _Search:
             )
         proved = not cover.open and cover.beta < chosen.level
         gamma = cover.beta if proved else chosen.level
-        lower, delta, omega = _lower(curve, blocks)
         if lower > gamma * (1 + 1e-6):
             raise NoTrustworthyNumber("synth dk", f"lower bound {lower:.9g} of mu above the proved {gamma:.9g}")
         frequency = omega
-        loop = self.plant.close(chosen.K)
         if loop.is_discrete:
             frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
-        doubts = _doubts(chosen, proved, loop)
+        doubts = _doubts(stable, None if proved else norm)
         return DKSynthesis(
             K=chosen.K,
             gamma=gamma,
@@ -384,10 +423,9 @@ class _Search:
             history=tuple(self.history),
         )
 
-    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
-        """The curve of mu, or, where time is short, around the peak of the scaled loop alone."""
+    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:
+        """The curve of mu, or, where time is short, around the peak of the scaled loop alone (rad/s)."""
         end = self.begin + self.time_limit
-        peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
         if end - time.monotonic() < 0.6 * self.reserve:
             return mu_curve(chosen.loop, blocks, lambda: True, around)
@@ -407,13 +445,12 @@ class _Search:
         return "; ".join(parts)
 
 
-def _doubts(chosen: Iterate, by_intervals: bool, loop: StateSpaceModel) -> list[str]:
-    """What lost digits on the way to the bound; nothing where it is proved."""
+def _doubts(stable: bool, norm: HinfNorm | None) -> list[str]:
+    """What lost digits on the way to the bound; nothing where it is proved. ``norm``: of the scaled loop, if used."""
     doubts: list[str] = []
-    if not proved_stable(loop.A, loop.is_discrete):
+    if not stable:
         doubts.append("eigenvalues are so ill-conditioned that stability of the loop was not proved beyond rounding")
-    norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
-    if not by_intervals and norm.status is not Status.CERTIFIED:
+    if norm is not None and norm.status is not Status.CERTIFIED:
         doubts.append(f"norm of the scaled loop: {norm.reason}")
     return doubts
 

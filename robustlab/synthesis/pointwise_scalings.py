@@ -63,8 +63,8 @@ def mu_curve(
     """The curve of a stable continuous loop on frequencies that follow it.
 
     The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
-    intervals in which mu is close to its peak or the entries of D change most. Where ``stop`` says so after some of the
-    first frequencies, spread over all of them, it is left at these.
+    intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where
+    ``stop`` says so, asked after every few frequencies, it is left at those (the first ones are spread over all).
     """
     omega, response, bounds = _spread(loop, blocks, default_grid(loop, FIRST, 1.0) if first is None else first, stop)
     for _ in range(ROUNDS):
@@ -81,7 +81,8 @@ def mu_curve(
         if not len(chosen):
             break
         new = np.sqrt(omega[chosen] * omega[chosen + 1])
-        more, found = _at(loop, blocks, new)
+        more, found = _until(loop, blocks, new, stop)
+        new = new[: len(found)]
         order = np.argsort(np.concatenate([omega, new]), kind="stable")
         omega = np.concatenate([omega, new])[order]
         response = np.concatenate([response, more])[order]
@@ -95,17 +96,25 @@ def _spread(
     """The bounds at every so-many-th frequency first, until all are done or the time is up; frequencies rise again."""
     stride = max(1, len(omega) // CHUNK)
     order = np.concatenate([np.arange(start, len(omega), stride) for start in range(stride)])
-    responses: list[Array] = []
-    bounds: list[UpperBound] = []
-    for begin in range(0, len(order), CHUNK):
-        if bounds and stop():
-            break
-        response, found = _at(loop, blocks, omega[order[begin : begin + CHUNK]])
-        responses.append(response)
-        bounds += found
+    response, bounds = _until(loop, blocks, omega[order], stop)
     done = order[: len(bounds)]
     back = np.argsort(done)
-    return omega[done[back]], np.concatenate(responses)[back], [bounds[i] for i in back]
+    return omega[done[back]], response[back], [bounds[i] for i in back]
+
+
+def _until(
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, stop: Callable[[], bool]
+) -> tuple[Array, list[UpperBound]]:
+    """Responses and bounds at the first of the frequencies, as many as the time allows, and at some of them always."""
+    responses: list[Array] = []
+    bounds: list[UpperBound] = []
+    for begin in range(0, len(omega), CHUNK):
+        if bounds and stop():
+            break
+        response, found = _at(loop, blocks, omega[begin : begin + CHUNK])
+        responses.append(response)
+        bounds += found
+    return np.concatenate(responses), bounds
 
 
 def _at(loop: StateSpaceModel, blocks: Sequence[Block], omega: Array) -> tuple[Array, list[UpperBound]]:

@@ -27,8 +27,10 @@ __all__ = ["Iterate", "RobustProblem"]
 Array = NDArray[Any]
 
 # A central controller at the smallest level itself is ill-conditioned: the level is backed off until the proof agrees.
-# The last ones are for plants of such spread that the Riccati test itself passes far below the true level.
+# The last ones are for plants of such spread that digits are lost in the controller.
 BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
+# Loss against the level of the Riccati equations above which the other numerical scaling is tried as well.
+ACCEPTED = 1e-2
 # Shares (of a logarithm) of the slack in the level at which slower controllers are sought.
 SOFTER = (0.999, 0.8, 0.5)
 # So many of the slowest controllers found are tried.
@@ -102,21 +104,36 @@ class RobustProblem:
     def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
         """The controller of smallest proved level for given scalings; None where none was found."""
         best: Iterate | None = None
-        theta = scalings.parameters()
         for alternative in (False, True):
             search = self.search(scalings, alternative)
-            level = search.smallest(theta, start, self.stop, 1e-5)
+            level = search.smallest(scalings.parameters(), start, self.stop, 1e-5)
             if level is None:
                 continue
-            for share in BACKOFF:
-                if best is not None and best.level <= level.beta * (1 + share):
-                    break  # a higher level promises nothing better
-                K = search.controller(theta, level.beta * (1 + share))
-                found = None if K is None else self.closed(K, scalings, level.beta)
-                if found is not None and (best is None or found.level < best.level):
-                    best = found
-                if best is not None and best.level <= level.beta * (1 + share) * (1 + 1e-3):
-                    return best
+            found = self._backed_off(search, scalings, level.beta)
+            if found is not None and (best is None or found.level < best.level):
+                best = found
+            if best is not None and best.level <= level.beta * (1 + ACCEPTED):
+                return best
+        return best
+
+    def at_level(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
+        """The controller at a level that is known to be the smallest one of these scalings; does not ask the clock."""
+        return self._backed_off(self.search(scalings), scalings, beta, BACKOFF[:3])
+
+    def _backed_off(
+        self, search: LevelSearch, scalings: DynamicScalings, beta: float, shares: tuple[float, ...] = BACKOFF
+    ) -> Iterate | None:
+        """The controller of smallest proved level among those a little above the level ``beta``."""
+        best: Iterate | None = None
+        for share in shares:
+            if best is not None and best.level <= beta * (1 + share):
+                break  # a higher level promises nothing better
+            K = search.controller(scalings.parameters(), beta * (1 + share))
+            found = None if K is None else self.closed(K, scalings, beta)
+            if found is not None and (best is None or found.level < best.level):
+                best = found
+            if best is not None and best.level <= beta * (1 + share) * (1 + 1e-3):
+                break
         return best
 
     def softened(self, iterate: Iterate, limit: float, deadline: Deadline) -> Iterate:
