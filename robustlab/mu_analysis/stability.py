@@ -32,7 +32,7 @@ from robustlab.mu_analysis.pole_migration import (
     first_crossing,
     smallest_destabilising,
 )
-from robustlab.mu_analysis.upper import upper_bounds
+from robustlab.mu_analysis.upper import compile_kernels, upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, delta_values
@@ -136,6 +136,7 @@ def robust_stability(
         zero = np.zeros(len(grid))
         nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
         return _margin(uncertain, nothing, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
+    compile_kernels()
     until = time.monotonic() + time_limit
     with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
         found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed, expected)

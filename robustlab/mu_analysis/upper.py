@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from robustlab.mu_analysis.decomposition import Component, balancing_exponents, 
 from robustlab.mu_analysis.scalings import scaling_space
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
-__all__ = ["UpperBound", "points_below", "upper_bounds"]
+__all__ = ["UpperBound", "compile_kernels", "points_below", "upper_bounds"]
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
@@ -33,6 +34,13 @@ class UpperBound:
     Dw: ComplexArray
     Dz: ComplexArray
     G: ComplexArray
+
+
+@cache
+def compile_kernels() -> None:
+    """Compile what the bounds need, half a minute once in an installation; called before a limit's clock starts."""
+    blocks = (RealScalar("real"), FullBlock("full", 2, 2))
+    upper_bounds(np.array([[[1.0, 2.0, 1j], [0.5, 1j, 1.0], [3.0, 1.0, 0.2]]]), blocks)
 
 
 def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) -> list[UpperBound]:

@@ -34,6 +34,7 @@ from robustlab.mu_analysis.disk_margin import (
     gain_and_phase,
 )
 from robustlab.mu_analysis.stability import Margin, robust_stability
+from robustlab.mu_analysis.upper import compile_kernels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar
@@ -151,6 +152,7 @@ def worst_case_disk_margin(
         raise InputError(
             "worst_case_disk_margin", f"accuracy {accuracy}, time_limit {time_limit}", "0 < accuracy < 1, time > 0"
         )
+    compile_kernels()
     until = time.monotonic() + time_limit
     search = _Search(uncertain, K, at, channel, skew, sign, until, seed)
     search.run(accuracy)

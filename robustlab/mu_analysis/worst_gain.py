@@ -27,7 +27,7 @@ from robustlab.mu_analysis.margin import Margin
 from robustlab.mu_analysis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.skew import skew_upper
 from robustlab.mu_analysis.stability import robust_stability
-from robustlab.mu_analysis.upper import points_below
+from robustlab.mu_analysis.upper import compile_kernels, points_below
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -156,6 +156,7 @@ def worst_case_gain(
         found = f"tolerance {tolerance}, time_limit {time_limit}"
         raise InputError("worst_case_gain", found, "tolerance > 0 and time_limit >= 0")
     grid = frequencies(omega, "worst_case_gain")
+    compile_kernels()
     until = time.monotonic() + time_limit
     n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
     nominal = hinf_norm(uncertain.nominal)

@@ -14,6 +14,7 @@ from robustlab.mu_analysis.axis_model import continuous
 from robustlab.mu_analysis.certificate import project
 from robustlab.mu_analysis.intervals import AxisCover, cover_axis
 from robustlab.mu_analysis.lower import lower_bounds
+from robustlab.mu_analysis.upper import compile_kernels
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
@@ -149,6 +150,7 @@ def dk(
 
     # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
     with threadpool_limits(limits=1):
+        compile_kernels()
         search = _Search(plant, structure, time_limit, int(max_order), mixed, progress)
         search.start(K0)
         search.alternate(ROUGH_PROGRESS if direct else PROGRESS)

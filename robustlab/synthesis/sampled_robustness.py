@@ -12,6 +12,7 @@ import numpy as np
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.margin import Margin
 from robustlab.mu_analysis.stability import robust_stability
+from robustlab.mu_analysis.upper import compile_kernels
 from robustlab.mu_analysis.worst_gain import PERFORMANCE, robust_performance
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
@@ -212,6 +213,7 @@ def sampled_robustness(
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
+        compile_kernels()
         proofs = _Proofs(filtered, k, float(delay), time.monotonic() + time_limit, seed, progress)
         return proofs.run(DEGREES if degree is None else (degree,), accuracy, antialiasing)
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -298,3 +301,16 @@ def test_shares_say_what_tightening_a_range_brings(two_mass):
     tighter = rl.UncertainModel(rl.StateSpaceModel(M.A, M.B * scale, M.C, M.D * scale), two_mass.blocks)
     gained = rl.robust_stability(tighter).upper / margin.upper - 1
     assert gained == pytest.approx(0.01 * margin.shares["m1"], rel=0.03)
+
+
+@pytest.mark.slow
+def test_a_time_limit_does_not_pay_for_compiling(tmp_path):
+    code = """
+import robustlab as rl
+M = rl.StateSpaceModel([[-1.0]], [[1.0, 0.5, 0.2]], [[0.3], [0.1], [0.2]], [[0.1, 0.2, 0], [0, 0.1, 0.3], [0.2, 0, 0]])
+loop = rl.UncertainModel(M, [rl.RealScalar("a"), rl.FullBlock("f", 2, 2)])
+print(rl.robust_stability(loop, time_limit=15.0).status.value)
+"""
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "certified", done.stderr
