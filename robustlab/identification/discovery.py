@@ -43,6 +43,7 @@ from robustlab.identification.greedy_naming import (
     overtaken,
     rms_percent,
     settled,
+    spans,
     white,
 )
 from robustlab.identification.naming import BEYOND_NOISE, noise_ratio
@@ -208,14 +209,9 @@ def _data(
     uniformed = [uniform(r, None if r.is_uniform else dt) for r in (*records, *held_out)]
     everything = [u.record for u in uniformed]
     length = window_length(plant, everything) if window is None else max(8, round(window / dt))
-    prepared = [prepare(plant, model, u.record, length, dict(u.valid)) for u in uniformed]
-    for r in prepared:
-        if r.columns != prepared[0].columns:
-            raise InputError(
-                f"discover {r.record.name}",
-                f"outputs {', '.join(plant.outputs[k].name for k in r.columns)}",
-                f"{', '.join(plant.outputs[k].name for k in prepared[0].columns)}, as in {prepared[0].record.name}",
-            )
+    # A record may lack a sensor that another has, as the proposed experiments do which add one.
+    seen = {name for r in records for name in r.outputs}
+    prepared = [prepare(plant, model, u.record, length, dict(u.valid), seen) for u in uniformed]
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     if judged:
         problem = Problem(plant, fitted, nuisances)
@@ -294,8 +290,9 @@ def _floor_excess(
 
     first = problem.records[0]
     names = [problem.plant.outputs[k].name for k in first.columns]
+    own = [name for name in names if name in first.record.outputs]
     try:
-        floor = noise_floor(records[0], period=period, repeats=repeats, outputs=names)
+        floor = noise_floor(records[0], period=period, repeats=repeats, outputs=own)
     except NoTrustworthyNumber:
         return None, {}
     if floor.source != "periods" or first.record.n != records[0].n:
@@ -311,7 +308,8 @@ def _floor_excess(
     fit = held_out_fit(there, naming.settled, white(naming.noise))
     errors = cut.measured - simulated_outputs(there, fit)[0]
     excess = {}
-    for j, name in enumerate(names):
+    for name in own:
+        j = names.index(name)
         residual = np.full((floor.count, floor.samples), np.nan)
         residual[:, : per_period * length] = errors[:, :, j].reshape(floor.count, per_period * length)
         found = floor.excess(residual)
@@ -331,21 +329,24 @@ def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]
     outputs = {key: simulated_outputs(held, fit) for key, fit in models.items()}
     measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
     gaps: dict[str, Gap] = {}
-    first = held.records[0]
-    order = (first.windows.starts[held.chosen[0]][:, None] + np.arange(first.windows.length)).ravel()
+    richest = int(np.argmax([np.isfinite(r.y).any(axis=0).sum() for r in held.records]))
+    first = held.records[richest]
+    order = (first.windows.starts[held.chosen[richest]][:, None] + np.arange(first.windows.length)).ravel()
     series: dict[str, Any] = {"t": first.record.t[order], "outputs": {}}
     series["inputs"] = {s.name: first.record.inputs[s.name][order] for s in held.plant.inputs}
     for j, column in enumerate(first.columns):
         signal = held.plant.outputs[column]
+        if not np.isfinite(first.y[:, j]).any():
+            continue
         rms = {
             key: _rms([(m - y)[:, :, j] for m, y in zip(measured, values, strict=True)])
             for key, values in outputs.items()
         }
-        span = max(float(np.nanmax(r.y[:, j]) - np.nanmin(r.y[:, j])) for r in held.records)
+        span = float(spans(held.records)[j])
         gaps[signal.name] = Gap(signal.name, signal.unit, span, rms["nominal"], rms["refitted"], rms["updated"])
         series["outputs"][signal.name] = {
-            "measured": measured[0][:, :, j].ravel(),
-            **{key: values[0][:, :, j].ravel() for key, values in outputs.items()},
+            "measured": measured[richest][:, :, j].ravel(),
+            **{key: values[richest][:, :, j].ravel() for key, values in outputs.items()},
         }
     return gaps, series
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.naming import AR_ORDER, Ranked, Ranking, first_noise, rank, whitening
+from robustlab.identification.prepared_record import PreparedRecord
 
 __all__ = [
     "Alternative",
@@ -22,6 +23,7 @@ __all__ = [
     "overtaken",
     "rms_percent",
     "settled",
+    "spans",
     "white",
 ]
 
@@ -306,9 +308,15 @@ def white(noise: NoiseModel) -> NoiseModel:
 def rms_percent(problem: Problem, fit: Fit) -> float:
     """Windowed RMS error over all outputs in percent of their measured ranges."""
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
-    ranges = np.nanmax([np.ptp(np.where(np.isfinite(r.y), r.y, r.y[0]), axis=0) for r in problem.records], axis=0)
+    ranges = spans(problem.records)
     squares = np.concatenate([(e / np.where(ranges > 0, ranges, 1.0)).reshape(-1, len(ranges)) ** 2 for e in errors])
     return float(100.0 * np.sqrt(np.nanmean(squares)))
+
+
+def spans(records: Sequence[PreparedRecord]) -> Array:
+    """Largest measured range of each output, (n_measured,); 0 of one that no record has."""
+    known = [[y[np.isfinite(y)] for y in r.y.T] for r in records]
+    return np.max([[np.ptp(y) if y.size else 0.0 for y in row] for row in known], axis=0)
 
 
 def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int = AR_ORDER) -> Fit:

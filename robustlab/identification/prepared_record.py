@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,7 @@ def prepare(
     record: Record,
     length: int,
     valid: dict[str, NDArray[np.bool_]] | None = None,
+    outputs: Collection[str] = (),
 ) -> PreparedRecord:
     """Cut a uniform record into windows of ``length`` samples and smooth it.
 
@@ -134,6 +135,8 @@ def prepare(
         Ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
     valid
         Output name -> mask of the samples that were measured (all where left out).
+    outputs
+        The outputs that count, those of the record where left out; what the record has not is missing at all samples.
 
     Raises
     ------
@@ -144,14 +147,15 @@ def prepare(
     if missing:
         raise InputError(f"discover {record.name}", f"no input {missing[0]!r}", f"all inputs of {plant.name}")
     names = [s.name for s in plant.outputs]
-    columns = tuple(k for k, name in enumerate(names) if name in record.outputs)
-    if not columns:
+    columns = tuple(k for k, name in enumerate(names) if name in (outputs or record.outputs))
+    own = [j for j, k in enumerate(columns) if names[k] in record.outputs]
+    if not own:
         raise InputError(
             f"discover {record.name}", f"outputs {', '.join(record.outputs)}", f"at least one of {', '.join(names)}"
         )
     u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
-    y = np.column_stack([record.outputs[names[k]] for k in columns])
-    resolution = np.array([_resolution(column) for column in y.T])
+    y = np.column_stack([record.outputs.get(names[k], np.full(record.n, np.nan)) for k in columns])
+    resolution = np.array([_resolution(column) if j in own else 0.0 for j, column in enumerate(y.T)])
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
             y[~valid[names[k]], j] = np.nan
@@ -163,10 +167,12 @@ def prepare(
         )
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.column_stack([p.force for p in joints]) if joints else model.B
-    bare = plant.state_space().select(None, [names[k] for k in columns])
-    smoothed = smooth_disturbance(bare, push, record.t, u, y, jumps=False)
-    told = _told(bare, push, record.t, u, y, smoothed)
-    measured = np.isfinite(y)
+    bare = plant.state_space().select(None, [names[columns[j]] for j in own])
+    smoothed = smooth_disturbance(bare, push, record.t, u, y[:, own], jumps=False)
+    told, noise_std = np.zeros((len(columns), *smoothed.x.shape)), np.zeros(len(columns))
+    told[own], noise_std[own] = _told(bare, push, record.t, u, y[:, own], smoothed), smoothed.noise_std
+    smoothed = replace(smoothed, noise_std=noise_std)
+    measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
     stretches = _between_gaps(lost)
     starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
@@ -181,11 +187,11 @@ def prepare(
     windows = Windows(np.array(usable, dtype=np.int64), length)
     std = start_std(smoothed, windows)
     for port in model.ports.values():
-        own = port.velocity != 0.0
+        moved = port.velocity != 0.0
         # A current that no sensor tells is told by the voltage, which an effect may delay or change.
-        if port.kind == "current" and not bare.C[:, own].any():
+        if port.kind == "current" and not bare.C[:, moved].any():
             amperes = smoothed.x @ port.velocity
-            std[:, own] = np.maximum(std[:, own], CURRENT_SHARE * float(np.sqrt(np.mean(amperes**2))))
+            std[:, moved] = np.maximum(std[:, moved], CURRENT_SHARE * float(np.sqrt(np.mean(amperes**2))))
     thin = max(1, length // POINTS_PER_WINDOW)
     return PreparedRecord(
         record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, told, push, thin, resolution

@@ -112,11 +112,13 @@ def _of_record(
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
     known, columns, added = _known_inputs(simulator, factors, values, record, x0)
-    linear = StateSpaceModel(
-        model.A, np.hstack([model.B, columns]), model.C[list(record.columns)],
-        np.hstack([model.D[list(record.columns)], np.zeros((len(record.columns), columns.shape[1]))]),
-    )  # fmt: skip
     y = record.y[used] - added
+    seen = np.isfinite(y).any(axis=0)
+    rows, y = np.array(record.columns)[seen], y[:, seen]
+    linear = StateSpaceModel(
+        model.A, np.hstack([model.B, columns]), model.C[rows],
+        np.hstack([model.D[rows], np.zeros((len(rows), columns.shape[1]))]),
+    )  # fmt: skip
     t = record.record.dt * np.arange(len(used))
     contiguous = np.all(np.diff(used) == 1)
     if not contiguous:

@@ -51,6 +51,15 @@ def test_the_gap_shrinks_on_data_that_the_fit_never_saw(name):
     assert found["gap_after"] > 0.9 * found["true_error"]  # or the yardstick is none: the truth can hardly be beaten
 
 
+@slow
+def test_the_proposed_experiment_with_one_more_sensor_leaves_one_name():
+    """The first record has the encoder alone, the second one the current, too."""
+    found = run_case(Task("robustlab", "square-mid", Setup("mid", "square", False), ("resistance",), 301))
+    assert len(found["answer"]) > 1
+    assert found["experiment"]["sensors"] == ["phi", "i"]
+    assert found["after"]["answer"] == ["resistance"]
+
+
 # --- the bench's own counting ----------------------------------------------------------------------------------------
 
 

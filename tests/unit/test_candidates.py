@@ -14,6 +14,7 @@ from robustlab.dynamics.effects.effect_contract import Prior, Scales
 from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
 from robustlab.errors import InputError
 from robustlab.identification.candidates import candidates, spatial_orders
+from robustlab.identification.greedy_naming import spans
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
 from robustlab.identification.prepared_record import PreparedRecord, prepare, window_length
 from robustlab.statespace import Signal, StateSpaceModel
@@ -319,6 +320,22 @@ def test_samples_that_were_not_measured_are_none_and_their_windows_are_left_out(
     assert ready.windows.starts.tolist() == [0, 100, 300, 400, 500, 600, 700, 800, 900]
     assert np.isnan(ready.y[:, 0]).tolist() == (~valid).tolist()
     assert np.isfinite(ready.y[:, 1]).all()
+
+
+def test_a_sensor_that_only_another_record_has_is_missing_at_all_samples():
+    plant = rl.plant("servo-axis")
+    run = rl.simulate(plant, T, U)
+    record = rl.Record(T, run.inputs, {"q": run["q"]})
+    alone = prepare(plant, port_model(plant), record, 100)
+    beside = prepare(plant, port_model(plant), record, 100, outputs={"q", "v"})
+    assert (alone.columns, beside.columns) == ((0,), (0, 1))
+    np.testing.assert_array_equal(beside.y[:, 0], alone.y[:, 0])
+    assert np.isnan(beside.y[:, 1]).all()
+    assert (beside.resolution[1], beside.smoothed.noise_std[1]) == (0.0, 0.0)
+    np.testing.assert_array_equal(beside.x0, alone.x0)
+    np.testing.assert_array_equal(beside.windows.starts, alone.windows.starts)
+    np.testing.assert_array_equal(beside.starts_seen(0.0, {0: 1.1, 1: 2.0}), alone.starts_seen(0.0, {0: 1.1}))
+    np.testing.assert_array_equal(spans([beside]), [np.ptp(run["q"]), 0.0])
 
 
 def test_windows_lie_between_gaps():

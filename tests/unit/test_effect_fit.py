@@ -260,6 +260,21 @@ def test_missing_samples_carry_no_weight():
     assert fit.cost == pytest.approx(expected["cost"], rel=1e-8)
 
 
+def test_records_of_different_sensors_are_fitted_together():
+    run = noisy(rl.simulate(AXIS, T, U))
+    encoder = rl.Record(T, run.inputs, {"q": run["q"]})
+    model, load = port_model(AXIS), linear_hypotheses()["load"]
+    both = [prepare(AXIS, model, r, 100, outputs={"q", "v"}) for r in (run, encoder)]
+    problem = exact()[0].on(both)
+    fit = problem.fit(load, WHITE, np.zeros(1), tolerance=1e-9)
+    # One by one: the encoder's record alone, its noise alone.
+    alone = exact()[0].on([prepare(AXIS, model, encoder, 100)])
+    parts = exact()[0].cost(load, WHITE, fit.z, fit.starts[:1])
+    parts += alone.cost(load, NoiseModel(WHITE.std[:1], WHITE.ar[:, :1]), fit.z, fit.starts[1:])
+    assert fit.cost == pytest.approx(parts - float(fit.z @ fit.z), rel=1e-9)  # the prior counts once
+    assert np.isfinite(fit.std).all()
+
+
 # --- known parameters are found again --------------------------------------------------------------------------------
 
 
