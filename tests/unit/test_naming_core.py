@@ -482,10 +482,3 @@ def test_a_wrong_tolerance_or_effect_is_refused():
         rl.discover(AXIS, plain(), tolerances={"Mx": 0.1})
     with pytest.raises(InputError, match=r"coulom-friction.*coulomb-friction"):
         rl.discover(AXIS, plain(), exclude=["coulom-friction"])
-
-
-def test_records_of_different_sensors_are_refused():
-    run = plain()
-    one = rl.Record(T, {"u": U}, {"q": run["q"]}, {"u": "V", "q": "m"}, "one sensor")
-    with pytest.raises(InputError, match=r"one sensor.*outputs q.*q, v"):
-        rl.discover(AXIS, [run, one])
