@@ -156,13 +156,13 @@ def _as_record(
 
 def _told_by_output(problem: Problem) -> dict[int, Array]:
     """For each measured output the matrix M with which x M is its share in the smoothed states x of the records."""
-    x = np.concatenate([r.smoothed.x for r in problem.records])
-    size = np.maximum(np.abs(x).max(axis=0), 1e-300)
-    return {
-        column: np.linalg.lstsq(x / size, np.concatenate([r.told[j] for r in problem.records]), rcond=None)[0]
-        / size[:, None]
-        for j, column in enumerate(problem.records[0].columns)
-    }
+    found = {}
+    for j, column in enumerate(problem.records[0].columns):
+        own = [r for r in problem.records if r.told[j].any()]  # those that have this sensor
+        x, told = (np.concatenate(part) for part in zip(*((r.smoothed.x, r.told[j]) for r in own), strict=True))
+        size = np.maximum(np.abs(x).max(axis=0), 1e-300)
+        found[column] = np.linalg.lstsq(x / size, told, rcond=None)[0] / size[:, None]
+    return found
 
 
 # --- distances -------------------------------------------------------------------------------------------------------

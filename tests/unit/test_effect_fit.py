@@ -24,6 +24,7 @@ from robustlab.identification.effect_fit import (
     averaged,
     simulated_outputs,
 )
+from robustlab.identification.experiment_bench import _told_by_output
 from robustlab.identification.naming import first_noise
 from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
 from robustlab.identification.prepared_record import prepare
@@ -273,6 +274,14 @@ def test_records_of_different_sensors_are_fitted_together():
     parts += alone.cost(load, NoiseModel(WHITE.std[:1], WHITE.ar[:, :1]), fit.z, fit.starts[1:])
     assert fit.cost == pytest.approx(parts - float(fit.z @ fit.z), rel=1e-9)  # the prior counts once
     assert np.isfinite(fit.std).all()
+
+
+def test_what_a_sensor_tells_is_learnt_from_the_records_that_have_it():
+    run = noisy(rl.simulate(AXIS, T, U))
+    encoder = rl.Record(T, run.inputs, {"q": run["q"]})
+    rich, poor = (prepare(AXIS, port_model(AXIS), r, 100, outputs={"q", "v"}) for r in (run, encoder))
+    problem = exact()[0]
+    np.testing.assert_array_equal(_told_by_output(problem.on([rich, poor]))[1], _told_by_output(problem.on([rich]))[1])
 
 
 # --- known parameters are found again --------------------------------------------------------------------------------
