@@ -1,0 +1,130 @@
+"""How much a search may do: work, counted so that the same call ends the same way on every machine; and one BLAS thread.
+
+A clock must not decide what an answer is. Searches count what they do (gamma tests, evaluations, frequencies, boxes,
+each with the size of its matrices) and end when a budget of that is used up. A time limit is a guard on top that the
+user may set; where it strikes, the result says so, because it cannot be repeated then.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import inf
+
+from robustlab.errors import InputError
+
+__all__ = ["MILLION", "NOT_REPEATABLE", "Budget", "dense", "one_thread", "search_budget"]
+
+# A unit of work is what a microsecond does on one core of 2026; a million of them is about a second there.
+MILLION = 1_000_000
+# What every text says of a result whose search the clock ended.
+NOT_REPEATABLE = "the time limit ended the search, so the answer depends on the machine and is not repeatable"
+
+
+def dense(n: int, times: int = 1) -> int:
+    """Work of ``times`` dense factorisations (eigenvalues, Schur, Riccati, singular values) of size n.
+
+    A fixed part, which is what a call costs however small the matrix, and ``n^3`` operations.
+
+    Examples
+    --------
+    >>> dense(10), dense(100, times=2)
+    (140, 80200)
+    """
+    return times * (100 + n**3 // 25)
+
+
+class Budget:
+    """Work that may still be done, and perhaps a time limit; asked between steps.
+
+    Parameters
+    ----------
+    work
+        Units of work (see `MILLION`); inf for a search that ends by itself.
+    time_limit
+        Seconds from now after which it counts as used up; None for no limit.
+
+    Examples
+    --------
+    >>> budget = Budget(1000)
+    >>> part = budget.share(0.5)
+    >>> part.spend(600)
+    >>> part.over, budget.over, budget.left
+    (True, False, 400.0)
+    """
+
+    def __init__(self, work: float = inf, time_limit: float | None = None) -> None:
+        self._work = float(work)
+        self._end = inf if time_limit is None else time.monotonic() + time_limit
+        self._parent: Budget | None = None
+        self._struck = False
+
+    def spend(self, work: float) -> None:
+        """Count work that was done, here and in the budgets that this one is a part of."""
+        self._work -= work
+        if self._parent is not None:
+            self._parent.spend(work)
+
+    def share(self, part: float) -> Budget:
+        """A budget of this part of what is left, of work and of time; what it spends is spent here, too."""
+        child = Budget(part * max(self.left, 0.0))
+        if self._end < inf:
+            child._end = time.monotonic() + part * max(self._end - time.monotonic(), 0.0)
+        child._parent = self
+        return child
+
+    @property
+    def left(self) -> float:
+        """Units of work left; negative where a step took more than there was."""
+        return self._work if self._parent is None else min(self._work, self._parent.left)
+
+    @property
+    def over(self) -> bool:
+        """Whether the search has to end: its work is done or its time is up."""
+        if self.left <= 0:
+            return True
+        if time.monotonic() < self._end:
+            return self._parent is not None and self._parent.over
+        self._strike()
+        return True
+
+    @property
+    def struck(self) -> bool:
+        """Whether the clock ever ended something here or in a part of this budget: the answer is not repeatable."""
+        return self._struck
+
+    @property
+    def seconds_left(self) -> float:
+        """Seconds until the time limit, for solvers that take one; inf without a limit."""
+        own = self._end - time.monotonic() if self._end < inf else inf
+        return own if self._parent is None else min(own, self._parent.seconds_left)
+
+    def _strike(self) -> None:
+        self._struck = True
+        if self._parent is not None:
+            self._parent._strike()
+
+
+def search_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
+    """The budget of a public function: ``effort`` times its usual work, under the user's time limit.
+
+    Raises
+    ------
+    InputError
+        An effort that is not a positive number, or a negative time limit.
+    """
+    if not 0 < effort < inf:
+        raise InputError(where, f"effort is {effort}", "a positive number (1 is the usual work)")
+    if time_limit is not None and not time_limit >= 0:
+        raise InputError(where, f"time_limit is {time_limit}", "a time in s, or None for no limit")
+    return Budget(work * effort, time_limit)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1):
+        yield
