@@ -1,4 +1,4 @@
-"""How much a search may do: work, counted so that the same call ends the same way on every machine; and one BLAS thread.
+"""How much a search may do: work, counted so that the same call ends the same way everywhere; and one BLAS thread.
 
 A clock must not decide what an answer is. Searches count what they do (gamma tests, evaluations, frequencies, boxes,
 each with the size of its matrices) and end when a budget of that is used up. A time limit is a guard on top that the
