@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid
 from robustlab.mu_analysis.axis_model import continuous
@@ -394,9 +395,9 @@ class _Search:
         cover = AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
-            end = self.begin + self.time_limit
+            left = Budget(time_limit=self.begin + self.time_limit - time.monotonic())
             cover = cover_axis(
-                continuous(chosen.loop), blocks, curve.peak, first=peaks, until=end, accuracy=PROOF_ACCURACY
+                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=left, accuracy=PROOF_ACCURACY
             )
         proved = not cover.open and cover.beta < chosen.level
         gamma = cover.beta if proved else chosen.level
