@@ -120,9 +120,9 @@ def test_no_time_leaves_the_bounds_of_the_scalings(uncertain):
 
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": -1.0}, {"tolerance": 0.1, "time_limit": -1.0}])
 def test_bad_options_are_named(options):
-    with pytest.raises(rl.InputError, match="tolerance|time_limit"):
+    with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):
         rl.mu([[1.0]], [[-1, 0]], **options)
-    with pytest.raises(rl.InputError, match="tolerance|time_limit"):
+    with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):
         rl.robust_stability(model_with_a_gap(), **options)
 
 

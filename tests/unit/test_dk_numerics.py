@@ -141,7 +141,8 @@ def test_the_proof_by_intervals_asks_the_clock_before_each_of_them(monkeypatch: 
     places = np.geomspace(0.01, 1e3, 30)
     limit = budget.Budget(time_limit=9.0)
     cover = intervals.cover_axis(model, blocks, 0.0, first=places, budget=limit, accuracy=1e-6)
-    assert cover.open and limit.struck
+    assert cover.open
+    assert limit.struck
     assert clock.now == 10.0  # the fifth interval ends it
 
 
