@@ -76,6 +76,11 @@ class Budget:
         child._parent = self
         return child
 
+    def apart(self, work: float) -> Budget:
+        """A budget of so much work, taken off this one now, for a search beside others that must not see each other."""
+        self.spend(work)
+        return Budget(work, None if self.seconds_left == inf else self.seconds_left)
+
     @property
     def left(self) -> float:
         """Units of work left; negative where a step took more than there was."""
