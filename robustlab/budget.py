@@ -113,6 +113,10 @@ class Budget:
         own = self._end - time.monotonic() if self._end < inf else inf
         return own if self._parent is None else min(own, self._parent.seconds_left)
 
+    def strike(self) -> None:
+        """Say that the time limit ended something elsewhere: in a solver that has a limit of its own."""
+        self._tell("_struck")
+
     def _tell(self, what: str) -> None:
         setattr(self, what, True)
         if self._parent is not None:
