@@ -25,10 +25,13 @@ model = rl.UncertainModel(rl.StateSpaceModel(A, B, C, D), [rl.RealScalar(f"p{i}"
 
 
 def test_the_worst_member_is_the_same_under_load_and_for_any_number_of_threads():
-    found = same_under_load(CHAIN + """
+    found = same_under_load(
+        CHAIN
+        + """
 found = [rl.worst_case(model, "h2", n=64, workers=w, effort=e) for w, e in ((1, 1.0), (1, 1e-3), (2, 1e-3))]
 print(*[f.status for f in found], found[1].label, digest(found[0]), digest(found[1]), digest(found[2]))
-""")
+"""
+    )
     assert found.startswith("converged inconclusive inconclusive ")
     assert "work budget used up" in found
     assert found.split()[-1] == found.split()[-2]
