@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import budget
 from robustlab.mu_analysis import intervals
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk_iteration import _Search, structure_with_performance
@@ -132,15 +133,17 @@ def test_the_proof_by_intervals_asks_the_clock_before_each_of_them(monkeypatch: 
         clock.now += 2.0
         return extend(*arguments)
 
-    monkeypatch.setattr(intervals, "time", clock)
+    monkeypatch.setattr(budget, "time", clock)
     monkeypatch.setattr(intervals, "extend", slow)
     modes = np.kron(np.diag([1.0, 10.0, 100.0]), [[0.0, 1.0], [-1.0, -0.01]])
     model = StateSpaceModel(modes, np.ones((6, 2)), np.ones((2, 6)), np.zeros((2, 2)))
     blocks = [ComplexScalar("a"), ComplexScalar("b")]
     places = np.geomspace(0.01, 1e3, 30)
-    cover = intervals.cover_axis(model, blocks, 0.0, first=places, until=9.0, accuracy=1e-6)
+    limit = budget.Budget(time_limit=9.0)
+    cover = intervals.cover_axis(model, blocks, 0.0, first=places, budget=limit, accuracy=1e-6)
     assert cover.open
-    assert clock.now == 8.0  # a fifth interval would not be ready in time
+    assert limit.struck
+    assert clock.now == 10.0  # the fifth interval ends it
 
 
 def test_the_curve_of_mu_asks_the_clock_between_chunks() -> None:
