@@ -71,11 +71,12 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0) -> LmiOutcome:
         if type(error).__name__ != "PanicException":
             raise
         return LmiOutcome(False, f"the LMI solver panicked ({str(error)[:120]})")
-    late = problem.status == cp.USER_LIMIT and budget.over
+    late = problem.status == cp.USER_LIMIT and budget.over and budget.struck
+    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {ITERATIONS} steps"
     known = {
         cp.OPTIMAL: (True, "solved"),
         cp.OPTIMAL_INACCURATE: (True, "solved, not to full accuracy"),
-        cp.USER_LIMIT: (False, NOT_REPEATABLE if late and budget.struck else f"the LMI solver had no answer in {ITERATIONS} steps"),
+        cp.USER_LIMIT: (False, limit),
         cp.INFEASIBLE: (False, "the LMI solver says infeasible"),
         cp.INFEASIBLE_INACCURATE: (False, "the LMI solver says infeasible, not to full accuracy"),
         cp.UNBOUNDED: (False, "the LMI solver says unbounded"),

@@ -58,9 +58,7 @@ def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
     return tuple(ComplexScalar(b.name, b.repeats) if isinstance(b, RealScalar) else b for b in blocks)
 
 
-def mu_curve(
-    loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: Array | None = None
-) -> MuCurve:
+def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: Array | None = None) -> MuCurve:
     """The curve of a stable continuous loop on frequencies that follow it.
 
     The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
@@ -94,7 +92,7 @@ def mu_curve(
 def _spread(
     loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, budget: Budget
 ) -> tuple[Array, Array, list[UpperBound]]:
-    """The bounds at every so-many-th frequency first, until all are done or the budget is over; frequencies rise again."""
+    """The bounds at every so-many-th frequency first, as far as the budget goes; frequencies rise again."""
     stride = max(1, len(omega) // CHUNK)
     order = np.concatenate([np.arange(start, len(omega), stride) for start in range(stride)])
     response, bounds = _until(loop, blocks, omega[order], budget)
@@ -106,7 +104,7 @@ def _spread(
 def _until(
     loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, budget: Budget
 ) -> tuple[Array, list[UpperBound]]:
-    """Responses and bounds at the first of the frequencies, as many as the budget allows, and at some of them always."""
+    """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
     responses: list[Array] = []
     bounds: list[UpperBound] = []
     for begin in range(0, len(omega), CHUNK):

@@ -15,8 +15,8 @@ from robustlab.matrix_equations import RiccatiSolution, care, dare
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
-from robustlab.synthesis.h2_synthesis import WORK, H2Synthesis, synthesize_h2
 from robustlab.synthesis.design import design_budget
+from robustlab.synthesis.h2_synthesis import WORK, H2Synthesis, synthesize_h2
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.verified_loop import surely_stable
 

@@ -3,8 +3,8 @@
 Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
 and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
 
-Every start goes through the same steps, and the budget of the problem counts evaluations, so that the same seed gives the
-same answer.
+Every start goes through the same steps, and the budget of the problem counts evaluations, so that the same seed gives
+the same answer.
 """
 
 from __future__ import annotations
@@ -83,13 +83,13 @@ def stabilised(problem: DesignProblem, v: Array) -> tuple[Array, float]:
     def limits(x: Array, _: float) -> tuple[float, Array | None]:
         return problem.violation(x)
 
-    v, value = _below_zero(loops, v)
+    v, value = _below_zero(problem, loops, v)
     if value >= STABLE or not problem.limits:
         return v, value
-    return _below_zero(limits, v)
+    return _below_zero(problem, limits, v)
 
 
-def _below_zero(function: Function, v: Array) -> tuple[Array, float]:
+def _below_zero(problem: DesignProblem, function: Function, v: Array) -> tuple[Array, float]:
     """Descent until the function is negative, and a few steps further."""
     value = function(v, np.inf)[0]
     if value < STABLE:
@@ -101,9 +101,7 @@ def _below_zero(function: Function, v: Array) -> tuple[Array, float]:
     return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
 
 
-def central_path(
-    problem: DesignProblem, v: Array, weights: Sequence[float] = BARRIER
-) -> tuple[Array, list[float]]:
+def central_path(problem: DesignProblem, v: Array, weights: Sequence[float] = BARRIER) -> tuple[Array, list[float]]:
     """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
     best, at = problem.norm(v)[0], v
     values = [best]
@@ -263,9 +261,7 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
     return Start(start.kind, start.instability, gamma, problem.parameters(v)[0], norms)
 
 
-def _best_polished(
-    problem: DesignProblem, found: list[Start], progress: Callable[[str], None]
-) -> list[Start]:
+def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
     done: list[Start] = []
     ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
     for start in found:

@@ -103,9 +103,7 @@ class TwoRiccatiProblem:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
-    def smallest_gamma(
-        self, start: float, rtol: float = 1e-4, probes: tuple[float, ...] = PROBES
-    ) -> float | None:
+    def smallest_gamma(self, start: float, rtol: float = 1e-4, probes: tuple[float, ...] = PROBES) -> float | None:
         """Smallest gamma that passes the test; None where none up to ``LARGEST`` does.
 
         Brackets from ``start`` by growing steps and closes the bracket: by a secant in log gamma where the coupling
