@@ -226,14 +226,18 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
     ----------
     Doyle, Wall, Stein, "Performance and robustness analysis for structured uncertainty" (1982), main loop theorem.
     """
+    return robust_stability(with_performance(uncertain), **options)
+
+
+def with_performance(uncertain: UncertainModel) -> UncertainModel:
+    """The model with a full performance block between its outputs and its inputs; see `robust_performance`."""
     check_nominal(uncertain, "robust_performance")
     n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
     if not n_u or not n_y:
         raise InputError("robust_performance", f"{n_u} inputs and {n_y} outputs", "at least one of each")
     if PERFORMANCE in [b.name for b in uncertain.blocks]:
         raise InputError("robust_performance", f"a block is called {PERFORMANCE!r}", "another name for it")
-    extended = UncertainModel(uncertain.M, (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)))
-    return robust_stability(extended, **options)
+    return UncertainModel(uncertain.M, (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)))
 
 
 # --- from below ------------------------------------------------------------------------------------------------------

@@ -122,13 +122,13 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
         if not loop.nominal.is_stable():
             raise InputError(f"controller {name!r}", f"does not stabilise {step.of}", "a stable nominal loop")
         grid = frequencies(loop.M, step.points)
-        options = {"accuracy": step.accuracy, "time_limit": step.time_limit, "seed": work.seed, "tolerance": math.inf}
-        margin = rl.robust_performance(loop, omega=grid, **options)
+        options: dict[str, Any] = {"effort": step.effort, "time_limit": step.time_limit, "seed": work.seed}
+        margin = rl.robust_performance(loop, omega=grid, accuracy=step.accuracy, tolerance=math.inf, **options)
         row |= {"mu_lower": inverse(margin.upper), "mu_upper": inverse(margin.lower), "frequency": margin.frequency}
         margins[name] = margin
         statuses.append(margin.status)
         if step.gain:
-            worst = rl.worst_case_gain(loop, tolerance=0.01, time_limit=step.time_limit, seed=work.seed)
+            worst = rl.worst_case_gain(loop, tolerance=0.01, **options)
             row |= {"gain_lower": worst.lower, "gain_upper": worst.upper}
             statuses.append(worst.status)
         rows[name] = row
