@@ -140,7 +140,10 @@ def search_budget(where: str, work: float, effort: float, time_limit: float | No
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores."""
+    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores.
+
+    A context, and a decorator: ``@one_thread()``.
+    """
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1):

@@ -169,6 +169,7 @@ def build(
 
 def _build_cover(files: list[str], out: str | None, as_json: bool, **options: Any) -> None:
     from robustlab.cli.uncertain_sources import cover_of
+    from robustlab.result import Status
     from robustlab.storage import save
 
     found, origin = cover_of(files, options.pop("form"), **options)
@@ -180,7 +181,8 @@ def _build_cover(files: list[str], out: str | None, as_json: bool, **options: An
     result = {"file": out, "delta_shape": found.model.delta_shape, "blocks": _blocks(found.model)}
     emit("uncertain build", {**result, **evidence, "deltas": deltas}, "\n".join(lines), as_json)
     judged = found.conservatism
-    if not found.status.trustworthy or (judged is not None and not judged.reason and not judged.status.trustworthy):
+    unproved = judged is not None and not (judged.status.trustworthy or judged.status is Status.FAILED)
+    if not found.status.trustworthy or unproved:
         raise typer.Exit(4)
 
 

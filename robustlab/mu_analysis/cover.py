@@ -140,10 +140,11 @@ class Cover:
         c = self.conservatism
         if c is not None:
             lines.append(
-                f"worst gain {c.cover_lower:.6g} .. {c.cover_upper:.6g}, of the set {c.set_gain:.6g}"
+                f"conservatism: none, {c.reason}"
+                if c.status is Status.FAILED
+                else f"worst gain {c.cover_lower:.6g} .. {c.cover_upper:.6g}, of the set {c.set_gain:.6g}"
                 f" (model {c.set_model}): ratio at most {c.ratio:.4g} ({c.status})"
-                if not c.reason
-                else f"conservatism: none, {c.reason}"
+                + (f"; {c.reason}" if c.reason else "")
             )
         return "\n".join([*lines, *([self.reason] if self.reason else [])])
 
