@@ -16,7 +16,6 @@ often that one can be beaten.
 from __future__ import annotations
 
 import sys
-import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from flint import acb, acb_mat, arb, ctx
 from mu_models import PUBLISHED, random_matrices, random_model, structure
 
 import robustlab as rl
+from robustlab.budget import MILLION, Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.mu_analysis.intervals import cover_axis
 from robustlab.statespace import StateSpaceModel
@@ -499,7 +499,7 @@ def on_boundary(model: StateSpaceModel, blocks: list[Block], delta: Matrix) -> b
 def intervals_hold(model: StateSpaceModel, blocks: list[Block], rng: np.random.Generator) -> bool:
     """D and G of every interval of a cover of the axis prove random frequencies in it, in 60 digits."""
     first = np.unique(np.abs(model.poles()))
-    cover = cover_axis(model, blocks, 0.0, first=first[first > 0], until=time.monotonic() + 5.0, accuracy=0.01)
+    cover = cover_axis(model, blocks, 0.0, first=first[first > 0], budget=Budget(5 * MILLION), accuracy=0.01)
     n = model.n_states
     for piece in cover.pieces[:12]:
         high = piece.high if np.isfinite(piece.high) else 1e3 * max(piece.low, float(first.max(initial=1.0)))

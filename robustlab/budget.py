@@ -14,12 +14,14 @@ from math import inf
 
 from robustlab.errors import InputError
 
-__all__ = ["MILLION", "NOT_REPEATABLE", "Budget", "dense", "one_thread", "search_budget"]
+__all__ = ["MILLION", "NOT_REPEATABLE", "USED_UP", "Budget", "dense", "one_thread", "search_budget"]
 
 # A unit of work is what a microsecond does on one core of 2026; a million of them is about a second there.
 MILLION = 1_000_000
 # What every text says of a result whose search the clock ended.
 NOT_REPEATABLE = "the time limit ended the search, so the answer depends on the machine and is not repeatable"
+# And where its work was done before the proof was.
+USED_UP = "work budget used up; a larger effort may prove more"
 
 
 def dense(n: int, times: int = 1) -> int:
@@ -58,7 +60,7 @@ class Budget:
         self._work = float(work)
         self._end = inf if time_limit is None else time.monotonic() + time_limit
         self._parent: Budget | None = None
-        self._struck = False
+        self._struck = self._used_up = False
 
     def spend(self, work: float) -> None:
         """Count work that was done, here and in the budgets that this one is a part of."""
@@ -74,6 +76,11 @@ class Budget:
         child._parent = self
         return child
 
+    def apart(self, work: float) -> Budget:
+        """A budget of so much work, taken off this one now, for a search beside others that must not see each other."""
+        self.spend(work)
+        return Budget(work, None if self.seconds_left == inf else self.seconds_left)
+
     @property
     def left(self) -> float:
         """Units of work left; negative where a step took more than there was."""
@@ -83,10 +90,11 @@ class Budget:
     def over(self) -> bool:
         """Whether the search has to end: its work is done or its time is up."""
         if self.left <= 0:
+            self._tell("_used_up")
             return True
         if time.monotonic() < self._end:
             return self._parent is not None and self._parent.over
-        self._strike()
+        self._tell("_struck")
         return True
 
     @property
@@ -95,15 +103,24 @@ class Budget:
         return self._struck
 
     @property
+    def remark(self) -> str | None:
+        """What a text has to say of how the search ended: by the clock, by its work; None where it came to its end."""
+        return NOT_REPEATABLE if self._struck else USED_UP if self._used_up else None
+
+    @property
     def seconds_left(self) -> float:
         """Seconds until the time limit, for solvers that take one; inf without a limit."""
         own = self._end - time.monotonic() if self._end < inf else inf
         return own if self._parent is None else min(own, self._parent.seconds_left)
 
-    def _strike(self) -> None:
-        self._struck = True
+    def strike(self) -> None:
+        """Say that the time limit ended something elsewhere: in a solver that has a limit of its own."""
+        self._tell("_struck")
+
+    def _tell(self, what: str) -> None:
+        setattr(self, what, True)
         if self._parent is not None:
-            self._parent._strike()
+            self._parent._tell(what)
 
 
 def search_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
@@ -123,7 +140,10 @@ def search_budget(where: str, work: float, effort: float, time_limit: float | No
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores."""
+    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores.
+
+    A context, and a decorator: ``@one_thread()``.
+    """
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1):

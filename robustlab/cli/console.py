@@ -16,9 +16,11 @@ import typer
 from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, UsageError, plain_text
 
 __all__ = [
+    "EffortOption",
     "JsonOption",
     "OutOption",
     "SeedOption",
+    "TimeLimitOption",
     "assignments",
     "emit",
     "ends",
@@ -32,6 +34,19 @@ __all__ = [
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
+EffortOption = Annotated[
+    float,
+    typer.Option("--effort", help="Work that the search may take, as a multiple of the usual; counted, not timed."),
+]
+TimeLimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--time-limit",
+        "--timeout",
+        help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
+        show_default=False,
+    ),
+]
 OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
 
 SCHEMA = "robustlab.result/1"

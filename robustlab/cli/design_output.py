@@ -35,7 +35,6 @@ GammaRelOption = Annotated[
     float,
     typer.Option("--gamma-rel", help="Allowed ratio to the smallest gamma; within it the slowest controller wins."),
 ]
-TimeLimitOption = Annotated[float, typer.Option("--time-limit", help="Time limit in s.")]
 FigureOption = Annotated[
     str | None,
     typer.Option("--figure", help="Figures to write: NAME and NAME-..., each as SVG and PNG.", show_default=False),

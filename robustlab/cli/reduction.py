@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, emit, note, table
+from robustlab.cli.console import EffortOption, JsonOption, OutOption, TimeLimitOption, emit, note, table
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ MeasurementsOption = Annotated[
 ControlsOption = Annotated[
     str | None, typer.Option("--controls", help="Control inputs by name, a,b; the last inputs where left out.")
 ]
-TimeLimitOption = Annotated[float, typer.Option("--time-limit", help="Time limit in s.")]
 DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.", show_default=False)]
 PrewarpOption = Annotated[
     float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
@@ -105,7 +104,8 @@ def reduce_controller(
     ] = "hinf",
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
-    time_limit: TimeLimitOption = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -123,7 +123,7 @@ def reduce_controller(
     measure_given: Any = measure
     found = reduce(
         _plant(plant, K, measurements, controls), K, loss=loss, order=order, measure=measure_given,
-        time_limit=time_limit, progress=_progress(),
+        effort=effort, time_limit=time_limit, progress=_progress(),
     )  # fmt: skip
     files = {"plant": plant, "controller": controller}
     rows = [*found.summary(), *_written("synth reduce", out, found.controller, files)]
@@ -148,7 +148,8 @@ def discretise_controller(
     prewarp: PrewarpOption = None,
     measurements: MeasurementsOption = None,
     controls: ControlsOption = None,
-    time_limit: TimeLimitOption = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -170,15 +171,16 @@ def discretise_controller(
     given = _plant(plant, K, measurements, controls)
     found = digital(
         _nominal(given), dt, K, method=method_given, loss=loss, delay=delay,
-        antialiasing=antialiasing, prewarp=prewarp, time_limit=time_limit, progress=_progress(),
+        antialiasing=antialiasing, prewarp=prewarp, effort=effort, time_limit=time_limit, progress=_progress(),
     )  # fmt: skip
     robust = None
     if given.blocks:
         from robustlab.synthesis.sampled_robustness import sampled_robustness
 
         robust = sampled_robustness(
-            given, found.K, delay=delay, antialiasing=antialiasing, time_limit=time_limit, progress=_progress()
-        )
+            given, found.K, delay=delay, antialiasing=antialiasing, effort=effort, time_limit=time_limit,
+            progress=_progress(),
+        )  # fmt: skip
     files = {"plant": plant, "controller": controller}
     proved = [(f"sampled: {label}", text) for label, text in robust.summary()] if robust else []
     rows = [*found.summary(), *proved, *_written("synth discretise", out, found.controller, files)]

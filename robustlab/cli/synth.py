@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robustlab.cli import reduction
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, note, status_line
+from robustlab.cli.console import EffortOption, JsonOption, OutOption, SeedOption, TimeLimitOption, note, status_line
 from robustlab.cli.design_output import (
     Channels,
     ControlsOption,
@@ -20,7 +20,6 @@ from robustlab.cli.design_output import (
     NMeasOption,
     NominalOption,
     PerformanceOption,
-    TimeLimitOption,
     VerboseOption,
     check_target,
     finish,
@@ -47,7 +46,8 @@ def hinf(
     performance: PerformanceOption = None,
     nominal: NominalOption = False,
     gamma_rel: GammaRelOption = 1.05,
-    time_limit: TimeLimitOption = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     out: OutOption = None,
     figure: FigureOption = None,
     verbose: VerboseOption = False,
@@ -66,7 +66,7 @@ def hinf(
 
     plant = channels.plant(file, nominal)
     with status_line("H-infinity", verbose) as report:
-        found = design(plant, gamma_rel=gamma_rel, time_limit=time_limit, progress=report)
+        found = design(plant, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=report)
     finish("synth hinf", found, file, out, figure, as_json)
 
 
@@ -80,7 +80,8 @@ def h2(
     disturbances: DisturbancesOption = None,
     performance: PerformanceOption = None,
     nominal: NominalOption = False,
-    time_limit: TimeLimitOption = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     out: OutOption = None,
     figure: FigureOption = None,
     verbose: VerboseOption = False,
@@ -98,7 +99,7 @@ def h2(
 
     plant = channels.plant(file, nominal)
     with status_line("H2", verbose) as report:
-        found = design(plant, time_limit=time_limit, progress=report)
+        found = design(plant, effort=effort, time_limit=time_limit, progress=report)
     finish("synth h2", found, file, out, figure, as_json)
 
 
@@ -152,7 +153,8 @@ def dk(
     direct: Annotated[bool, typer.Option(help="Go on with direct minimisation after D-K iteration.")] = True,
     mixed: Annotated[bool, typer.Option(help="Use that real blocks are real.")] = True,
     max_order: Annotated[int | None, typer.Option(help="Largest order of the controller.", show_default=False)] = None,
-    time_limit: TimeLimitOption = 120.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     out: OutOption = None,
     figure: FigureOption = None,
     verbose: VerboseOption = False,
@@ -173,8 +175,9 @@ def dk(
     plant = channels.plant(file)
     with status_line("D-K", verbose) as report:
         found = design(
-            plant, rows, direct=direct, mixed=mixed, max_order=max_order, time_limit=time_limit, progress=report
-        )
+            plant, rows, direct=direct, mixed=mixed, max_order=max_order, effort=effort, time_limit=time_limit,
+            progress=report,
+        )  # fmt: skip
     finish("synth dk", found, file, out, figure, as_json)
 
 
@@ -199,7 +202,8 @@ def fixed(
     objective: Annotated[str, typer.Option("--objective", help="hinf or h2.")] = "hinf",
     starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
     seed: SeedOption = 0,
-    time_limit: TimeLimitOption = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     out: OutOption = None,
     figure: FigureOption = None,
     verbose: VerboseOption = False,
@@ -219,7 +223,8 @@ def fixed(
 
     plant = channels.plant(file, nominal)
     words = structure_in_words(structure, plant)
-    options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed, "time_limit": time_limit}
+    options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed}
+    options |= {"effort": effort, "time_limit": time_limit}
     with status_line("fixed structure", verbose) as report:
         found = design(plant, words, progress=report, **options)
     finish("synth fixed", found, file, out, figure, as_json)
@@ -240,7 +245,8 @@ def mixsyn(
     inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None,
     outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None,
     gamma_rel: GammaRelOption = 1.05,
-    time_limit: TimeLimitOption = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     out: OutOption = None,
     figure: FigureOption = None,
     verbose: VerboseOption = False,
@@ -273,7 +279,7 @@ def mixsyn(
     if left_out:
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
     with status_line("mixed sensitivity", verbose) as report:
-        found = design(kept, *weights, gamma_rel=gamma_rel, time_limit=time_limit, progress=report)
+        found = design(kept, *weights, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=report)
     finish("synth mixsyn", found, file, out, figure, as_json)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,17 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.certificate import has_structure
 from robustlab.mu_analysis.decomposition import components
 from robustlab.mu_analysis.lower import lower_bounds
-from robustlab.mu_analysis.upper import upper_bounds
+from robustlab.mu_analysis.upper import compile_kernels, upper_bounds
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, RealScalar, as_blocks, structure_size
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+# What branch and bound may cost, for all matrices of a stack together: about a minute.
+WORK = 60 * MILLION
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +44,15 @@ class MuBounds:
         The scaling (p, p) on the side of the outputs of M; equal to D where all blocks are square.
     status
         CERTIFIED: upper proved and lower attained (or both zero). CONVERGED: upper proved, no Delta found at some
-        matrix.
+        matrix. TIMEOUT: the time limit ended branch and bound; both bounds hold.
     blocks
         The blocks of Delta.
     scaled
         The bound that D and G prove: equal to ``upper``, unless branch and bound has lowered that.
     boxes
         Boxes of the real parameters that branch and bound has proved one by one for ``upper``; 0 without it.
+    notes
+        Remarks for the reader of a report: what ended branch and bound before its tolerance.
     """
 
     lower: Any
@@ -60,6 +65,7 @@ class MuBounds:
     blocks: tuple[Block, ...]
     scaled: Any = None
     boxes: Any = 0
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.scaled is None:
@@ -68,7 +74,7 @@ class MuBounds:
     def to_json(self) -> dict[str, Any]:
         """All attributes; arrays stay arrays."""
         names = [b.name for b in self.blocks]
-        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status", "scaled", "boxes")
+        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status", "scaled", "boxes", "notes")
         return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
 
 
@@ -78,7 +84,8 @@ def mu(
     seed: int = 0,
     certify: bool = False,
     tolerance: float | None = None,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
 ) -> MuBounds:
     r"""Bounds of the structured singular value.
 
@@ -102,7 +109,11 @@ def mu(
         Relative gap between the bounds that branch and bound over the real scalars aims at; none where left out. It
         needs a Delta to start from: where ``lower`` is zero, nothing is cut.
     time_limit
-        Time in s for branch and bound, for all matrices of a stack together.
+        Time in s from the call after which branch and bound stops. Where it strikes, the status is TIMEOUT:
+        the answer cannot be repeated. None: no limit.
+    effort
+        Work that branch and bound may take, as a multiple of the usual (about a minute for all matrices together);
+        counted, not timed.
     certify
         Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
 
@@ -129,10 +140,31 @@ def mu(
     structure = as_blocks(blocks)
     _refuse_asymmetric(structure)
     stack, single = matrix_stack(M, structure)
-    if tolerance is not None and not (tolerance > 0 and time_limit >= 0):
-        raise InputError("mu", f"tolerance {tolerance}, time_limit {time_limit}", "tolerance > 0, time_limit >= 0")
-    # Scaling by powers of two is exact, and keeps the squares of the entries inside the range of floating point.
-    scale = np.exp2(-_exponents(stack))
+    if tolerance is not None and not tolerance > 0:
+        raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
+    if tolerance is not None:
+        compile_kernels()
+    budget = search_budget("mu", WORK, effort, time_limit)
+    with one_thread():
+        parts, status = _bounds(stack, structure, seed, certify)
+        if tolerance is not None:
+            parts["boxes"] = _close(stack, parts, structure, tolerance, budget)
+    if single:
+        parts = {key: value[0] for key, value in parts.items()}
+        parts.update({key: float(parts[key]) for key in ("lower", "upper", "scaled")})
+        parts.update(boxes=int(parts.get("boxes", 0)))
+    for value in parts.values():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+    notes = (budget.remark,) if budget.remark else ()
+    return MuBounds(**parts, status=Status.TIMEOUT if budget.struck else status, blocks=structure, notes=notes)
+
+
+def _bounds(
+    stack: ComplexArray, structure: tuple[Block, ...], seed: int, certify: bool
+) -> tuple[dict[str, Any], Status]:
+    """The D-G bounds of each matrix and the Delta found, and what they are worth."""
+    scale = _scale(stack)
     stack = stack * scale[:, None, None]
     uppers = upper_bounds(stack, structure)
     lowers = lower_bounds(stack, structure, seed)
@@ -159,41 +191,27 @@ def mu(
     }
     if certify:
         _confirm(stack / size, parts, structure)
-    if tolerance is not None:
-        _close(stack, scale, parts, structure, tolerance, time.monotonic() + time_limit)
-    if single:
-        parts = {key: value[0] for key, value in parts.items()}
-        parts.update({key: float(parts[key]) for key in ("lower", "upper", "scaled")})
-        parts.update(boxes=int(parts.get("boxes", 0)))
-    for value in parts.values():
-        if isinstance(value, np.ndarray):
-            value.setflags(write=False)
-    return MuBounds(**parts, status=status, blocks=structure)
+    return parts, status
 
 
 def _close(
-    stack: ComplexArray,
-    scale: NDArray[np.float64],
-    parts: dict[str, Any],
-    blocks: tuple[Block, ...],
-    tolerance: float,
-    until: float,
-) -> None:
-    """Branch and bound of each matrix whose bounds are further apart than the tolerance."""
+    stack: ComplexArray, parts: dict[str, Any], blocks: tuple[Block, ...], tolerance: float, budget: Budget
+) -> NDArray[np.intp]:
+    """Branch and bound of each matrix whose bounds are further apart than the tolerance; how many boxes each took."""
     from robustlab.mu_analysis.branch_and_bound import MatrixProblem, tighten
 
-    boxes = np.zeros(len(stack), dtype=int)
+    boxes, scale = np.zeros(len(stack), dtype=int), _scale(stack)
     some_real = any(isinstance(b, RealScalar) for b in blocks)
-    for k, m in enumerate(stack):
+    for k, m in enumerate(stack * scale[:, None, None]):
         lower, upper = parts["lower"][k] * scale[k], parts["upper"][k] * scale[k]
         if not some_real or not 0 < lower * (1 + tolerance) < upper:
             continue
-        left = max(until - time.monotonic(), 0.0) / (len(stack) - k)
-        proof = tighten(MatrixProblem(m, blocks), lower, upper, tolerance, time.monotonic() + left)
+        part = budget.share(1 / (len(stack) - k))
+        proof = tighten(MatrixProblem(m, blocks), lower, upper, tolerance, part)
         parts["upper"][k], boxes[k] = proof.upper / scale[k], len(proof.leaves)
         if proof.values is not None:
             parts["lower"][k], parts["delta"][k] = proof.lower / scale[k], proof.values * scale[k]
-    parts["boxes"] = boxes
+    return boxes
 
 
 def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, bool]:
@@ -243,10 +261,13 @@ def _confirm(stack: ComplexArray, parts: dict[str, Any], blocks: Sequence[Block]
             raise NoTrustworthyNumber(f"mu: matrix {k}", f"upper bound {beta:.12g} is not confirmed by ball arithmetic")
 
 
-def _exponents(stack: ComplexArray) -> NDArray[np.float64]:
-    """Power of two of the largest entry of each matrix, shape (k,); 0 for a zero matrix."""
+def _scale(stack: ComplexArray) -> NDArray[np.float64]:
+    """The power of two that makes the largest entry of each matrix about one, shape (k,); 1 for a zero matrix.
+
+    It is exact, and keeps the squares of the entries inside the range of floating point.
+    """
     largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
-    return np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000)
+    return np.exp2(-np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000))
 
 
 def _stacked(parts: list[ComplexArray], shape: tuple[int, int]) -> ComplexArray:

@@ -14,7 +14,6 @@ analysis of mu lower bound algorithms" (2015) for what the lower bound is tested
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -22,15 +21,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.certificate import delta_norm, singularity
 from robustlab.mu_analysis.gain import ascend_corners
-from robustlab.mu_analysis.intervals import AxisCover, extend
+from robustlab.mu_analysis.intervals import AxisCover, extend, extend_work
 from robustlab.mu_analysis.lower import SINGULAR, lower_bound
 from robustlab.mu_analysis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.scalings import hermitian
-from robustlab.mu_analysis.upper import UpperBound, points_below
+from robustlab.mu_analysis.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices
 
@@ -97,6 +97,10 @@ class Problem(Protocol):
         """All blocks."""
         ...
 
+    def work(self, count: int) -> int:
+        """Work of one look at so many regions."""
+        ...
+
     def root(self, level: float) -> Region:
         """The whole set in which nothing may be singular if the level is an upper bound."""
         ...
@@ -113,28 +117,28 @@ class Problem(Protocol):
         ...
 
 
-def tighten(problem: Problem, lower: float, upper: float, tolerance: float, until: float) -> Proof:
-    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the time allows.
+def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget) -> Proof:
+    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
 
     A wide gap is halved first, and halved again: each level costs several times the one before it, so that what is
-    proved when time is up is worth having, and the way there cost little.
+    proved when the work is done is worth having, and the way there cost little.
 
     Parameters
     ----------
     lower, upper
         Level attained, and level proved already (inf: none).
-    until
-        Monotonic time in s at which to stop.
+    budget
+        Where it is over, the search stops.
     """
     proof = Proof(lower, upper)
-    while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and time.monotonic() < until:
+    while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
         gap = min(proof.upper / proof.lower - 1, 2.0)
         level = proof.lower * (1 + (tolerance if gap <= 3 * tolerance else gap / 2))
         regions, leaves = [problem.root(level)], []
-        worse = _prove(problem, regions, level, until, leaves, proof)
+        worse = _prove(problem, regions, level, budget, leaves, proof)
         if worse is not None:
             proof.lower, proof.values = worse.level, worse.values
-        elif regions:  # time is up, or a box has come to rounding size
+        elif regions:  # the budget is over, or a box has come to rounding size
             break
         else:
             proof.upper, proof.leaves = level, leaves
@@ -142,19 +146,20 @@ def tighten(problem: Problem, lower: float, upper: float, tolerance: float, unti
 
 
 def _prove(
-    problem: Problem, regions: list[Region], level: float, until: float, leaves: list[Region], proof: Proof
+    problem: Problem, regions: list[Region], level: float, budget: Budget, leaves: list[Region], proof: Proof
 ) -> Improved | None:
-    """Work on the regions, a stack emptied in place, until all are proved or time is up; or a Delta above the level.
+    """Work on the regions, a stack emptied in place, until all are proved or the budget is over; or a Delta above it.
 
     A region whose box has come to rounding size is put back, and ends the work.
     """
     real, root = _real(problem), problem.root(level).box
-    while regions and time.monotonic() < until:
+    while regions and not budget.over:
         chosen = regions[-BATCH:]
         del regions[-BATCH:]
         before = [list(r.open) for r in chosen]
         proof.solves += len(chosen)
         weights = problem.examine(chosen)
+        budget.spend(problem.work(len(chosen)))
         stuck, worst = False, None
         for region, was, weight in zip(chosen, before, weights, strict=True):
             if not region.open:
@@ -221,6 +226,10 @@ class MatrixProblem:
         """All Delta of size ``1 / level``."""
         return Region(root_box(self.blocks, 1 / level), [(0.0, 0.0)])
 
+    def work(self, count: int) -> int:
+        """D-G bounds, and what goes with a region: forming it, weighing it, cutting it."""
+        return points_work(self.blocks, count) + 150 * count
+
     def examine(self, regions: list[Region]) -> list[Array | None]:
         """A region is proved where its D-G bound is below one; the worst others are searched for a Delta."""
         stack = box_matrices(self.M, self.blocks, [r.box for r in regions])
@@ -270,6 +279,10 @@ class _AxisProblem:
         self.model, self.blocks, self.hot = model, tuple(blocks), hot
         poles = np.abs(model.poles())
         self.scale = float(np.median(poles)) if len(poles) else 1.0
+
+    def work(self, count: int) -> int:
+        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
+        return points_work(self.blocks, count) + count * (500 + extend_work(self.model))
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
         """One frequency of each region: proved with an interval around it, or the region has to be cut."""

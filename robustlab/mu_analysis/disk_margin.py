@@ -22,12 +22,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.bounds import mu
 from robustlab.mu_analysis.certificate import singularity
 from robustlab.mu_analysis.small_gain import replayed_pole, signed, small_gain
-from robustlab.mu_analysis.stability import robust_stability
+from robustlab.mu_analysis.stability import WORK, margin_within
+from robustlab.mu_analysis.upper import compile_kernels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
@@ -86,7 +88,8 @@ class DiskMargin:
         where the loop is then ill-posed (``frequency`` inf, or no states), or where no perturbation with real
         coefficients takes the critical values.
     status
-        CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold.
+        CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold; TIMEOUT where the time limit ended
+        the proof.
     notes
         Remarks for the reader of a report.
     """
@@ -158,8 +161,9 @@ def disk_margin(
     at: Place = "output",
     skew: float = 0.0,
     sign: Literal[-1, 1] = -1,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
     seed: int = 0,
+    effort: float = 1.0,
 ) -> DiskMargins:
     r"""Disk margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time and all loops at once.
 
@@ -175,7 +179,7 @@ def disk_margin(
         sigma: 0 balanced, positive where the gain is more likely to rise, negative where it is more likely to fall.
     sign
         -1 for negative feedback, 1 for positive feedback.
-    time_limit, seed
+    time_limit, seed, effort
         For several loops at once, as in `robust_stability`.
 
     Returns
@@ -203,18 +207,20 @@ def disk_margin(
     """
     p = as_model(plant, "disk_margin: plant")
     loop, names = disk_channels(p, controller_for(p.n_outputs, p.n_inputs, K), (0, 0), at, skew, sign)
-    channels = {
-        name: disk_margin_of(loop.select([loop.input_names[i]], [loop.output_names[i]]), [name], skew)
-        for i, name in enumerate(names)
-    }
-    if len(names) == 1:
-        return DiskMargins(channels, channels[names[0]], at)
-    return DiskMargins(channels, disk_margin_of(loop, names, skew, time_limit, seed), at)
+    if len(names) > 1:
+        compile_kernels()
+    budget = search_budget("disk_margin", WORK, effort, time_limit)
+    with one_thread():
+        channels = {
+            name: disk_margin_of(loop.select([loop.input_names[i]], [loop.output_names[i]]), [name], skew, budget)
+            for i, name in enumerate(names)
+        }
+        if len(names) == 1:
+            return DiskMargins(channels, channels[names[0]], at)
+        return DiskMargins(channels, disk_margin_of(loop, names, skew, budget, seed), at)
 
 
-def disk_margin_of(
-    M: StateSpaceModel, names: Sequence[str], skew: float, time_limit: float = 60.0, seed: int = 0
-) -> DiskMargin:
+def disk_margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
     """The margin of all channels of M (what the disks see: see `disk_channels`) at once.
 
     Raises
@@ -222,7 +228,7 @@ def disk_margin_of(
     NoTrustworthyNumber
         M is unstable.
     """
-    return _one_loop(M, names[0], skew) if len(names) == 1 else _many_loops(M, names, skew, time_limit, seed)
+    return _one_loop(M, names[0], skew) if len(names) == 1 else _many_loops(M, names, skew, budget, seed)
 
 
 def controller_for(n_outputs: int, n_inputs: int, K: Any) -> StateSpaceModel:
@@ -299,9 +305,9 @@ def _one_loop(M: StateSpaceModel, name: str, skew: float) -> DiskMargin:
     return _result(uncertain, (test.lower, test.upper), test.frequency, delta, test.status, skew)
 
 
-def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, time_limit: float, seed: int) -> DiskMargin:
+def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int) -> DiskMargin:
     uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
-    margin = robust_stability(uncertain, omega=[1.0], time_limit=time_limit, seed=seed, accuracy=1e-4)
+    margin = margin_within(uncertain, budget, seed=seed, accuracy=1e-4)
     upper, frequency, values = margin.upper, margin.frequency, margin.delta
     if margin.pole is not None and margin.pole.imag < 0:  # the same crossing seen at the positive frequency
         values = {name: np.conj(value) for name, value in values.items()}
@@ -312,7 +318,8 @@ def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, time_limi
     delta = {name: complex(value) for name, value in values.items()}
     if frequency is not None:
         frequency = _crossing(uncertain, delta, frequency)
-    return _result(uncertain, (margin.lower, upper), frequency, delta, margin.status, skew)
+    notes = [budget.remark] if budget.remark else []
+    return _result(uncertain, (margin.lower, upper), frequency, delta, margin.status, skew, notes)
 
 
 def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency: float) -> float:
@@ -354,10 +361,11 @@ def _result(
     delta: Mapping[str, complex],
     status: Status,
     skew: float,
+    remarks: Sequence[str] = (),
 ) -> DiskMargin:
     low, high, phase = gain_and_phase(bounds[0], skew)
     factor = {name: _factor(d, skew) for name, d in delta.items()}
-    perturbation, pole, notes = {}, None, []
+    perturbation, pole, notes = {}, None, list(remarks)
     if frequency is not None:
         loop = frequency_response(uncertain.delta_channels, [frequency])[0]
         seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= SINGULAR

@@ -11,7 +11,6 @@ imaginary?" with a tolerance certified wrong intervals.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,13 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.scalings import hermitian
-from robustlab.mu_analysis.upper import UpperBound, points_below
+from robustlab.mu_analysis.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
-__all__ = ["AxisCover", "Piece", "cover_axis", "extend"]
+__all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -125,7 +125,7 @@ def cover_axis(
     beta: float,
     *,
     first: Array,
-    until: float,
+    budget: Budget,
     accuracy: float,
 ) -> AxisCover:
     """Prove an upper bound of mu on [0, inf] for a stable continuous model, as close above its D-G peak as
@@ -139,8 +139,8 @@ def cover_axis(
         First guess, a lower bound of the peak (0: none known).
     first
         Frequencies to start with.
-    until
-        Monotonic time in s at which to give up.
+    budget
+        Where it is over, the intervals not proved by then are left open.
     accuracy
         Relative distance of the proved bound to the largest pointwise D-G bound.
     """
@@ -149,19 +149,18 @@ def cover_axis(
     scale = float(np.median(poles)) if len(poles) else 1.0
     beta = beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
-    spent = 0.0  # time that the last interval took: of 70 blocks seconds, so that the clock is asked before each
-    while cover.open and time.monotonic() + spent < until:
+    while cover.open and not budget.over:
         omega = cover.take_points(pending, scale, BATCH)
         bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
+        budget.spend(points_work(blocks, len(omega)))
         cover.points += len(omega)
         finite = [b.beta for b in bounds if np.isfinite(b.beta)]
         beta = max(beta, max(finite, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
         for w, bound in zip(omega, bounds, strict=True):
-            begin = time.monotonic()
-            if begin + spent >= until:
+            if budget.over:  # of 70 blocks an interval takes seconds
                 return cover
             piece = extend(model, bound, beta, float(w))
-            spent = time.monotonic() - begin
+            budget.spend(extend_work(model))
             if piece is not None:
                 cover.add(piece)
     return cover
@@ -170,6 +169,12 @@ def cover_axis(
 def _size(model: StateSpaceModel, omega: Array) -> float:
     """Largest gain at these frequencies: what a mu of zero is small against."""
     return float(np.linalg.norm(frequency_response(model, omega), axis=(1, 2)).max(initial=1e-290))
+
+
+def extend_work(model: StateSpaceModel) -> int:
+    """Work of `extend`, as measured: the eigenvalues of H, and the signs at and between them and at the probes."""
+    n, p = model.n_states, max(model.n_inputs, model.n_outputs)
+    return 600 + (2 * n) ** 3 // 60 + (5 * PROBES + 4 * n) * (2 + p**2 // 20 + p**3 // 400)
 
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:

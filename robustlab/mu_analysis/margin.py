@@ -37,8 +37,8 @@ class Margin:
     pole
         The pole of the model perturbed by ``delta`` that lies on or beyond the stability boundary.
     status
-        CERTIFIED: ``lower`` proved on the whole axis. TIMEOUT: ``open`` intervals are left, ``mu_upper`` holds on the
-        grid only.
+        CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left, ``mu_upper`` holds on
+        the grid only. TIMEOUT: the time limit ended the proof; what is left of it is in ``lower`` and ``open``.
     omega, mu_lower, mu_upper
         Bounds of mu at the frequencies that were asked for, for figures; what lies between them is in ``intervals``.
     intervals

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis_model import (
@@ -38,10 +38,12 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["robust_stability"]
+__all__ = ["WORK", "margin_within", "robust_stability"]
 
 Array = NDArray[np.floating[Any]]
 
+# What a proof may cost: about a minute.
+WORK = 60 * MILLION
 # A first cover, this close to the D-G bound, tells whether branch and bound has to follow.
 COARSE = 4e-3
 # Half widths, in log frequency, of the neighbourhoods in which a smaller complex Delta is sought.
@@ -74,10 +76,11 @@ def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
     accuracy: float = 3e-5,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
     seed: int = 0,
     tolerance: float = 0.01,
     expected: float | None = None,
+    effort: float = 1.0,
 ) -> Margin:
     r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
 
@@ -103,7 +106,7 @@ def robust_stability(
         within ``tolerance`` of ``upper``.
     time_limit
         Time in s after which the proof is given up, or branch and bound stops where it is; the search for ``delta`` and
-        the curves come on top.
+        the curves come on top. Where it strikes, the status is TIMEOUT: the answer cannot be repeated. None: no limit.
     seed
         Seed of the search for the critical Delta.
     tolerance
@@ -111,6 +114,9 @@ def robust_stability(
     expected
         Size at which the margin is expected: the proof alone is made, nothing is sought that attains it (``upper`` is
         inf, ``delta`` empty).
+    effort
+        Work that the proof may take, as a multiple of the usual (about a minute). It is counted, not timed, so that the
+        answer is the same on a busy machine.
 
     Raises
     ------
@@ -122,12 +128,26 @@ def robust_stability(
     Doyle (1982); Sideris, "Elimination of frequency search from robustness tests" (1992); Ly, Safonov, Chiang (1998);
     Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
     """
-    from threadpoolctl import threadpool_limits
+    compile_kernels()
+    budget = search_budget("robust_stability", WORK, effort, time_limit)
+    with one_thread():
+        return margin_within(uncertain, budget, omega, accuracy, seed, tolerance, expected)
 
+
+def margin_within(
+    uncertain: UncertainModel,
+    budget: Budget,
+    omega: ArrayLike | None = None,
+    accuracy: float = 3e-5,
+    seed: int = 0,
+    tolerance: float = 0.01,
+    expected: float | None = None,
+) -> Margin:
+    """`robust_stability` within the budget of a search that it is a part of."""
     check_nominal(uncertain, "robust_stability")
-    if not 0 < accuracy < 1 or not tolerance > 0 or not time_limit >= 0:
-        found = f"accuracy {accuracy}, tolerance {tolerance}, time_limit {time_limit}"
-        raise InputError("robust_stability", found, "0 < accuracy < 1, tolerance > 0, time_limit >= 0")
+    if not 0 < accuracy < 1 or not tolerance > 0:
+        found = f"accuracy {accuracy}, tolerance {tolerance}"
+        raise InputError("robust_stability", found, "0 < accuracy < 1, tolerance > 0")
     if expected is not None and not 0 < expected < np.inf:
         raise InputError("robust_stability", f"expected is {expected}", "a positive finite size")
     grid = frequencies(omega, "robust_stability")
@@ -135,16 +155,13 @@ def robust_stability(
     if not blocks:
         zero = np.zeros(len(grid))
         nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
-        return _margin(uncertain, nothing, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
-    compile_kernels()
-    until = time.monotonic() + time_limit
-    with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
-        found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, until, seed, expected)
-        response = frequency_response(uncertain.delta_channels, grid)
-        mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
-        mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
+        return _margin(uncertain, nothing, budget, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
+    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, budget, seed, expected)
+    response = frequency_response(uncertain.delta_channels, grid)
+    mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
+    mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
     notes = () if len(grid) == 0 or (lowest(blocks) == -1).all() else (_SYMMETRIC_CURVES,)
-    return _margin(uncertain, found, grid, mu_lower, mu_upper, notes)
+    return _margin(uncertain, found, budget, grid, mu_lower, mu_upper, notes)
 
 
 _SYMMETRIC_CURVES = (
@@ -157,7 +174,7 @@ def _bounds(
     blocks: Sequence[Block],
     accuracy: float,
     tolerance: float,
-    until: float,
+    budget: Budget,
     seed: int,
     expected: float | None,
 ) -> _Found:
@@ -172,16 +189,16 @@ def _bounds(
     found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected)
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
-    cover(found, first, until, max(accuracy, COARSE))
+    cover(found, first, budget, max(accuracy, COARSE))
     near = found.level <= found.attained * (1 + max(tolerance, 2 * COARSE))
     if not found.cover.open and accuracy < COARSE and (near or (symmetric and not found.attained)):
         again = replace(found)
         middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]
-        cover(again, np.append(first, np.unique(middles)), until, accuracy)
+        cover(again, np.append(first, np.unique(middles)), budget, accuracy)
         found = again if again.level < found.level else found
     some_real = any(isinstance(b, RealScalar) for b in blocks)
     if some_real and 0 < found.attained * (1 + tolerance) < found.level:
-        _branch_and_bound(found, tolerance, until)
+        _branch_and_bound(found, tolerance, budget)
     return found
 
 
@@ -210,7 +227,7 @@ def _sharpened(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabili
     return worst
 
 
-def _cover_symmetric(found: _Found, first: Array, until: float, accuracy: float) -> None:
+def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
     """Cover the axis for each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
     slices = block_slices(found.blocks)
     whole = AxisCover(open=[])
@@ -220,13 +237,13 @@ def _cover_symmetric(found: _Found, first: Array, until: float, accuracy: float)
         m = found.model
         part = StateSpaceModel(m.A, m.B[:, w], m.C[z], m.D[z[:, None], w])
         some = [found.blocks[i] for i in members]
-        cover = cover_axis(part, some, found.attained, first=first, until=until, accuracy=accuracy)
+        cover = cover_axis(part, some, found.attained, first=first, budget=budget, accuracy=accuracy)
         whole.join(cover, tuple(int(i) for i in members))
     found.cover, found.level = whole, float("inf") if whole.open else whole.beta
     found.proof = tuple(whole.pieces)
 
 
-def _cover_asymmetric(found: _Found, first: Array, until: float, accuracy: float) -> None:
+def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
     """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
     size = 1 / found.attained / (1 + accuracy) if found.attained else found.expected or LARGE
     failed = 1 / found.attained if found.attained else np.inf
@@ -236,7 +253,7 @@ def _cover_asymmetric(found: _Found, first: Array, until: float, accuracy: float
             failed, size = size, size / 2
             continue
         fine = accuracy / 2
-        cover = cover_axis(inside, found.blocks, 1 / (1 + fine), first=first, until=until, accuracy=fine)
+        cover = cover_axis(inside, found.blocks, 1 / (1 + fine), first=first, budget=budget, accuracy=fine)
         if cover.open:
             found.cover = cover if not found.proof else found.cover
             break
@@ -283,12 +300,12 @@ def _smallest_asymmetric(
     return best
 
 
-def _branch_and_bound(found: _Found, tolerance: float, until: float) -> None:
+def _branch_and_bound(found: _Found, tolerance: float, budget: Budget) -> None:
     """Close the gap that D, G leave, by boxes of the real parameters."""
     assert found.worst is not None
     hot = abs(found.worst.pole.imag) if np.isfinite(found.worst.pole) else None
     problem = MarginProblem(found.model, found.blocks, hot)
-    proof = tighten(problem, found.attained, found.level, tolerance, until)
+    proof = tighten(problem, found.attained, found.level, tolerance, budget)
     if proof.values is not None:
         delta = centre_matrix(found.blocks, proof.values).astype(complex)
         crossing = first_crossing(found.model, found.blocks, delta)
@@ -301,7 +318,13 @@ def _branch_and_bound(found: _Found, tolerance: float, until: float) -> None:
 
 
 def _margin(
-    uncertain: UncertainModel, found: _Found, grid: Array, mu_lower: Array, mu_upper: Array, notes: tuple[str, ...]
+    uncertain: UncertainModel,
+    found: _Found,
+    budget: Budget,
+    grid: Array,
+    mu_lower: Array,
+    mu_upper: Array,
+    notes: tuple[str, ...],
 ) -> Margin:
     worst, cover = found.worst, found.cover
     delta = delta_values(uncertain.blocks, worst.delta) if worst else {}
@@ -313,9 +336,11 @@ def _margin(
         raise NoTrustworthyNumber("robust_stability", text)
     lower = min(lower, upper)
     if cover.open:
-        notes = (*notes, f"{len(cover.open)} frequency intervals not proved in time: mu_upper holds on the grid only")
+        notes = (*notes, f"{len(cover.open)} frequency intervals not proved: mu_upper holds on the grid only")
     elif found.proof and isinstance(found.proof[0], Region):
         notes = (*notes, f"proved by branch and bound; regions of parameters and frequency: {len(found.proof)}")
+    if budget.remark:
+        notes = (*notes, budget.remark)
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
     pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]
@@ -325,7 +350,7 @@ def _margin(
         upper=upper,
         frequency=_frequency(uncertain, worst),
         delta=delta,
-        status=Status.TIMEOUT if cover.open else Status.CERTIFIED,
+        status=Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE if cover.open else Status.CERTIFIED,
         physical=uncertain.physical(delta) if delta else {},
         pole=_pole(uncertain, worst),
         omega=grid,

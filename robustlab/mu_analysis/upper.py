@@ -15,7 +15,7 @@ from robustlab.mu_analysis.decomposition import Component, balancing_exponents, 
 from robustlab.mu_analysis.scalings import scaling_space
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
-__all__ = ["UpperBound", "compile_kernels", "points_below", "upper_bounds"]
+__all__ = ["UpperBound", "compile_kernels", "points_below", "points_work", "upper_bounds"]
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
@@ -159,6 +159,12 @@ def _placed(
         Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
         G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
     return Dw, Dz, G
+
+
+def points_work(blocks: Sequence[Block], count: int) -> int:
+    """Work of `points_below` for so many matrices, as measured: 10 Newton systems each, where D, G are not easy."""
+    n, size = max(structure_size(blocks)), scaling_space(tuple(blocks)).size
+    return 800 + count * (200 + n**3 // 14 + size**2 // 3 + size**3 // 500)
 
 
 def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:

@@ -16,7 +16,6 @@ measure of worst-case H-infinity performance and of largest acceptable uncertain
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -24,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.mu_analysis.disk_margin import (
     DiskMargin,
@@ -33,7 +33,7 @@ from robustlab.mu_analysis.disk_margin import (
     disk_margin_of,
     gain_and_phase,
 )
-from robustlab.mu_analysis.stability import Margin, robust_stability
+from robustlab.mu_analysis.stability import Margin, margin_within
 from robustlab.mu_analysis.upper import compile_kernels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -43,6 +43,10 @@ from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
 __all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
 
+# What the whole search may cost: about a minute.
+WORK = 60 * MILLION
+# Share of it for the question whether a member is unstable without any disk.
+ALONE = 0.2
 # The margin of the scaled set changes less than the size of the disks does: it is asked for more closely.
 MARGIN_ACCURACY = 2e-4
 # A pole this close to the stability boundary, beside the fastest one, does not count as stable.
@@ -73,8 +77,8 @@ class WorstCaseDiskMargin:
     nominal
         Disk margin of the nominal loop.
     status
-        CERTIFIED where ``lower`` is proved and positive, or where an unstable member was found; TIMEOUT where time was
-        up before the bounds met; INCONCLUSIVE where nothing could be proved.
+        CERTIFIED where ``lower`` is proved and positive, or where an unstable member was found; TIMEOUT where the
+        time limit ended the search before the bounds met; INCONCLUSIVE where nothing could be proved.
     notes
         Remarks for the reader of a report.
     """
@@ -111,8 +115,9 @@ def worst_case_disk_margin(
     skew: float = 0.0,
     sign: Literal[-1, 1] = -1,
     accuracy: float = 0.005,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
     seed: int = 0,
+    effort: float = 1.0,
 ) -> WorstCaseDiskMargin:
     r"""Smallest disk margin of the loop ``y = P u``, ``u = sign K y`` over all members of an uncertain plant.
 
@@ -127,9 +132,11 @@ def worst_case_disk_margin(
     accuracy
         Relative distance of the bounds at which the search ends.
     time_limit
-        Time in s for the whole search; what is proved by then is returned.
+        Time in s for the whole search; what is proved by then is returned, and cannot be repeated. None: no limit.
     seed
         Seed of the searches for critical values.
+    effort
+        Work of the whole search, as a multiple of the usual (about a minute); counted, not timed.
 
     Raises
     ------
@@ -148,15 +155,14 @@ def worst_case_disk_margin(
     """
     if not isinstance(uncertain, UncertainModel):
         raise InputError("worst_case_disk_margin", type(uncertain).__name__, "an UncertainModel")
-    if not 0 < accuracy < 1 or not time_limit > 0:
-        raise InputError(
-            "worst_case_disk_margin", f"accuracy {accuracy}, time_limit {time_limit}", "0 < accuracy < 1, time > 0"
-        )
+    if not 0 < accuracy < 1:
+        raise InputError("worst_case_disk_margin", f"accuracy {accuracy}", "0 < accuracy < 1")
     compile_kernels()
-    until = time.monotonic() + time_limit
-    search = _Search(uncertain, K, at, channel, skew, sign, until, seed)
-    search.run(accuracy)
-    return search.result(accuracy)
+    budget = search_budget("worst_case_disk_margin", WORK, effort, time_limit)
+    with one_thread():
+        search = _Search(uncertain, K, at, channel, skew, sign, budget, seed)
+        search.run(accuracy)
+        return search.result(accuracy)
 
 
 class _Search:
@@ -170,11 +176,11 @@ class _Search:
         channel: str | None,
         skew: float,
         sign: Literal[-1, 1],
-        until: float,
+        budget: Budget,
         seed: int,
     ) -> None:
         k = controller_for(len(uncertain.outputs), len(uncertain.inputs), K)
-        self.blocks, self.skew, self.until, self.seed = uncertain.blocks, skew, until, seed
+        self.blocks, self.skew, self.budget, self.seed = uncertain.blocks, skew, budget, seed
         self.uncertain = uncertain
         loop, self.names = disk_channels(uncertain.M, k, uncertain.delta_shape, at, skew, sign)
         q, p = uncertain.delta_shape
@@ -188,28 +194,26 @@ class _Search:
             )
             self.names = (channel,)
         self.loop = UncertainModel(loop, self.blocks)
-        self.nominal = disk_margin_of(self.loop.nominal, self.names, skew, self.left(), seed)
+        self.nominal = disk_margin_of(self.loop.nominal, self.names, skew, budget, seed)
         self.lower, self.upper = 0.0, self.nominal.upper
         self.member: DiskMargin | None = self.nominal
         self.delta: Mapping[str, Any] = {b.name: _zero(b) for b in self.blocks}
         self.asked: list[tuple[float, float]] = []  # sizes of the disks, and the margins proved for them
 
-    def left(self) -> float:
-        """Time left in s, never nothing: the margin itself says when its time was up."""
-        return max(self.until - time.monotonic(), 1e-3)
-
     def run(self, accuracy: float) -> None:
-        """Move the bounds until they meet, time is up, or nothing moves any more."""
+        """Move the bounds until they meet, the budget is over, or nothing moves any more."""
         if not self.blocks:
             self.lower = self.nominal.lower
             return
-        alone = robust_stability(UncertainModel(self.loop.delta_channels, self.blocks), omega=[1.0], seed=self.seed)
+        alone = margin_within(
+            UncertainModel(self.loop.delta_channels, self.blocks), self.budget.share(ALONE), seed=self.seed
+        )
         if alone.upper <= 1:  # a member on the stability boundary, if not beyond
             self._take(alone, alone.delta)
             if self.member is not None:
                 self.lower, self.upper, self.member, self.delta = 0.0, 0.0, None, alone.delta
             return
-        while self.upper > self.lower * (1 + accuracy) and time.monotonic() < self.until:
+        while self.upper > self.lower * (1 + accuracy) and not self.budget.over:
             before = self.lower, self.upper
             self._step(self._next(accuracy))
             if len(self.asked) >= MAX_MARGINS or (before == (self.lower, self.upper) and self._closed_in(accuracy)):
@@ -251,13 +255,8 @@ class _Search:
         scale[q:] = alpha
         scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt)
         disks: list[Block] = [ComplexScalar(f"disk: {name}") for name in self.names]
-        return robust_stability(
-            UncertainModel(scaled, [*self.blocks, *disks]),
-            omega=[1.0],
-            accuracy=MARGIN_ACCURACY,
-            time_limit=self.left(),
-            seed=self.seed,
-        )
+        loop = UncertainModel(scaled, [*self.blocks, *disks])
+        return margin_within(loop, self.budget, accuracy=MARGIN_ACCURACY, seed=self.seed)
 
     def _take(self, margin: Margin, found: Mapping[str, Any]) -> None:
         """Take the member at ``found``, and at the ends of the set in its direction, as candidates for the worst."""
@@ -280,7 +279,7 @@ class _Search:
         except NoTrustworthyNumber:  # ill-posed
             return None
         try:
-            return disk_margin_of(model, self.names, self.skew, time_limit=self.left(), seed=self.seed)
+            return disk_margin_of(model, self.names, self.skew, self.budget, self.seed)
         except NoTrustworthyNumber:
             speed = float(np.abs(model.poles()).max(initial=0.0))
             if model.spectral_abscissa() > -ON_THE_AXIS * speed:
@@ -298,9 +297,11 @@ class _Search:
                 f"the bounds differ by {100 * (self.upper / self.lower - 1):.3g} %" if self.lower else "nothing proved"
             )
             notes.append(apart)
+        if not met and self.budget.remark:
+            notes.append(self.budget.remark)
         if met:
             status = Status.CERTIFIED
-        elif time.monotonic() >= self.until:
+        elif self.budget.struck:
             status = Status.TIMEOUT
         else:
             status = Status.CERTIFIED if self.lower > 0 else Status.INCONCLUSIVE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis_model import (
@@ -22,27 +22,30 @@ from robustlab.mu_analysis.axis_model import (
 from robustlab.mu_analysis.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.branch_and_bound import GainProblem, Region, tighten
 from robustlab.mu_analysis.gain import Gain, ascend, gain_at, largest_gain
-from robustlab.mu_analysis.intervals import AxisCover, Piece, extend
+from robustlab.mu_analysis.intervals import AxisCover, Piece, extend, extend_work
 from robustlab.mu_analysis.margin import Margin
 from robustlab.mu_analysis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.skew import skew_upper
 from robustlab.mu_analysis.stability import robust_stability
-from robustlab.mu_analysis.upper import compile_kernels, points_below
+from robustlab.mu_analysis.upper import compile_kernels, points_below, points_work
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["WorstCaseGain", "robust_performance", "worst_case_gain"]
+__all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
+# What a proof may cost: about a minute.
+WORK = 60 * MILLION
 PERFORMANCE = "performance"
 BATCH = 8
 STARTS = 6  # members that are followed to a peak of their own
 COARSE = 4e-3
+SKEWED = 4  # bounds of mu that one skewed bound costs
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +66,8 @@ class WorstCaseGain:
     nominal
         Gain of the nominal member.
     status
-        CERTIFIED: ``upper`` is proved. TIMEOUT: it is not, and reads inf.
+        CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit ended the
+        proof; ``upper`` is what was proved by then.
     omega, nominal_gain, gain_lower, gain_upper
         Curves over the frequencies that were asked for.
     intervals
@@ -109,8 +113,9 @@ def worst_case_gain(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
     tolerance: float = 0.01,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
     seed: int = 0,
+    effort: float = 1.0,
 ) -> WorstCaseGain:
     r"""Worst-case gain :math:`\sup_{|\Delta| \le 1} \sup_\omega \sigma_{max}(F_u(M(j \omega), \Delta))`.
 
@@ -128,9 +133,12 @@ def worst_case_gain(
     tolerance
         Relative gap between the bounds that is aimed at; inf: no branch and bound.
     time_limit
-        Time in s after which the proof stops where it is.
+        Time in s after which the proof stops where it is; where it strikes, the status is TIMEOUT: the answer cannot
+        be repeated. None: no limit.
     seed
         Seed of the search.
+    effort
+        Work that the proof may take, as a multiple of the usual (about a minute); counted, not timed.
 
     Raises
     ------
@@ -149,25 +157,33 @@ def worst_case_gain(
     >>> round(worst.lower, 6), worst.delta["pole"]
     (2.0, -1.0)
     """
-    from threadpoolctl import threadpool_limits
-
-    check_nominal(uncertain, "worst_case_gain")
-    if not tolerance > 0 or not time_limit >= 0:
-        found = f"tolerance {tolerance}, time_limit {time_limit}"
-        raise InputError("worst_case_gain", found, "tolerance > 0 and time_limit >= 0")
-    grid = frequencies(omega, "worst_case_gain")
     compile_kernels()
-    until = time.monotonic() + time_limit
+    budget = search_budget("worst_case_gain", WORK, effort, time_limit)
+    with one_thread():
+        return gain_within(uncertain, budget, omega, tolerance, seed)
+
+
+def gain_within(
+    uncertain: UncertainModel,
+    budget: Budget,
+    omega: ArrayLike | None = None,
+    tolerance: float = 0.01,
+    seed: int = 0,
+) -> WorstCaseGain:
+    """`worst_case_gain` within the budget of a search that it is a part of."""
+    check_nominal(uncertain, "worst_case_gain")
+    if not tolerance > 0:
+        raise InputError("worst_case_gain", f"tolerance {tolerance}", "tolerance > 0")
+    grid = frequencies(omega, "worst_case_gain")
     n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
     nominal = hinf_norm(uncertain.nominal)
     if not n_u or not n_y:
-        return _result(uncertain, nominal.value, _Known(0.0, 0.0), (), grid)
+        return _result(uncertain, nominal.value, _Known(0.0, 0.0), budget, (), grid)
     if not uncertain.blocks:
         known = _Known(nominal.lower, nominal.upper, {}, nominal.frequency)
-        return _result(uncertain, nominal.value, known, ("no uncertainty: the gain is the nominal one",), grid)
+        return _result(uncertain, nominal.value, known, budget, ("no uncertainty: the gain is the nominal one",), grid)
     blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y))
-    with threadpool_limits(limits=1):  # small matrices: threads cost more than they bring, on a busy machine far more
-        return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, until, seed)
+    return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed)
 
 
 def _with_blocks(
@@ -176,7 +192,7 @@ def _with_blocks(
     nominal: float,
     grid: Array,
     tolerance: float,
-    until: float,
+    budget: Budget,
     seed: int,
 ) -> WorstCaseGain:
     model = continuous(uncertain.M)
@@ -186,10 +202,10 @@ def _with_blocks(
     if unstable is not None:
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
         known = _Known(np.inf, np.inf, delta_values(uncertain.blocks, unstable.delta), at)
-        return _result(uncertain, nominal, known, ("a member of the set is unstable",), grid)
+        return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
     known = _largest_member(uncertain, model, blocks, seeds, seed)
-    _prove(known, model, blocks, seeds, tolerance, until, uncertain)
-    return _result(uncertain, nominal, known, known.notes, grid, model, blocks, seed)
+    _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
+    return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
 
 
 def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
@@ -210,14 +226,18 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
     ----------
     Doyle, Wall, Stein, "Performance and robustness analysis for structured uncertainty" (1982), main loop theorem.
     """
+    return robust_stability(with_performance(uncertain), **options)
+
+
+def with_performance(uncertain: UncertainModel) -> UncertainModel:
+    """The model with a full performance block between its outputs and its inputs; see `robust_performance`."""
     check_nominal(uncertain, "robust_performance")
     n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
     if not n_u or not n_y:
         raise InputError("robust_performance", f"{n_u} inputs and {n_y} outputs", "at least one of each")
     if PERFORMANCE in [b.name for b in uncertain.blocks]:
         raise InputError("robust_performance", f"a block is called {PERFORMANCE!r}", "another name for it")
-    extended = UncertainModel(uncertain.M, (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)))
-    return robust_stability(extended, **options)
+    return UncertainModel(uncertain.M, (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)))
 
 
 # --- from below ------------------------------------------------------------------------------------------------------
@@ -319,20 +339,20 @@ def _prove(
     blocks: Sequence[Block],
     seeds: Array,
     tolerance: float,
-    until: float,
+    budget: Budget,
     uncertain: UncertainModel,
 ) -> None:
     """Cover the axis with D, G; then cut the set into boxes where they leave more than the tolerance."""
     peak = _mapped(uncertain, known.frequency or 0.0)
     first = np.unique(np.concatenate([[0.0, np.inf, peak], seeds]))
-    known.cover, known.upper = _cover(model, blocks, known.lower, first=first, until=until, accuracy=COARSE)
+    known.cover, known.upper = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=COARSE)
     if known.upper <= known.lower * (1 + 2 * COARSE):
-        cover, level = _cover(model, blocks, known.lower, first=first, until=until, accuracy=1e-4)
+        cover, level = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=1e-4)
         if level < known.upper:
             known.cover, known.upper = cover, level
     known.proof = tuple(known.cover.pieces)
     if any(isinstance(b, RealScalar) for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
-        proof = tighten(GainProblem(model, blocks, peak), known.lower, known.upper, tolerance, until)
+        proof = tighten(GainProblem(model, blocks, peak), known.lower, known.upper, tolerance, budget)
         if proof.values is not None:
             _take_member(known, uncertain, blocks, proof.values)
         if proof.upper < known.upper:
@@ -357,7 +377,7 @@ def _take_member(known: _Known, uncertain: UncertainModel, blocks: Sequence[Bloc
 
 
 def _cover(
-    model: StateSpaceModel, blocks: Sequence[Block], lower: float, *, first: Array, until: float, accuracy: float
+    model: StateSpaceModel, blocks: Sequence[Block], lower: float, *, first: Array, budget: Budget, accuracy: float
 ) -> tuple[AxisCover, float]:
     """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold."""
     box = root_box(blocks)
@@ -372,11 +392,12 @@ def _cover(
     cover, scale = AxisCover(), float(np.median(poles)) if len(poles) else 1.0
     level = lower * (1 + accuracy)
     pending = list(first)
-    while cover.open and time.monotonic() < until:
+    while cover.open and not budget.over:
         omega = cover.take_points(pending, scale, BATCH)
         response = frequency_response(model, omega)
         level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
         bounds = points_below(_scaled(response, varying, level), blocks, 1 / (1 + accuracy / 2))
+        budget.spend(points_work(blocks, len(omega)))
         over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
         if over:
             raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
@@ -384,6 +405,7 @@ def _cover(
                 return cover, float("inf")
             level = max(level, raised)
             again = points_below(_scaled(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
+            budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
             for k, bound in zip(over, again, strict=True):
                 bounds[k] = bound
         closed = StateSpaceModel(
@@ -391,7 +413,10 @@ def _cover(
         )
         cover.points += len(omega)
         for w, bound in zip(omega, bounds, strict=True):
+            if budget.over:
+                return cover, float("inf")
             piece = extend(closed, bound, 1.0, float(w))
+            budget.spend(extend_work(closed))
             if piece is not None:
                 cover.add(Piece(piece.low, piece.high, level, piece.bound))
     return cover, float("inf") if cover.open else level
@@ -408,6 +433,7 @@ def _result(
     uncertain: UncertainModel,
     nominal: float,
     known: _Known,
+    budget: Budget,
     notes: tuple[str, ...],
     grid: Array,
     model: StateSpaceModel | None = None,
@@ -415,8 +441,10 @@ def _result(
     seed: int = 0,
 ) -> WorstCaseGain:
     proved = np.isfinite(known.upper) or not np.isfinite(known.lower)
+    if budget.remark:
+        notes = (*notes, budget.remark)
     if not proved:
-        notes = (*notes, "no upper bound: the set could not be proved stable, or time was up")
+        notes = (*notes, "no upper bound: the set was not proved stable")
     nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
     pieces = [(p.low, p.high, min(p.beta, known.upper)) for p in known.cover.pieces]
     return WorstCaseGain(
@@ -424,7 +452,7 @@ def _result(
         upper=known.upper,
         frequency=known.frequency,
         delta=known.delta,
-        status=Status.CERTIFIED if proved else Status.TIMEOUT,
+        status=Status.TIMEOUT if budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE,
         physical=uncertain.physical(known.delta) if known.delta else {},
         nominal=nominal,
         omega=grid,

@@ -8,13 +8,16 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from robustlab.recipe.vocabulary import (
+    GUARD,
     ComplementaryWeight,
     ControlWeight,
+    Effort,
     ErrorWeight,
     PerformanceWeight,
     Positive,
     RefersTo,
     StepBase,
+    TimeLimit,
     ToController,
     ToModel,
     ToPlant,
@@ -45,7 +48,6 @@ Sizes = Positive | dict[str, Positive]
 Controllers = Annotated[list[ToController], Field(min_length=1, max_length=12)]
 Names = Annotated[list[str], Field(min_length=1, max_length=100)]
 GammaRel = Annotated[float, Field(ge=1, le=10)]
-TimeLimit = Annotated[float, Field(gt=0, le=86400)]
 
 
 class TrackingProblemStep(StepBase):
@@ -106,7 +108,8 @@ class DesignStep(StepBase):
     of: ToDesignable
     measurements: Annotated[int, Field(ge=1)] | None = Field(None, description="Only where `of` is no problem.")
     controls: Annotated[int, Field(ge=1)] | None = Field(None, description="Only where `of` is no problem.")
-    time_limit: TimeLimit = Field(60.0, description="s")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the search.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
 
 
 class HinfStep(DesignStep):
@@ -136,7 +139,6 @@ class DkStep(DesignStep):
     order_rel: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.01, description="Loss of level allowed for a controller of lower order, then for one with slower poles."
     )
-    time_limit: TimeLimit = Field(120.0, description="s")
 
 
 class FixedStep(DesignStep):
@@ -193,7 +195,8 @@ class DiscretiseStep(StepBase):
         0.1, description="Share of the norm from which on auto designs for the sampled plant."
     )
     antialiasing: Positive | None = Field(None, description="Corner of a filter before the sampler in rad/s.")
-    time_limit: TimeLimit = Field(60.0, description="s, of the search and of each proof.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the search and of each proof.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
 
 
 class ExportStep(StepBase):
@@ -218,7 +221,8 @@ class RobustPerformanceStep(StepBase):
     of: ToUncertainOrProblem
     controllers: Controllers
     accuracy: Annotated[float, Field(gt=0, lt=1)] = Field(1e-3, description="Relative distance to the best proof.")
-    time_limit: TimeLimit = Field(60.0, description="s for each controller, of mu and of the gain.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work, for mu and for the gain of each controller.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
     set: Annotated[str, RefersTo(("uncertain", "any"))] | None = Field(
         None, description="Of a tracking problem: another set of models to judge it on."
     )

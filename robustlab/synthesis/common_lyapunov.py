@@ -18,15 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["Channel", "CommonLyapunov", "least_seconds"]
+__all__ = ["Channel", "CommonLyapunov", "solver_work"]
 
 Array = NDArray[Any]
 
 # Solver endings whose numbers are worth a look; the rebuilt loop decides.
-ACCEPTED = ("Solved", "AlmostSolved", "MaxTime", "InsufficientProgress", "MaxIterations")
+ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
+MOST_STEPS = 200
 # Weight on the size of X and Y, which keeps K finite where the infimum is not attained.
 SIZE = 1e-7
 
@@ -55,10 +57,10 @@ class _Unknowns:
     Q: Array
 
 
-def least_seconds(n: int, n_h2: int, n_hinf: int) -> float:
-    """About how long setting up and three steps of the solver take, measured on a busy core.
+def solver_work(n: int, n_h2: int, n_hinf: int) -> tuple[float, float]:
+    """Work of setting up, and of one step of the solver, as measured.
 
-    A step of the solver cannot be interrupted, so a problem that is too large for the time left must not be begun.
+    A step cannot be interrupted, so a problem that is too large for the work left must not be begun.
 
     Parameters
     ----------
@@ -67,7 +69,7 @@ def least_seconds(n: int, n_h2: int, n_hinf: int) -> float:
     """
     unknowns = 2 * n * n + n * (n_h2 + 4)
     rows = 0.5 * ((2 * n + n_h2) ** 2 * 2 + (2 * n + n_hinf) ** 2)
-    return 1.2e-6 * unknowns * rows + 3 * 2.4e-10 * unknowns**2 * rows
+    return 1.2 * unknowns * rows, 2.4e-4 * unknowns**2 * rows
 
 
 class CommonLyapunov:
@@ -81,15 +83,19 @@ class CommonLyapunov:
         The two channels.
     gain
         A direct term of K with ``D11 + D12 gain D21 = 0`` in the H2 channel (continuous time).
+    budget
+        Every step of the solver is counted there.
     discrete
         Time domain.
     """
 
     def __init__(
-        self, A: Array, B2: Array, C2: Array, h2: Channel, hinf: Channel, gain: Array, *, discrete: bool
+        self, A: Array, B2: Array, C2: Array, h2: Channel, hinf: Channel, gain: Array, budget: Budget, *, discrete: bool
     ) -> None:
         self.A, self.B2, self.C2, self.h2, self.hinf = A, B2, C2, h2, hinf
-        self.gain, self.discrete = gain, discrete
+        self.gain, self.budget, self.discrete = gain, budget, discrete
+        setup, self.step_work = solver_work(len(A), _channels(h2), _channels(hinf))
+        budget.spend(setup)
         n_u, n_y = B2.shape[1], C2.shape[0]
         # In continuous time the direct term moves only where the H2 channel does not see it.
         self.unseen = np.eye(n_u) if discrete else _null_space(h2.D12)
@@ -150,7 +156,7 @@ class CommonLyapunov:
             return [*found, np.block([[P, a, b, x_z], [a.T, P, x_w, c.T], [b.T, x_w.T, w, d.T], [x_z.T, c, d, z]])]
         return [*found, -np.block([[a + a.T, b, c.T], [b.T, -w, d.T], [c, d, -z]])]
 
-    def controller(self, level: float, share: float, seconds: float) -> StateSpaceModel | None:
+    def controller(self, level: float, share: float) -> StateSpaceModel | None:
         """K at this level of the H-infinity channel, or None where the solver has none; to be verified by the caller.
 
         ``share`` splits the square of the level between w and z, as ``share * (level^2 / share)``: for one channel
@@ -161,13 +167,14 @@ class CommonLyapunov:
         from scipy import sparse
 
         solver: Any = clarabel  # its types are not declared
-        constant = self._inequalities(np.zeros(self._count()), share, level**2 / share)
         constant = self._inequalities(self.nothing, share, level**2 / share)
         right = np.concatenate([_triangle(m) for m in constant])
         cones = [solver.PSDTriangleConeT(len(m)) for m in constant]
         settings = solver.DefaultSettings()
         settings.verbose = False
-        settings.time_limit = max(seconds, 1e-3)
+        settings.max_iter = int(np.clip(self.budget.left / self.step_work, 1, MOST_STEPS))
+        if np.isfinite(self.budget.seconds_left):
+            settings.time_limit = max(self.budget.seconds_left, 1e-3)
         nothing = sparse.csc_matrix((len(self.cost), len(self.cost)))
         try:
             solution = solver.DefaultSolver(
@@ -178,6 +185,7 @@ class CommonLyapunov:
             if type(error).__name__ != "PanicException":
                 raise
             return None
+        self.budget.spend(solution.iterations * self.step_work)
         x = np.array(solution.x)
         if str(solution.status) not in ACCEPTED or not np.isfinite(x).all():
             return None
@@ -200,6 +208,11 @@ class CommonLyapunov:
         inner -= v.Y @ (self.A + self.B2 @ v.D @ self.C2) @ v.X
         A = np.linalg.solve(M, np.linalg.solve(N, inner).T).T
         return StateSpaceModel(A, B, C, v.D, where="common Lyapunov matrix")
+
+
+def _channels(channel: Channel) -> int:
+    """Channels of w and z together."""
+    return channel.B1.shape[1] + channel.C1.shape[0]
 
 
 def _null_space(matrix: Array) -> Array:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller_candidates import CandidateFamily, candidate_families
-from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.nonsmooth import descend
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.performance_measure import (
@@ -28,11 +28,12 @@ from robustlab.uncertainty.blocks import Block
 __all__ = ["OrderTried", "ReducedController", "reduce_controller"]
 
 WHERE = "reduce_controller"
-Improvement = Callable[[GeneralizedPlant, StateSpaceModel, float], StateSpaceModel]
+Improvement = Callable[[GeneralizedPlant, StateSpaceModel, Budget], StateSpaceModel]
 Found = tuple[str, StateSpaceModel, Performance]
 
-# Candidates up to this multiple of the loss allowed are worth an improvement; each gets this share of the time left.
-WORTH_IMPROVING, SHARE_OF_TIME = 10.0, 0.25
+# Candidates up to this multiple of the loss allowed are worth an improvement; each gets this share of the work left.
+WORTH_IMPROVING, SHARE_OF_WORK = 10.0, 0.25
+WORK = 60 * MILLION
 # The loss is not monotone in the order: the search goes on for so many orders after the first that loses too much.
 PATIENCE = 3
 
@@ -136,7 +137,8 @@ def reduce_controller(
     n_meas: int | None = None,
     n_con: int | None = None,
     improve: Improvement | None = descend,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> ReducedController:
     r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one.
@@ -171,12 +173,15 @@ def reduce_controller(
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
     improve
-        Called as ``improve(plant, K_r, seconds)`` with the (scaled) plant and the best controller of an order that
+        Called as ``improve(plant, K_r, budget)`` with the (scaled) plant and the best controller of an order that
         loses too much, but less than ten times the loss allowed; what comes back, a controller of that order with a
         smaller H-infinity norm, is verified like any other. Nonsmooth descent where left out; None for nothing. Not
         called for H2, nor for ``"mu"`` without scalings.
     time_limit
-        Time in s, asked between candidates; the lowest order verified by then is returned.
+        Time in s, asked between candidates; none where left out. The lowest order verified by then is returned, with
+        status TIMEOUT.
+    effort
+        Multiple of the usual work. The search counts what it does, so that it ends the same way everywhere.
     progress
         Called with one line for each order.
 
@@ -208,8 +213,7 @@ def reduce_controller(
     plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
-    if not time_limit > 0:
-        raise InputError(WHERE, f"time_limit is {time_limit}", "a positive time in s")
+    budget = design_budget(WHERE, WORK, effort, time_limit)
     if order is not None and (
         isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
     ):
@@ -217,14 +221,9 @@ def reduce_controller(
     if scalings is None and measure in (None, "mu"):
         scalings, blocks = _of_design(design_or_plant, blocks)
     name = measure or _default_measure(design_or_plant, scalings, blocks)
-    judge = make_measure(plant, name, blocks, scalings, WHERE)
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
-        search = _Descent(
-            judge, full, loss, order, time.monotonic() + time_limit, improve, progress or (lambda _: None)
-        )
-        return search.run()
+    judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
+    with one_thread():
+        return _Descent(judge, full, loss, order, improve, progress or (lambda _: None)).run()
 
 
 def _plant_and_controller(
@@ -270,11 +269,10 @@ class _Descent:
         full: StateSpaceModel,
         allowed: float,
         order: int | None,
-        until: float,
         improve: Improvement | None,
         progress: Callable[[str], None],
     ) -> None:
-        self.judge, self.full, self.allowed, self.order, self.until = judge, full, allowed, order, until
+        self.judge, self.full, self.allowed, self.order, self.budget = judge, full, allowed, order, judge.budget
         self.improve = improve if judge.name == "hinf" or judge.scaled is not None else None
         self.progress = progress
         self.reference = judge.certified(full)
@@ -289,15 +287,15 @@ class _Descent:
     def run(self) -> ReducedController:
         """Order by order; the search ends at the order wanted, or where three orders in a row lose too much."""
         tried: list[OrderTried] = []
-        chosen, performance, failed, late = self.full, self.reference, 0, False
+        chosen, performance, failed = self.full, self.reference, 0
         stage = self.full  # the best of the order before: what matters in its loop is a second way down
         for n in range(self.full.n_states - 1, (self.order or 0) - 1, -1):
-            late = time.monotonic() > self.until
-            if late or (self.order is None and failed == PATIENCE):
+            if (self.order is None and failed == PATIENCE) or self.budget.over:
                 break
             again = stage is not self.full and stage.n_states > n
+            self.budget.spend(dense(self.judge.gramian_plant.model.n_states + stage.n_states, 5 if again else 1))
             more = _renamed(candidate_families(self.judge.gramian_plant, stage)) if again else []
-            found = _best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit, self.until)
+            found = _best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit)
             found = self._improved(found, n)
             stage = self.full if found is None else found[1]
             tried.append(self._tried(n, found))
@@ -307,9 +305,10 @@ class _Descent:
             if found is not None and enough and self.order in (None, n):
                 chosen, performance = found[1], found[2]
         if self.order is not None and chosen is self.full and self.order < self.full.n_states:
-            text = f"no controller of order {self.order} could be verified{', in the time limit' if late else ''}"
+            ended = f" ({self.budget.remark})" if self.budget.remark else ""
+            text = f"no controller of order {self.order} could be verified{ended}"
             raise NoTrustworthyNumber(WHERE, text, hint="a higher order")
-        return _finished(self.judge, self.full, self.reference, chosen, performance, self.allowed, tried, late)
+        return _finished(self.judge, self.full, self.reference, chosen, performance, self.allowed, tried)
 
     def _tried(self, order: int, found: Found | None) -> OrderTried:
         if found is None:
@@ -325,10 +324,9 @@ class _Descent:
         most = (1 + WORTH_IMPROVING * self.allowed) * self.reference.value
         if order != self.order if self.order is not None else not self.limit < value.value <= most:
             return found
-        seconds = SHARE_OF_TIME * (self.until - time.monotonic())
-        if seconds <= 0:
+        if self.budget.over:
             return found
-        better = self.improve(self.judge.gramian_plant, K, seconds)
+        better = self.improve(self.judge.gramian_plant, K, self.budget.share(SHARE_OF_WORK))
         if better.n_states > K.n_states:
             return found
         named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs)
@@ -355,12 +353,11 @@ def _best_of_order(
     full: StateSpaceModel,
     order: int,
     limit: float,
-    until: float,
 ) -> Found | None:
     """The candidate of best verified measure; None where none of this order leaves the loop stable."""
     estimated: list[tuple[float, str, StateSpaceModel]] = []
     for family in families:
-        if not family.least <= order <= family.most or time.monotonic() > until:
+        if not family.least <= order <= family.most or judge.budget.over:
             continue
         try:
             made = family.make(order)
@@ -399,19 +396,19 @@ def _finished(
     performance: Performance,
     allowed: float,
     tried: list[OrderTried],
-    late: bool,
 ) -> ReducedController:
     loop = judge.plant.close(chosen)
     how = next((o.method for o in reversed(tried) if o.value == performance.value and chosen is not full), "")
     reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
+    status, reason = told(performance.status, [reason], judge.budget, "a lower order")
     shown = loop if judge.scaled is None else judge.scaled.close(chosen)
     limit = limiting_channels(shown, performance.frequency) if judge.name != "h2" and performance.frequency >= 0 else ""
     return ReducedController(
         K=chosen,
         gamma=performance.value,
         closed_loop=loop,
-        status=performance.status,
-        reason=reason + ("; time was up" if late else ""),
+        status=status,
+        reason=reason,
         limit=limit,
         plant=judge.plant,
         method=f"reduced {judge.name}",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from robustlab.budget import NOT_REPEATABLE, Budget, search_budget
+from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
@@ -16,7 +18,7 @@ from robustlab.synthesis.controller import Controller
 from robustlab.synthesis.gamma_bounds import GammaBound
 from robustlab.synthesis.partition import GeneralizedPlant
 
-__all__ = ["HinfSynthesis", "Synthesis", "limiting_channels"]
+__all__ = ["HinfSynthesis", "Synthesis", "design_budget", "limiting_channels", "told"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,7 +34,8 @@ class Synthesis:
     closed_loop
         The lower LFT of plant and K, from w to z.
     status
-        CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost.
+        CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost;
+        TIMEOUT where that was proved, too, but the time limit ended the search: another run may give another K.
         It vouches for ``gamma`` of this K, not for its optimality.
     reason
         Why the method stopped, and how much of the result is proved.
@@ -172,6 +175,37 @@ class HinfSynthesis(Synthesis):
             "regularisation_cost": self.regularisation_cost,
             "assumptions": list(self.assumptions),
         }
+
+
+def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
+    """The budget of a design; a time limit of zero is refused, because there is no design without a search.
+
+    Raises
+    ------
+    InputError
+        An effort or a time limit that is not a positive number.
+    """
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(where, f"time_limit is {time_limit}", "a positive time in s, or none")
+    return search_budget(where, work, effort, time_limit)
+
+
+def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma") -> tuple[Status, str]:
+    """Status and reason of a design, with what ended its search where that was the budget and not the method.
+
+    Parameters
+    ----------
+    status
+        What was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
+    parts
+        What else there is to say.
+    smaller
+        What a longer search might find.
+    """
+    if budget.struck:
+        return (Status.TIMEOUT if status.trustworthy else status), "; ".join([*parts, NOT_REPEATABLE])
+    more = [] if budget.remark is None else [f"work budget used up: a larger effort may find {smaller}"]
+    return status, "; ".join([*parts, *more])
 
 
 def limiting_channels(loop: StateSpaceModel, omega: float) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget, dense
 from robustlab.synthesis.active_peaks import Piece
 from robustlab.synthesis.controller_laws import Law, Parameter
 from robustlab.synthesis.design_limits import Limit, RollOff, StableController
@@ -84,9 +85,19 @@ class DesignProblem:
         ``"hinf"`` or ``"h2"``: the largest norm over the plants.
     limits
         What the design must keep, strictly.
+    budget
+        Every evaluation is counted there. None: no limit.
     """
 
-    def __init__(self, plants: Sequence[GeneralizedPlant], law: Law, objective: str, limits: Sequence[Limit]) -> None:
+    def __init__(
+        self,
+        plants: Sequence[GeneralizedPlant],
+        law: Law,
+        objective: str,
+        limits: Sequence[Limit],
+        budget: Budget | None = None,
+    ) -> None:
+        self.budget = Budget() if budget is None else budget
         self.plants, self.law, self.objective, self.limits = tuple(plants), law, objective, tuple(limits)
         self.dt = plants[0].model.dt
         scalings = common_scaling(plants)
@@ -101,6 +112,12 @@ class DesignProblem:
             for s, plant in zip(scalings, plants, strict=True)
         ]
         self._set_coordinates()
+        # Of one evaluation, as measured: of the law, and of every loop its poles and a norm with its gradient.
+        self._work = 100 + sum(dense(len(family.A), 2) for family in self.families)
+
+    def late(self) -> bool:
+        """Whether the budget is over."""
+        return self.budget.over
 
     @property
     def gain(self) -> float:
@@ -158,6 +175,7 @@ class DesignProblem:
 
     def instability(self, v: Array) -> tuple[float, Array | None]:
         """Largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
+        self.budget.spend(self._work)
         p, slopes = self.parameters(v)
         theta = self.theta(p)
         worst, at = -np.inf, np.zeros_like(theta)
@@ -170,6 +188,7 @@ class DesignProblem:
 
     def violation(self, v: Array) -> tuple[float, Array | None]:
         """Largest of the limits' values with its gradient; infinite where a loop is not stable, -1 without limits."""
+        self.budget.spend(self._work)
         p, slopes = self.parameters(v)
         theta = self.theta(p)
         if not all(family.abscissa(theta)[0] < 0 for family in self.families):
@@ -208,6 +227,7 @@ class DesignProblem:
         return value, None if G is None else self.by_parameters(p, G) * slopes
 
     def _norm_at(self, p: Array, give_up_above: float) -> tuple[float, Array | None]:
+        self.budget.spend(self._work)
         theta = self.theta(p)
         if any(value >= 0 for value, _ in self.limit_values(theta)):
             return np.inf, None
@@ -230,6 +250,7 @@ class DesignProblem:
         """All peaks near the top as functions of the free parameters; a limit near its end counts as one."""
         p = self.fixed.copy()
         p[self.free] = q
+        self.budget.spend(2 * self._work)
         theta = self.theta(p)
         found: list[tuple[float, Array]] = []
         for family in self.families:
@@ -251,6 +272,7 @@ class DesignProblem:
         if not -300 < log_gamma < 300:
             return np.inf, None
         gamma = float(np.exp(log_gamma))
+        self.budget.spend(2 * self._work)
         p, slopes = self.parameters(v)
         theta = self.theta(p)
         total, by_theta, by_gamma = 0.0, np.zeros_like(theta), 0.0

@@ -56,7 +56,7 @@ class _Objective:
         """The smallest level; None outside the range, or where there is none."""
         if np.abs(theta - self.centre).max(initial=0.0) > RANGE:
             return None
-        return self.search.smallest(theta, guess, self.problem.stop)
+        return self.search.smallest(theta, guess)
 
     def branches(self, theta: Array, level: Level) -> Branches | None:
         """The branches at and little below the level."""
@@ -81,7 +81,7 @@ def minimised(
     start = H = np.eye(len(x)) * FIRST_SCALE
     levels = [float(np.log(level.beta))]
     for _ in range(steps):
-        if problem.stop() or local is None or not len(x):
+        if local is None or not len(x) or problem.budget.over:
             break
         multipliers, predicted = _multipliers(local, H)
         direction = -H @ (multipliers @ local.slopes)
@@ -136,7 +136,7 @@ def _line_search(
     """The longest step of a falling sequence that reaches a share of the promised decrease; None where none does."""
     start, t = float(np.log(level.beta)), 1.0
     for _ in range(LINE_STEPS):
-        if objective.problem.stop():
+        if objective.problem.budget.over:
             return None
         found = objective.level(x + t * direction, level.beta)
         if found is not None and np.log(found.beta) <= start + DECREASE * t * predicted - 1e-9:
@@ -179,7 +179,7 @@ def grown(
     """
     candidates: list[tuple[float, DynamicScalings]] = []
     for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES)):
-        if problem.stop():
+        if problem.budget.over:
             return None
         if trial.n_states > max_states:
             continue

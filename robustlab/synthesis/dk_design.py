@@ -31,8 +31,8 @@ class DKStep:
         States of the controller.
     scaling_orders
         Orders of D (and G) of each block.
-    seconds
-        Time since the start.
+    work
+        Work done since the start, in units of about a microsecond; see `robustlab.budget`.
     """
 
     stage: str
@@ -40,7 +40,7 @@ class DKStep:
     mu: float
     order: int
     scaling_orders: tuple[int, ...]
-    seconds: float
+    work: float
 
     def to_json(self) -> dict[str, object]:
         """All attributes."""

@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from robustlab.budget import MILLION, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid
 from robustlab.mu_analysis.axis_model import continuous
 from robustlab.mu_analysis.certificate import project
 from robustlab.mu_analysis.intervals import AxisCover, cover_axis
 from robustlab.mu_analysis.lower import lower_bounds
-from robustlab.mu_analysis.upper import compile_kernels
+from robustlab.mu_analysis.upper import compile_kernels, points_work
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller import Controller
-from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.direct_scalings import grown, minimised
 from robustlab.synthesis.dk_design import DKStep, DKSynthesis
 from robustlab.synthesis.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, unit_scalings
-from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.nominal_start import nominal_start
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.pointwise_scalings import MuCurve, as_complex, mu_curve
 from robustlab.synthesis.robust_loop import Iterate, RobustProblem
 from robustlab.synthesis.scaled_plant import proved_level
 from robustlab.synthesis.scalings_fit import fitted_scalings
-from robustlab.synthesis.search import Deadline
 from robustlab.synthesis.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, as_blocks, delta_values, structure_size
 
 __all__ = ["dk", "structure_with_performance"]
 
 PERFORMANCE = "performance"
-# Shares of the time limit after which the H-infinity start, D-K iteration and the whole search have to end; the rest is
-# for the proof.
-START, CLASSICAL, SEARCH, SOFTENING = 0.25, 0.5, 0.8, 0.85
+WORK = 120 * MILLION
+# Shares of the work: of the H-infinity start, and at which D-K iteration, the whole search and the search for slower
+# controllers have to end; the rest is for the proof. The search keeps at least LEAST.
+START, CLASSICAL, SEARCH, SOFTENING, LEAST = 0.25, 0.5, 0.8, 0.85, 0.3
 ITERATIONS = 60
 # Loss at single frequencies that a fit of D may have: in D-K iteration, and where direct minimisation starts.
 FIT_LOSS, FIRST_LOSS = 0.002, 0.2
@@ -49,7 +49,7 @@ PROGRESS, ROUGH_PROGRESS = 5e-4, 2e-2
 ROUGH, FINE = 0.1, 0.03
 # Numbers of blocks: above the one D starts at constants fitted, above the other less is computed on the side.
 FEW, MANY = 6, 30
-CURVES = 1.5  # time to keep for the end, in computations of mu over frequency
+CURVES, POINTS = 1.5, 112  # work to keep for the end, in curves of mu; most frequencies of one
 BAND_LEVEL, BEYOND = 0.3, 30.0
 CLEARLY = 0.9  # share of the peak of mu at which the nominal start is preferred
 FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
@@ -67,7 +67,8 @@ def dk(
     mixed: bool = True,
     max_order: int | None = None,
     order_rel: float = 0.01,
-    time_limit: float = 120.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> DKSynthesis:
     r"""Controller ``u = K y`` (positive feedback) that makes the peak of mu of the closed loop small.
@@ -105,7 +106,10 @@ def dk(
         The level may be so much larger (relative) than the smallest one for a controller of lower order, and then for
         one with slower poles. 0 asks for the smallest level, whose controller is often absurdly fast.
     time_limit
-        Time in s for everything.
+        Time in s for everything; none where left out. Where it ends the search the status is TIMEOUT.
+    effort
+        Multiple of the usual work (one to two minutes of one core at most). The search counts what it does, so that it
+        ends the same way everywhere; ``reason`` says where it might have gone on.
     progress
         Called with one line at each iterate.
 
@@ -138,20 +142,17 @@ def dk(
     ('certified', True)
     """
     plant, structure = structure_with_performance(P, blocks, n_meas, n_con)
-    if not 0 <= order_rel < 1 or np.isnan(time_limit) or time_limit <= 0:
-        found = f"order_rel {order_rel}, time_limit {time_limit}"
-        raise InputError("synth dk", found, "order_rel in [0, 1), a positive time_limit in s")
+    if not 0 <= order_rel < 1:
+        raise InputError("synth dk", f"order_rel is {order_rel}", "a number in [0, 1)")
+    budget = design_budget("synth dk", WORK, effort, time_limit)
     n = plant.model.n_states
     if max_order is None:
         max_order = max(3 * n, n + 24)
     elif isinstance(max_order, bool) or not isinstance(max_order, (int, np.integer)) or max_order < n:
         raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
-    from threadpoolctl import threadpool_limits
-
-    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
-    with threadpool_limits(limits=1):
+    with one_thread():
         compile_kernels()
-        search = _Search(plant, structure, time_limit, int(max_order), mixed, progress)
+        search = _Search(plant, structure, budget, int(max_order), mixed, progress)
         search.start(K0)
         search.alternate(ROUGH_PROGRESS if direct else PROGRESS)
         if direct:
@@ -198,27 +199,33 @@ class _Search:
         self,
         plant: GeneralizedPlant,
         blocks: tuple[Block, ...],
-        time_limit: float,
+        budget: Budget,
         max_order: int,
         mixed: bool,
         progress: Callable[[str], None] | None,
     ) -> None:
-        self.begin, self.time_limit = time.monotonic(), time_limit
-        self.until = self.begin + SEARCH * time_limit
+        self.budget, self.whole = budget, budget.left
         self.plant, self.max_order, self.progress = plant, max_order, progress
         some_real = any(isinstance(b, RealScalar) for b in blocks)
         self.mixed = mixed and some_real
         self.real, self.blocks = blocks, as_complex(blocks)
-        self.problem = RobustProblem(plant, self._late)
+        self.curve_work = points_work(self.real if self.mixed else self.blocks, POINTS)
+        self.problem = RobustProblem(plant, budget)
+        self.problem.budget = self.search = self._until(SEARCH)
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
         self.curved: Iterate | None = None  # whose curve that is
         self.warm: DynamicScalings | None = None
-        self.reserve = 0.0
+
+    def _until(self, end: float) -> Budget:
+        """A budget that is over when this share of the whole is spent, and enough for a last curve of mu is left."""
+        end = min(end, max(1 - CURVES * self.curve_work / self.whole, LEAST))
+        left = self.budget.left
+        return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
 
     def _late(self) -> bool:
-        return time.monotonic() >= min(self.until, self.begin + self.time_limit - self.reserve)
+        return self.problem.budget.over
 
     @property
     def best(self) -> Iterate:
@@ -238,8 +245,7 @@ class _Search:
         """
         scalings = unit_scalings(self.blocks)
         if K0 is None:
-            design = hinf(self.plant, gamma_rel=1.0, time_limit=START * self.time_limit)
-            K = design.K
+            K = synthesize(self.plant, "hinf", 1.0, self.search.share(START)).K
         else:
             K = _controller(K0, self.plant)
             if isinstance(K0, DKSynthesis) and K0.scalings.blocks in (self.blocks, self.real):
@@ -251,7 +257,7 @@ class _Search:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
         if K0 is None and self.blocks[-1].name == PERFORMANCE and not self._late():
-            K = nominal_start(self.plant, self.blocks[-1].rows, self.blocks[-1].cols, START * self.time_limit)
+            K = nominal_start(self.plant, self.blocks[-1].rows, self.blocks[-1].cols, self.search.share(START))
             other = None if K is None else self.problem.proved(K, scalings, 1.0)
             if other is not None:
                 self._prefer(other, found)
@@ -266,16 +272,15 @@ class _Search:
 
     def alternate(self, progress: float) -> None:
         """D-K iteration until two iterations in a row gain less than ``progress``."""
-        until = self.until
         if progress > PROGRESS:
-            self.until = min(until, self.begin + CLASSICAL * self.time_limit)
+            self.problem.budget = self._until(CLASSICAL)
         now, stuck = self.iterates[-1], 0
         for _ in range(ITERATIONS):
             if self._late() or stuck == 2:
                 break
             self.curve = self._followed(now)
             before = self.best.level
-            scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self._late)
+            scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self.problem.budget)
             refitted = self.problem.proved(now.K, scalings, now.level)
             if refitted is not None and refitted.level < before:
                 self._keep(refitted, "D-K", self.curve.peak)
@@ -286,7 +291,7 @@ class _Search:
             self._keep(found, "D-K")
             stuck = stuck + 1 if found.level > before * (1 - progress) else 0
             now = found
-        self.until = until
+        self.problem.budget = self.search
 
     def descend(self) -> None:
         """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a
@@ -294,19 +299,18 @@ class _Search:
 
         Where blocks are real, then over D and G from a D of low order; that gets two thirds of the time.
         """
-        until, left = self.until, self.until - time.monotonic()
         self.problem.regularise(self.best, FINE)
         starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
         if self.curve is not None and self.warm is None:
             if len(self.blocks) > FEW:  # the way from D = I is long then
-                starts = [fitted_scalings(self.curve, self.blocks, np.inf, self.max_states, self._late)]
-            fitted = fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self._late)
+                starts = [fitted_scalings(self.curve, self.blocks, np.inf, self.max_states, self.search)]
+            fitted = fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self.search)
             starts += [fitted] if fitted.n_states and not self.mixed else []
         share = 1 / 3 if self.mixed else 1 / len(starts)
         for k, scalings in enumerate(starts):
-            self.until = until if k else min(until, time.monotonic() + share * max(left, 0.0))
+            self.problem.budget = self.search if k else self.search.share(share)
             self._grow(scalings, "direct")
-        self.until = until
+        self.problem.budget = self.search
         if self.mixed and not self._late():
             warm = self.warm is not None and self.warm.mixed
             first = self.warm if warm and self.warm is not None else self._few_states()
@@ -315,7 +319,7 @@ class _Search:
     def _few_states(self) -> DynamicScalings:
         """A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states."""
         known = self._chosen(FIRST_LOSS).scalings
-        fitted = fitted_scalings(self._followed(self.best), self.blocks, FIRST_LOSS, self.max_states, self._late)
+        fitted = fitted_scalings(self._followed(self.best), self.blocks, FIRST_LOSS, self.max_states, self.search)
         return min(known, fitted, key=lambda scalings: scalings.n_states)
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
@@ -329,7 +333,7 @@ class _Search:
             scalings, level = found
             if self._late() and level >= self.best.level:
                 break
-            # What a minimisation reached by the end of its time is not thrown away.
+            # What a minimisation reached by the end of its work is not thrown away.
             iterate = (self.problem.at_level if self._late() else self.problem.solve)(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
@@ -340,17 +344,10 @@ class _Search:
             larger = grown(self.problem, scalings, level, band, self.max_states)
             found = None if larger is None else minimised(self.problem, *larger)
 
-    def _curve(self, loop: StateSpaceModel, blocks: tuple[Block, ...]) -> MuCurve:
-        """The curve of mu of a loop; the time for a last one is taken off that of the search."""
-        begin = time.monotonic()
-        curve = mu_curve(loop, blocks, self._late)
-        self.reserve = max(self.reserve, CURVES * (time.monotonic() - begin))
-        return curve
-
     def _followed(self, iterate: Iterate) -> MuCurve:
         """The curve of complex mu of an iterate; it is not computed again for the same one."""
         if self.curve is None or self.curved is not iterate:
-            self.curve, self.curved = self._curve(iterate.loop, self.blocks), iterate
+            self.curve, self.curved = mu_curve(iterate.loop, self.blocks, self.problem.budget), iterate
         return self.curve
 
     def _band(self) -> tuple[float, float]:
@@ -362,9 +359,8 @@ class _Search:
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
-        seconds = time.monotonic() - self.begin
         orders = iterate.scalings.orders
-        self.history.append(DKStep(stage, iterate.level, mu, iterate.K.n_states, orders, seconds))
+        self.history.append(DKStep(stage, iterate.level, mu, iterate.K.n_states, orders, self.whole - self.budget.left))
         if self.progress is not None:
             self.progress(
                 f"iteration {len(self.history)} ({stage}): mu <= {iterate.level:.4f}, {iterate.K.n_states} states"
@@ -380,12 +376,11 @@ class _Search:
 
     def finished(self, order_rel: float) -> DKSynthesis:
         """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
-        self.until = self.begin + SOFTENING * self.time_limit
         chosen = self._chosen(order_rel)
-        left = Deadline(self.until - time.monotonic())
-        chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel), left)
+        self.problem.budget = self._until(SOFTENING)
+        chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
-        # All that costs time comes before the proof by intervals, which takes whatever is left.
+        # All that costs work comes before the proof by intervals, which takes whatever is left.
         norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
         curve = self._last_curve(chosen, blocks, norm.frequency)
         lower, delta, omega = _lower(curve, blocks)
@@ -394,9 +389,8 @@ class _Search:
         cover = AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
-            end = self.begin + self.time_limit
             cover = cover_axis(
-                continuous(chosen.loop), blocks, curve.peak, first=peaks, until=end, accuracy=PROOF_ACCURACY
+                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=PROOF_ACCURACY
             )
         proved = not cover.open and cover.beta < chosen.level
         gamma = cover.beta if proved else chosen.level
@@ -406,12 +400,18 @@ class _Search:
         if loop.is_discrete:
             frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
         doubts = _doubts(stable, None if proved else norm)
+        status, reason = told(
+            Status.INACCURATE if doubts else Status.CERTIFIED,
+            [*doubts, *self._reasons(chosen, proved, order_rel)],
+            self.budget,
+            "a smaller mu",
+        )
         return DKSynthesis(
             K=chosen.K,
             gamma=gamma,
             closed_loop=loop,
-            status=Status.INACCURATE if doubts else Status.CERTIFIED,
-            reason="; ".join([*doubts, self._reason(chosen, proved, order_rel)]),
+            status=status,
+            reason=reason,
             limit=limiting_channels(loop, frequency),
             plant=self.plant,
             method="dk",
@@ -426,15 +426,14 @@ class _Search:
         )
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:
-        """The curve of mu, or, where time is short, around the peak of the scaled loop alone (rad/s)."""
-        end = self.begin + self.time_limit
+        """The curve of mu, or, where little work is left, around the peak of the scaled loop alone (rad/s)."""
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
-        if end - time.monotonic() < 0.6 * self.reserve:
-            return mu_curve(chosen.loop, blocks, lambda: True, around)
+        if self.budget.left < 0.6 * CURVES * self.curve_work or self.budget.over:
+            return mu_curve(chosen.loop, blocks, Budget(0.0), around)
         first = np.unique(np.concatenate([default_grid(chosen.loop, 40, 1.0), around]))
-        return mu_curve(chosen.loop, blocks, lambda: end - time.monotonic() < 0.5 * self.reserve, first)
+        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
 
-    def _reason(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> str:
+    def _reasons(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> list[str]:
         how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
         parts = [f"loop rebuilt from K is stable; mu bound proved at all frequencies by {how}"]
         best = self.best
@@ -442,9 +441,7 @@ class _Search:
             parts.append(
                 f"lowest order within {order_rel:.1%} of the smallest level {best.level:.6g} ({best.K.n_states} states)"
             )
-        if time.monotonic() >= self.until:
-            parts.append("time limit reached: a smaller mu may be possible")
-        return "; ".join(parts)
+        return parts
 
 
 def _doubts(stable: bool, norm: HinfNorm | None) -> list[str]:

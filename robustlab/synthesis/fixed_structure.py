@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_continuous, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.controller_laws import Law, Parameter, model_of
 from robustlab.synthesis.controller_structures import as_structure
-from robustlab.synthesis.design import limiting_channels
+from robustlab.synthesis.design import design_budget, limiting_channels, told
 from robustlab.synthesis.design_limits import Limit
 from robustlab.synthesis.design_problem import DesignProblem, common_scaling
 from robustlab.synthesis.fixed_result import FixedSynthesis, LimitValue, ParameterValue
@@ -29,6 +29,7 @@ __all__ = ["fixed_structure"]
 
 Array = NDArray[Any]
 WHERE = "synth fixed"
+WORK = 60 * MILLION
 
 # Candidates that are verified, best first; the optimiser's own norm is not a proof.
 VERIFIED = 4
@@ -48,7 +49,8 @@ def fixed_structure(
     start: Any = None,
     starts: int = 16,
     seed: int = 0,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> FixedSynthesis:
     r"""Controller of a given structure with the smallest norm of the closed loop, ``u = K(p) y``.
@@ -87,7 +89,9 @@ def fixed_structure(
     seed
         Seed of the random starts.
     time_limit
-        Time in s, asked between steps. What is verified by then is returned, and ``reason`` says that time was up.
+        Time in s, asked between steps; none where left out. What is verified by then is returned with status TIMEOUT.
+    effort
+        Multiple of the usual work. The search counts its evaluations, so that it ends the same way everywhere.
     progress
         Called with a short line after every start.
 
@@ -116,14 +120,11 @@ def fixed_structure(
     >>> round(design.gamma**2, 4), round(design.values["K[u2,y3]"], 3)
     (2.4142, -2.414)
     """
-    _check(objective, limits, starts, time_limit)
+    _check(objective, limits, starts)
+    budget = design_budget(WHERE, WORK, effort, time_limit)
     plants = _plants(P, n_meas, n_con)
     say = progress or (lambda _: None)
-    from threadpoolctl import threadpool_limits
-
-    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
-    with threadpool_limits(limits=1):
-        until = time.monotonic() + time_limit
+    with one_thread():
         first = plants[0]
         law = as_structure(structure, common_scaling(plants)[0].rate).law(
             first.measurements, first.controls, first.model.dt
@@ -137,23 +138,21 @@ def fixed_structure(
                 )
             given = _given(law, start)
 
-            def robust_run(members: Sequence[GeneralizedPlant], more: Sequence[Array], end: float) -> FixedSynthesis:
-                return task.run(members, [("given", p) for p in (*more, *given)], end)
+            def robust_run(members: Sequence[GeneralizedPlant], more: Sequence[Array], part: Budget) -> FixedSynthesis:
+                return task.run(members, [("given", p) for p in (*more, *given)], part)
 
-            return robust_design(first, robust_run, until, say)
+            return robust_design(first, robust_run, budget, say)
         own = [("given", p) for p in _given(law, start)]
         if objective == "h2":
             _require_finite_h2(DesignProblem(plants, law, objective, limits))
-        return task.run(plants, [*own, *informed_starts(plants, law, objective, limits, seed, until, say)], until)
+        return task.run(plants, [*own, *informed_starts(plants, law, objective, limits, seed, budget, say)], budget)
 
 
-def _check(objective: str, limits: Sequence[Limit], starts: int, time_limit: float) -> None:
+def _check(objective: str, limits: Sequence[Limit], starts: int) -> None:
     if objective not in ("hinf", "h2"):
         raise InputError(WHERE, f"objective is {objective!r}", '"hinf" or "h2"')
     if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 0 <= starts <= 10000:
         raise InputError(WHERE, f"starts is {starts!r}", "a whole number from 0 to 10000")
-    if not time_limit > 0:
-        raise InputError(WHERE, f"time_limit is {time_limit}", "a positive time in s")
     for limit in limits:
         if not isinstance(limit, Limit):
             raise InputError(f"{WHERE}: limits", f"{limit!r}", "Decay, Damping, Bandwidth, StableController, RollOff")
@@ -266,24 +265,19 @@ class _Task:
     say: Callable[[str], None]
 
     def run(
-        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, Array]], until: float
+        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, Array]], budget: Budget
     ) -> FixedSynthesis:
         """Search and verification for these plants."""
-
-        def late() -> bool:
-            return time.monotonic() >= until
-
-        problem = DesignProblem(plants, self.law, self.objective, self.limits)
-        found = multi_start(problem, given, self.starts, self.seed, late, self.say)
+        problem = DesignProblem(plants, self.law, self.objective, self.limits, budget)
+        found = multi_start(problem, given, self.starts, self.seed, self.say)
         verified = [self._verified(plants, start) for start in found[:VERIFIED] if np.isfinite(start.gamma)]
         kept = [design for design in verified if design is not None]
         if not kept:
-            raise _not_found(problem, found, late())
+            raise _not_found(problem, found)
         best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
         parts = [best.reason, f"{len(found)} starts; a local optimum"]
-        if late():
-            parts.append("time limit reached: a smaller gamma may exist")
-        return replace(best, starts=tuple(found), reason="; ".join(parts))
+        status, reason = told(best.status, parts, budget)
+        return replace(best, starts=tuple(found), status=status, reason=reason)
 
     def _verified(self, plants: Sequence[GeneralizedPlant], start: Start) -> FixedSynthesis | None:
         """The design of a start with the norms of its rebuilt loops; None where one is unstable or a limit broken."""
@@ -352,7 +346,7 @@ def _require_finite_h2(problem: DesignProblem) -> None:
                 )
 
 
-def _not_found(problem: DesignProblem, found: Sequence[Start], late: bool) -> NoTrustworthyNumber:
+def _not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
     """What stayed unstable in the start that came nearest."""
     nearest = min(found, key=lambda s: s.instability)
     theta = problem.theta(nearest.p)
@@ -377,7 +371,7 @@ def _not_found(problem: DesignProblem, found: Sequence[Start], late: bool) -> No
         text = f"no start stabilised {which}: nearest pole {kind} = {pole_text}"
     return NoTrustworthyNumber(
         WHERE,
-        f"{text} ({len(found)} starts{', time limit reached' if late else ''})",
+        f"{text} ({len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''})",
         hint="not found is no proof that there is none: try more starts, another seed, or a richer structure",
     )
 

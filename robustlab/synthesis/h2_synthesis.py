@@ -9,21 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.assumptions import require_stabilisable
-from robustlab.synthesis.design import Synthesis
+from robustlab.synthesis.design import Synthesis, design_budget, told
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
 from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
-from robustlab.synthesis.search import Deadline
 from robustlab.synthesis.verified_loop import rebuilt_loop
 
-__all__ = ["H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
+__all__ = ["WORK", "H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 
 Array = NDArray[Any]
 
+WORK = 60 * MILLION
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 # A smallest singular value of D12 or D21 in scaled units above which that side needs no help.
 REGULAR = 1e-6
@@ -90,7 +91,8 @@ def h2(
     n_con: int | None = None,
     *,
     gamma_rel: float = 1.0005,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> H2Synthesis:
     r"""H2-optimal (LQG) controller ``u = K y`` with positive feedback into the lower LFT of P.
@@ -114,7 +116,9 @@ def h2(
         How much larger than the smallest norm found the returned controller's may be (>= 1) where penalties or noises
         had to be added; within it the largest ones are taken, because K grows faster without end as they go to zero.
     time_limit
-        Time in s, asked between trials.
+        Time in s, asked between trials; none where left out. Where it ends the search the status is TIMEOUT.
+    effort
+        Multiple of the usual work.
     progress
         Called with one line per trial.
 
@@ -144,27 +148,22 @@ def h2(
     ('converged', 0.696621)
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
-    return synthesize_h2(plant, "h2", gamma_rel, time_limit, progress)
+    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
 
 
 def synthesize_h2(
     plant: GeneralizedPlant,
     method: str,
     gamma_rel: float,
-    time_limit: float,
+    budget: Budget,
     progress: Callable[[str], None] | None = None,
 ) -> H2Synthesis:
     """The search behind `h2` and `robustlab.lqg`; see there."""
     where = f"synth {method}"
     if not np.isfinite(gamma_rel) or gamma_rel < 1:
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
-    if np.isnan(time_limit) or time_limit <= 0:
-        raise InputError(where, f"time_limit is {time_limit}", "a positive time in s")
-    from threadpoolctl import threadpool_limits
-
-    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
-    with threadpool_limits(limits=1):
-        return _synthesized(plant, method, gamma_rel, time_limit, progress)
+    with one_thread():
+        return _synthesized(plant, method, gamma_rel, budget, progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,10 +183,10 @@ def _synthesized(
     plant: GeneralizedPlant,
     method: str,
     gamma_rel: float,
-    time_limit: float,
+    budget: Budget,
     progress: Callable[[str], None] | None,
 ) -> H2Synthesis:
-    where, deadline, dt = f"synth {method}", Deadline(time_limit), plant.model.dt
+    where, dt = f"synth {method}", plant.model.dt
     matrices = plant.matrices()
     start = cancelling_gain(matrices, dt, where)
     shifted = _with_gain(matrices, start)
@@ -198,12 +197,12 @@ def _synthesized(
             scaling = replace(scaling, rate=1.0)
         if not trials:
             _require_stabilisable(plant, shifted, scaling, where)
-        settled = _ladder(plant, shifted, start, scaling, trials, deadline, progress)
-        if settled or deadline.passed():
+        settled = _ladder(plant, shifted, start, scaling, trials, budget, progress)
+        if settled or budget.over:
             break
     best = min(trials, key=lambda t: t.norm.value, default=None)
     if best is None:
-        late = " in the time limit" if deadline.passed() else ""
+        late = f" ({NOT_REPEATABLE})" if budget.struck else ""
         raise NoTrustworthyNumber(
             where,
             f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
@@ -211,7 +210,7 @@ def _synthesized(
         )
     allowed = [t for t in trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
     chosen = max(allowed, key=lambda t: t.eps)
-    return _finished(plant, chosen, matrices, deadline.passed(), method, best.norm.value)
+    return _finished(plant, chosen, matrices, budget, method, best.norm.value)
 
 
 def _ladder(
@@ -220,7 +219,7 @@ def _ladder(
     start: Array,
     scaling: Scaling,
     trials: list[_Trial],
-    deadline: Deadline,
+    budget: Budget,
     progress: Callable[[str], None] | None,
 ) -> bool:
     """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it settled.
@@ -233,8 +232,9 @@ def _ladder(
     ladder = LADDER if min(size_u, size_y) <= REGULAR and not dt else (0.0, *LADDER)
     best, idle = np.inf, 0
     for eps in ladder:
-        if deadline.passed():
+        if budget.over:
             return False
+        budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))  # two equations, and norms of the loop
         u = 0.0 if size_u > max(REGULAR, eps) else eps
         y = 0.0 if size_y > max(REGULAR, eps) else eps
         regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
@@ -360,7 +360,7 @@ def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scali
 
 
 def _finished(
-    plant: GeneralizedPlant, best: _Trial, matrices: PlantMatrices, late: bool, method: str, smallest: float
+    plant: GeneralizedPlant, best: _Trial, matrices: PlantMatrices, budget: Budget, method: str, smallest: float
 ) -> H2Synthesis:
     parts = ["loop rebuilt from K is stable, and both Gramians give its norm"]
     regularised = best.norm.value
@@ -372,14 +372,13 @@ def _finished(
         channels = _lacking(plant, matrices)
     else:
         parts.append("the plant is regular: this is the optimum")
-    if late:
-        parts.append("time limit reached: a smaller norm may exist")
+    status, reason = told(best.norm.status, parts, budget, "a smaller norm")
     return H2Synthesis(
         K=best.K,
         gamma=best.norm.value,
         closed_loop=best.loop,
-        status=best.norm.status,
-        reason="; ".join(parts),
+        status=status,
+        reason=reason,
         limit=_loudest(best.loop),
         plant=plant,
         method=method,

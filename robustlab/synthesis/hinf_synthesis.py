@@ -7,24 +7,27 @@ from typing import Any
 
 import numpy as np
 
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.assumptions import broken_assumptions, require_stabilisable
-from robustlab.synthesis.design import HinfSynthesis, limiting_channels
+from robustlab.synthesis.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.gamma_bounds import GammaBound, place_in_s, place_in_z, pointwise_bound
 from robustlab.synthesis.lmi_synthesis import lmi_controllers
 from robustlab.synthesis.nonsmooth_fallback import descend_from, is_poor, stabilise
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant
 from robustlab.synthesis.portfolio import Portfolio, portfolio
 from robustlab.synthesis.scaling import equilibrated, paths_first
-from robustlab.synthesis.search import Deadline, Search
+from robustlab.synthesis.search import Search
 from robustlab.synthesis.softening import soften
 from robustlab.synthesis.verification import Verified, Verifier
 
-__all__ = ["hinf", "synthesize"]
+__all__ = ["WORK", "hinf", "synthesize"]
 
+# Work of a design: few plants need a tenth of it.
+WORK = 60 * MILLION
 # What a certified norm may cost where the best loop is so stiff that its norm loses digits.
 CALMER = 1.001
 
@@ -36,7 +39,8 @@ def hinf(
     *,
     gamma_rel: float = 1.05,
     bandwidth: float | None = None,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
     r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
@@ -64,8 +68,10 @@ def hinf(
         Where given, all controller poles must lie below it (modulus, rad/s; of a discrete controller those of its
         bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma that obeys is taken.
     time_limit
-        Time in s, asked between trials. A controller verified by then is returned, and ``reason`` says that time was
-        up.
+        Time in s, asked between trials; none where left out. A controller verified by then is returned, but another
+        run may find another one: the status is TIMEOUT, and ``reason`` says so.
+    effort
+        Multiple of the usual work. The search counts what it does, so that it ends the same way everywhere.
     progress
         Called with one short line after every stage.
 
@@ -95,14 +101,15 @@ def hinf(
     ('certified', 0.732)
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
-    return synthesize(plant, "hinf", gamma_rel, time_limit, bandwidth=bandwidth, progress=progress)
+    budget = design_budget("synth hinf", WORK, effort, time_limit)
+    return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 
 
 def synthesize(
     plant: GeneralizedPlant,
     method: str,
     gamma_rel: float,
-    time_limit: float,
+    budget: Budget,
     weights: Mapping[str, StateSpaceModel] | None = None,
     bandwidth: float | None = None,
     progress: Callable[[str], None] | None = None,
@@ -111,28 +118,22 @@ def synthesize(
     where = f"synth {method}"
     if not np.isfinite(gamma_rel) or gamma_rel < 1:
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
-    if np.isnan(time_limit) or time_limit <= 0:
-        raise InputError(where, f"time_limit is {time_limit}", "a positive time in s")
     if bandwidth is not None and not bandwidth > 0:
         raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
-    from threadpoolctl import threadpool_limits
-
-    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
-    with threadpool_limits(limits=1):
+    with one_thread():
         say = progress or (lambda _: None)
-        return _synthesize(plant, method, gamma_rel, time_limit, weights or {}, bandwidth, say)
+        return _synthesize(plant, method, gamma_rel, budget, weights or {}, bandwidth, say)
 
 
 def _synthesize(
     plant: GeneralizedPlant,
     method: str,
     gamma_rel: float,
-    time_limit: float,
+    budget: Budget,
     weights: Mapping[str, StateSpaceModel],
     bandwidth: float | None,
     say: Callable[[str], None],
 ) -> HinfSynthesis:
-    deadline = Deadline(time_limit)
     dt = plant.model.dt
     continuous = plant
     if dt:
@@ -142,14 +143,13 @@ def _synthesize(
     scaled, rate = scalings[0].apply(matrices), scalings[0].rate
     require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
     lower = pointwise_bound(matrices, scalings, place_in_z(dt) if dt else place_in_s)
-    verifier = Verifier(plant, continuous.D22, deadline)
-    found = portfolio(matrices, scalings, deadline, lower.value, continuous.D22)
-    best, by = _best_of_all_methods(matrices, found, verifier, lower.value, deadline, say)
+    verifier = Verifier(plant, continuous.D22, budget)
+    found = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
+    best, by = _best_of_all_methods(matrices, found, verifier, lower.value, budget, say)
     if best is None:
-        late = f" in the time limit of {time_limit:g} s" if deadline.passed() else ""
         raise NoTrustworthyNumber(
             f"synth {method}",
-            f"no controller could be verified{late} ({len(found.candidates)} were found; {by})",
+            f"no controller could be verified{_ended(budget)} ({len(found.candidates)} were found; {by})",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
             more=broken_assumptions(scaled, plant, rate),
         )
@@ -172,7 +172,7 @@ def _synthesize(
         optimum=min(found.estimated_optimum(), best.gamma),
         assumptions=broken_assumptions(scaled, plant, rate),
         gamma_rel=gamma_rel,
-        late=deadline.passed(),
+        budget=budget,
         by=by,
         method=method,
         weights=weights,
@@ -184,7 +184,7 @@ def _best_of_all_methods(
     found: Portfolio,
     verifier: Verifier,
     lower: float,
-    deadline: Deadline,
+    budget: Budget,
     say: Callable[[str], None],
 ) -> tuple[Verified | None, str]:
     """The best verified controller, by Riccati equations, then LMIs, then nonsmooth search; and what gave it."""
@@ -192,19 +192,19 @@ def _best_of_all_methods(
     say(_line("two Riccati equations", best))
     optimum, disagree = found.estimated_optimum(), found.disagree
     if best is None:
-        note = _by_lmi(matrices, found.leader, deadline)
+        note = _by_lmi(matrices, found.leader, budget)
         best, by = verifier.smallest(found.candidates), f"two Riccati equations gave none; {note}"
         optimum = disagree = float("nan")
         say(_line(note, best))
     if best is None:
-        note = stabilise(matrices, found.leader, deadline, say)
+        note = stabilise(matrices, found.leader, budget, say)
         found.leader.polish(found.leader.best)
         best, by = verifier.smallest(found.candidates), f"{by}; {note}"
         say(_line(note, best))
     scale = found.leader.scaling.gain
     if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale):
         return best, by
-    descended = descend_from(matrices, found.leader, best.candidate, deadline)
+    descended = descend_from(matrices, found.leader, best.candidate, budget)
     again = None if descended is None else verifier.smallest(found.candidates)
     if again is not None and again.certified >= best.certified and again.gamma < best.gamma:
         best, by = again, f"{by}; nonsmooth descent"
@@ -212,13 +212,18 @@ def _best_of_all_methods(
     return best, by
 
 
+def _ended(budget: Budget) -> str:
+    """Words for an error about what ended the search, where that was the budget."""
+    return f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
+
+
 def _line(stage: str, best: Verified | None) -> str:
     return f"{stage}: none verified yet" if best is None else f"{stage}: gamma {best.gamma:.6g}"
 
 
-def _by_lmi(matrices: PlantMatrices, search: Search, deadline: Deadline) -> str:
+def _by_lmi(matrices: PlantMatrices, search: Search, budget: Budget) -> str:
     """Add the controllers of the projection LMIs to the search, and refine the best of them; how it went."""
-    controllers, note = lmi_controllers(matrices, search.scaling, deadline)
+    controllers, note = lmi_controllers(matrices, search.scaling, budget)
     for K in controllers:
         search.adopt(K)
     search.polish(search.best)
@@ -235,7 +240,7 @@ def _finished(
     optimum: float,
     assumptions: tuple[str, ...],
     gamma_rel: float,
-    late: bool,
+    budget: Budget,
     by: str,
     method: str,
     weights: Mapping[str, StateSpaceModel],
@@ -248,15 +253,14 @@ def _finished(
         parts.append(
             f"the softest controller within the allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
         )
-    if late:
-        parts.append("time limit reached: a smaller gamma may exist")
+    status, reason = told(status, parts, budget)
     return HinfSynthesis(
         K=chosen.K,
         gamma=chosen.gamma,
         closed_loop=loop,
         status=status,
         peak_frequency=chosen.norm.frequency,
-        reason="; ".join(parts),
+        reason=reason,
         limit=limiting_channels(loop, chosen.norm.frequency),
         smallest_gamma=best.gamma,
         scalings_disagree=disagree,

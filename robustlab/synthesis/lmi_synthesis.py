@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import NOT_REPEATABLE, Budget
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 from robustlab.synthesis.scaling import Scaling
-from robustlab.synthesis.search import Deadline
 
 __all__ = ["LmiOutcome", "lmi_controllers", "solve_conic"]
 
@@ -31,6 +31,7 @@ Array = NDArray[Any]
 MOST_STATES = 30
 NULL = 1e-10
 # Back-offs from the optimum and couplings [R tI; tI S] >= 0 for a well-conditioned reconstruction.
+ITERATIONS = 200  # of the solver: three times what it ever needed
 BACKOFFS, COUPLINGS = (0.002, 0.02, 0.1), (1.5, 1.05)
 
 
@@ -42,8 +43,8 @@ class LmiOutcome:
     text: str
 
 
-def solve_conic(problem: Any, seconds: float) -> LmiOutcome:
-    """Solve a cvxpy problem with Clarabel in a time limit, and map every way in which it can end.
+def solve_conic(problem: Any, budget: Budget, work: float = 0.0) -> LmiOutcome:
+    """Solve a cvxpy problem with Clarabel, counted as ``work``, and map every way in which it can end.
 
     Clarabel is Rust: where it panics, a ``PanicException`` comes up that is no ``Exception``.
     """
@@ -51,12 +52,17 @@ def solve_conic(problem: Any, seconds: float) -> LmiOutcome:
 
     import cvxpy as cp
 
-    if seconds <= 0:
-        return LmiOutcome(False, "no time was left for the LMI")
+    if budget.over:
+        return LmiOutcome(False, "no work was left for the LMI")
+    budget.spend(work)
+    # Its iterations end it; the clock is a guard that the user may have set.
+    limits: dict[str, Any] = {"max_iter": ITERATIONS}
+    if np.isfinite(budget.seconds_left):
+        limits["time_limit"] = max(budget.seconds_left, 1e-3)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "optimal_inaccurate" is a warning there and a status here
-            problem.solve(solver=cp.CLARABEL, time_limit=float(min(seconds, 1e6)))
+            problem.solve(solver=cp.CLARABEL, **limits)
     except cp.SolverError as error:
         return LmiOutcome(False, f"the LMI solver gave up ({str(error).splitlines()[0][:120]})")
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -65,10 +71,12 @@ def solve_conic(problem: Any, seconds: float) -> LmiOutcome:
         if type(error).__name__ != "PanicException":
             raise
         return LmiOutcome(False, f"the LMI solver panicked ({str(error)[:120]})")
+    late = problem.status == cp.USER_LIMIT and budget.over and budget.struck
+    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {ITERATIONS} steps"
     known = {
         cp.OPTIMAL: (True, "solved"),
         cp.OPTIMAL_INACCURATE: (True, "solved, not to full accuracy"),
-        cp.USER_LIMIT: (False, f"the LMI solver had no answer in {seconds:.3g} s"),
+        cp.USER_LIMIT: (False, limit),
         cp.INFEASIBLE: (False, "the LMI solver says infeasible"),
         cp.INFEASIBLE_INACCURATE: (False, "the LMI solver says infeasible, not to full accuracy"),
         cp.UNBOUNDED: (False, "the LMI solver says unbounded"),
@@ -77,7 +85,7 @@ def solve_conic(problem: Any, seconds: float) -> LmiOutcome:
     return LmiOutcome(*known.get(problem.status, (False, f"the LMI solver ended with {problem.status!r}")))
 
 
-def lmi_controllers(p: PlantMatrices, scaling: Scaling, deadline: Deadline) -> tuple[list[Realisation], str]:
+def lmi_controllers(p: PlantMatrices, scaling: Scaling, budget: Budget) -> tuple[list[Realisation], str]:
     """Controllers from the projection LMIs, unverified, in the units of the plant; and how it went in words.
 
     Parameters
@@ -86,32 +94,37 @@ def lmi_controllers(p: PlantMatrices, scaling: Scaling, deadline: Deadline) -> t
         Continuous plant without D22.
     scaling
         Scaling in which the LMIs are solved.
-    deadline
-        Every solve gets the time that is left.
+    budget
+        Every solve is counted there, and none is begun once it is over.
     """
     n = p.sizes[0]
     if n > MOST_STATES:
         return [], f"the LMI was not tried: {n} states, at most {MOST_STATES}"
     scaled = scaling.apply(p)
-    gamma, _, _, outcome = _projection(scaled, None, 1.0, deadline.left())
+    gamma, _, _, outcome = _projection(scaled, None, 1.0, budget)
     if gamma is None:
         return [], outcome.text
     found: list[Realisation] = []
     for backoff in BACKOFFS:
         for coupling in COUPLINGS:
             level = gamma * (1 + backoff) + 1e-9
-            _, R, S, outcome = _projection(scaled, level, coupling, deadline.left())
+            _, R, S, outcome = _projection(scaled, level, coupling, budget)
             if R is None or S is None:
                 continue
-            K = _reconstructed(scaled, R, S, level * (1 + 0.5 * backoff), deadline.left())
+            K = _reconstructed(scaled, R, S, level * (1 + 0.5 * backoff), budget)
             if K is not None:
                 found.append(scaling.controller_to_plant(K))
                 break
     return found, f"LMI optimum {gamma / scaling.gain:.6g} ({outcome.text}), {len(found)} controllers from it"
 
 
+def _work(n: int) -> float:
+    """Of one solve, as measured: 0.3 s at 10 states, 4 s at 20, 27 s at 30."""
+    return 5000 + 30 * n**4
+
+
 def _projection(
-    p: PlantMatrices, level: float | None, coupling: float, seconds: float
+    p: PlantMatrices, level: float | None, coupling: float, budget: Budget
 ) -> tuple[float | None, Array | None, Array | None, LmiOutcome]:
     """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``."""
     import cvxpy as cp
@@ -128,7 +141,7 @@ def _projection(
     constraints: list[Any] = [0.5 * (part + part.T) << 0 for part in parts]
     constraints.append(cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0)
     goal = gamma if level is None else cp.trace(R) + cp.trace(S)
-    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), seconds)
+    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), budget, _work(n))
     if not outcome.usable or R.value is None or S.value is None:
         return None, None, None, outcome
     value = float(gamma.value) if level is None else level
@@ -145,7 +158,7 @@ def _outer_factors(p: PlantMatrices) -> tuple[Array, Array]:
     return np.asarray(block_diag(by_control, np.eye(m))), np.asarray(block_diag(by_measurement, np.eye(q)))
 
 
-def _reconstructed(p: PlantMatrices, R: Array, S: Array, gamma: float, seconds: float) -> Realisation | None:
+def _reconstructed(p: PlantMatrices, R: Array, S: Array, gamma: float, budget: Budget) -> Realisation | None:
     """Controller of full order for given R and S: the bounded real LMI, linear in it, at the largest margin."""
     import cvxpy as cp
     from scipy.linalg import block_diag
@@ -173,7 +186,7 @@ def _reconstructed(p: PlantMatrices, R: Array, S: Array, gamma: float, seconds: 
     real = cp.bmat([[A + A.T, B, C.T], [B.T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
     shift = block_diag(np.eye(2 * n), np.zeros((m + q, m + q)))
     constraints: list[Any] = [0.5 * (real + real.T) + margin * shift << 0, margin <= 1e3]
-    outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), seconds)
+    outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), budget, _work(n))
     value = K.value
     if not outcome.usable or value is None or not np.isfinite(value).all():
         return None

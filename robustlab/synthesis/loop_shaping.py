@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
@@ -164,10 +165,7 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     if not g.n_inputs or not g.n_outputs:
         raise InputError(f"{where}: G", f"{g.n_outputs} outputs and {g.n_inputs} inputs", "at least one of each")
     before, behind = _weight(W1, g, "W1"), _weight(W2, g, "W2")
-    from threadpoolctl import threadpool_limits
-
-    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
-    with threadpool_limits(limits=1):
+    with one_thread():
         return _designed(g, before, behind, factor)
 
 

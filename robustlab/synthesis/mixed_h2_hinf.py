@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,14 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.synthesis.common_lyapunov import Channel, CommonLyapunov, least_seconds
-from robustlab.synthesis.design import Synthesis, limiting_channels
-from robustlab.synthesis.h2_synthesis import cancelled_direct_term, cancelling_gain, h2
-from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.common_lyapunov import Channel, CommonLyapunov, solver_work
+from robustlab.synthesis.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.h2_synthesis import cancelled_direct_term, cancelling_gain, synthesize_h2
+from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
 from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.verified_loop import rebuilt_loop
@@ -26,6 +26,8 @@ __all__ = ["MixedSynthesis", "h2_hinf"]
 
 Array = NDArray[Any]
 Names = Sequence[str]
+WORK = 60 * MILLION
+H2_REL = 1.0005  # loss of the H2 designs where they have to be kept finite
 
 # Levels of the H-infinity inequality, in shares of gamma: above 1, because the common Lyapunov matrix makes it
 # conservative; below 1, because the solver may miss its level by a little.
@@ -97,7 +99,8 @@ def h2_hinf(
     h2_inputs: Names | None = None,
     hinf_outputs: Names | None = None,
     hinf_inputs: Names | None = None,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> MixedSynthesis:
     r"""Controller with a small H2 norm of one channel, and the H-infinity norm of another at most ``gamma``.
@@ -108,7 +111,7 @@ def h2_hinf(
     inequalities with a common Lyapunov matrix (Scherer, Gahinet, Chilali), which alone would be conservative: they are
     solved for larger and larger levels as long as the *true* H-infinity norm of the rebuilt loop stays below gamma. H2
     designs with a weight on the H-infinity channel stand in where P is too large for the inequalities (more than about
-    20 states in a minute). K has the order of P.
+    20 states with the usual work). K has the order of P.
 
     Parameters
     ----------
@@ -121,7 +124,9 @@ def h2_hinf(
     hinf_outputs, hinf_inputs
         The same for the H-infinity channel; where left out, the other performance outputs, and all disturbances.
     time_limit
-        Time in s of the whole search; given to the solver too.
+        Time in s of the whole search; none where left out. Where it ends the search the status is TIMEOUT.
+    effort
+        Multiple of the usual work.
     progress
         Called with one line per step.
 
@@ -155,14 +160,10 @@ def h2_hinf(
     plant = as_generalized_plant(P, n_meas, n_con, where)
     if isinstance(gamma, bool) or not np.isfinite(gamma) or gamma <= 0:
         raise InputError(where, f"gamma is {gamma}", "a positive number")
-    if np.isnan(time_limit) or time_limit <= 0:
-        raise InputError(where, f"time_limit is {time_limit}", "a positive time in s")
+    budget = design_budget(where, WORK, effort, time_limit)
     channels = _channels(plant, h2_outputs, h2_inputs, hinf_outputs, hinf_inputs)
-    from threadpoolctl import threadpool_limits
-
-    # The matrices are small: one BLAS thread is the quickest, and gives the same bits on every number of cores.
-    with threadpool_limits(limits=1):
-        return _Mixed(plant, channels, gamma, time_limit, progress).result()
+    with one_thread():
+        return _Mixed(plant, channels, gamma, budget, progress).result()
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,18 +193,18 @@ class _Mixed:
         plant: GeneralizedPlant,
         channels: _Pair,
         gamma: float,
-        time_limit: float,
+        budget: Budget,
         progress: Callable[[str], None] | None,
     ) -> None:
         self.plant, self.channels, self.gamma = plant, channels, gamma
-        self.end = time.monotonic() + time_limit
+        self.budget, self.skipped = budget, ""
         self.say = progress or (lambda line: None)
         self.found: list[_Verified] = []
         self.alone = {kind: _part(plant, *getattr(channels, kind)) for kind in ("h2", "hinf")}
 
     def result(self) -> MixedSynthesis:
         where = "synth h2-hinf"
-        free = h2(self.alone["h2"], time_limit=max(self._left(), 1e-3))
+        free = synthesize_h2(self.alone["h2"], "h2", H2_REL, self.budget)
         norms = self._judge(free.K, "the H2 optimum, which keeps the bound")
         self.say(f"H2 norm without the bound {free.gamma:.6g}")
         smallest = float("nan")
@@ -230,22 +231,20 @@ class _Mixed:
     def _robust(self) -> float:
         """The smallest H-infinity norm found; where nothing keeps the bound yet, its designs are candidates."""
         try:
-            robust = hinf(self.alone["hinf"], gamma_rel=1.0, time_limit=max(0.4 * self._left(), 1e-3))
+            robust = synthesize(self.alone["hinf"], "hinf", 1.0, self.budget.share(0.4))
             smallest = robust.smallest_gamma
             self.say(f"smallest H-infinity norm found {smallest:.6g}")
             self._judge(robust.K, "the H-infinity design")
-            if len(self.found) <= 1 and self.gamma > ROOM * smallest and self._left() > 0:
+            if len(self.found) <= 1 and self.gamma > ROOM * smallest and not self.budget.over:
                 # The softest one that keeps the bound has a smaller H2 norm than the tightest.
-                soft = hinf(self.alone["hinf"], gamma_rel=0.999 * self.gamma / smallest, time_limit=0.4 * self._left())
+                share = self.budget.share(0.4)
+                soft = synthesize(self.alone["hinf"], "hinf", 0.999 * self.gamma / smallest, share)
                 self._judge(soft.K, "the softest H-infinity design found that keeps the bound")
             return smallest
         except NoTrustworthyNumber:
             if not self.found:
                 raise
             return float("nan")
-
-    def _left(self) -> float:
-        return self.end - time.monotonic()
 
     def _names(self, kind: str) -> list[str]:
         rows = getattr(self.channels, kind)[0]
@@ -254,6 +253,7 @@ class _Mixed:
     def _judge(self, K: StateSpaceModel, how: str, D22: Array | None = None) -> tuple[H2Norm, HinfNorm] | None:
         """Norms of both channels of the rebuilt loop; K is kept where they are sound and the bound holds."""
         nothing = np.zeros_like(self.plant.D22)
+        self.budget.spend(dense(self.plant.model.n_states + K.n_states, 11))  # both norms
         rebuilt = rebuilt_loop(self.plant, K, nothing if D22 is None else D22)
         if rebuilt is None:
             return None
@@ -279,7 +279,7 @@ class _Mixed:
         (z2, w2), (z, w) = self.channels.h2, self.channels.hinf
         n_z, n_w = m.n_outputs - self.plant.n_meas, m.n_inputs - self.plant.n_con
         for weight in WEIGHTS:
-            if self._left() <= 0:
+            if self.budget.over:
                 return
             rows, columns = np.ones(m.n_outputs), np.ones(m.n_inputs)
             rows[:n_z], columns[:n_w] = 0.0, 0.0
@@ -289,9 +289,8 @@ class _Mixed:
             D[:n_z, :n_w] = 0.0  # only a design is looked for; what it is worth is judged on the plant
             shaped = StateSpaceModel(m.A, m.B * columns, rows[:, None] * m.C, D, m.dt, m.inputs, m.outputs, m.states)
             try:
-                design = h2(
-                    GeneralizedPlant(shaped, self.plant.n_meas, self.plant.n_con), time_limit=self._left() + 1e-3
-                )
+                shaped_plant = GeneralizedPlant(shaped, self.plant.n_meas, self.plant.n_con)
+                design = synthesize_h2(shaped_plant, "h2", H2_REL, self.budget)
             except NoTrustworthyNumber:
                 continue
             norms = self._judge(design.K, f"an H2 design with weight {weight:.3g} on the H-infinity channel")
@@ -304,8 +303,10 @@ class _Mixed:
         (z2, w2), (z, w) = self.channels.h2, self.channels.hinf
         dt = self.plant.model.dt
         gain = cancelling_gain(_rows(matrices, z2, w2), dt, "synth h2-hinf")
-        if least_seconds(len(matrices.A), len(z2) + len(w2), len(z) + len(w)) > self._left():
-            self.say("too little time for the linear matrix inequalities")
+        setup, step = solver_work(len(matrices.A), len(z2) + len(w2), len(z) + len(w))
+        if setup + 3 * step > self.budget.left:
+            self.skipped = "the linear matrix inequalities were too large for the work left: a larger effort tries them"
+            self.say(self.skipped)
             return
         for scale in (equilibrated, paths_first):
             scaling = scale(matrices)
@@ -314,13 +315,13 @@ class _Mixed:
             p = scaling.apply(matrices)
             gain_scaled = gain / scaling.u[:, None] / scaling.y
             problem = CommonLyapunov(
-                p.A, p.B2, p.C2, _channel(p, z2, w2), _channel(p, z, w), gain_scaled, discrete=bool(dt)
+                p.A, p.B2, p.C2, _channel(p, z2, w2), _channel(p, z, w), gain_scaled, self.budget, discrete=bool(dt)
             )
 
             def attempt(
                 level: float, share: float, problem: CommonLyapunov = problem, scaling: Scaling = scaling
             ) -> bool:
-                bare = problem.controller(level * self.gamma * scaling.gain, share, self._left())
+                bare = problem.controller(level * self.gamma * scaling.gain, share)
                 return bare is not None and self._attempted(bare, scaling, f"level {level:.3g} gamma, share {share:g}")
 
             if self._push(attempt):
@@ -346,22 +347,22 @@ class _Mixed:
         """
         low, high = 0.0, LEVELS[-1]
         for level in LEVELS:
-            if self._left() <= 0 or not attempt(level, 1.0):
+            if self.budget.over or not attempt(level, 1.0):
                 high = level
                 break
             low = level
         if low == 0.0:
-            low = next((level for level in LOWER if self._left() > 0 and attempt(level, 1.0)), 0.0)
+            low = next((level for level in LOWER if not self.budget.over and attempt(level, 1.0)), 0.0)
         if low == 0.0:
             return False
         for _ in range(REFINEMENTS):
             middle = 0.5 * (low + high)
-            if self._left() <= 0 or high == low:
+            if high == low or self.budget.over:
                 break
             low, high = (middle, high) if attempt(middle, 1.0) else (low, middle)
         for factor in SHARES:
             share = factor
-            while self._left() > 0 and 1e-4 < share < 1e4:
+            while not self.budget.over and 1e-4 < share < 1e4:
                 before = min(v.h2.value for v in self.found)
                 # Another share moves the level that the true norm allows: a larger one is tried as well.
                 if attempt(low, share) and attempt(1.1 * low, share):
@@ -375,16 +376,16 @@ class _Mixed:
         parts = ["loop rebuilt from K is stable; both norms were verified", best.how]
         if not optimal:
             parts.append("a better controller may exist")
-        if self._left() <= 0:
-            parts.append("time limit reached")
+        parts += [self.skipped] if self.skipped else []
+        status, reason = told(Status.CONVERGED, parts, self.budget, "a better controller")
         (z, w), bound = self.channels.hinf, f"H-infinity norm {best.hinf.upper:.4g} of {self.gamma:.4g} allowed"
         peak = limiting_channels(_selected(best.loop, z, w), best.hinf.frequency)
         return MixedSynthesis(
             K=best.K,
             gamma=best.h2.value,
             closed_loop=best.loop,
-            status=Status.CONVERGED,
-            reason="; ".join(parts),
+            status=status,
+            reason=reason,
             limit=f"{bound}; {peak}" if peak else bound,
             plant=self.plant,
             method="h2-hinf",

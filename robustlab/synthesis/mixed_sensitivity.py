@@ -9,8 +9,8 @@ import numpy as np
 
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
-from robustlab.synthesis.design import HinfSynthesis
-from robustlab.synthesis.hinf_synthesis import synthesize
+from robustlab.synthesis.design import HinfSynthesis, design_budget
+from robustlab.synthesis.hinf_synthesis import WORK, synthesize
 from robustlab.synthesis.partition import GeneralizedPlant
 
 __all__ = ["mixed_sensitivity_plant", "mixsyn"]
@@ -23,7 +23,8 @@ def mixsyn(
     W3: Any = None,
     *,
     gamma_rel: float = 1.05,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
     r"""H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
@@ -44,7 +45,7 @@ def mixsyn(
         Weights on e (n_y channels), u (n_u channels) and G u (n_y channels). None leaves the term out; a number or a
         model with one input and one output is used on every channel; else a model or a constant matrix with as many
         inputs as channels. Weights must be stable and proper. See `robustlab.synthesis.weights`.
-    gamma_rel, time_limit, progress
+    gamma_rel, time_limit, effort, progress
         As for `robustlab.hinf`.
 
     Returns
@@ -72,7 +73,8 @@ def mixsyn(
     ('certified', True)
     """
     plant, weights = mixed_sensitivity_plant(G, W1, W2, W3)
-    return synthesize(plant, "mixsyn", gamma_rel, time_limit, weights, progress=progress)
+    budget = design_budget("synth mixsyn", WORK, effort, time_limit)
+    return synthesize(plant, "mixsyn", gamma_rel, budget, weights, progress=progress)
 
 
 def mixed_sensitivity_plant(

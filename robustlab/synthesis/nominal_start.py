@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.partition import GeneralizedPlant
 
 __all__ = ["nominal_start"]
@@ -29,7 +30,7 @@ SHARE, GAMMA_REL = 0.03, 1.1
 POINTS = 80
 
 
-def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, time_limit: float) -> StateSpaceModel | None:
+def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -> StateSpaceModel | None:
     """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
 
     None where no controller was verified, or where the control has nothing to do.
@@ -39,13 +40,14 @@ def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, time_limit: float
     out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
     B, C, D = m.B[:, into], m.C[out], m.D[np.ix_(out, into)]
     try:
-        first = hinf(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u, gamma_rel=GAMMA_REL, time_limit=time_limit / 2)
+        bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
+        first = synthesize(bare, "hinf", GAMMA_REL, budget.share(0.5))
         size = SHARE * _effort(m.A, B, C[n_z:], D[n_z:], first.K)
         if not (np.isfinite(size).all() and size.any()):
             return None
         more_B, more_D = B[:, n_w:] * size, D[:, n_w:] * size
         disturbed = StateSpaceModel(m.A, np.hstack([more_B, B]), C, np.hstack([more_D, D]), m.dt)
-        return hinf(disturbed, n_y, n_u, gamma_rel=GAMMA_REL, time_limit=time_limit / 2).K
+        return synthesize(GeneralizedPlant(disturbed, n_y, n_u), "hinf", GAMMA_REL, budget).K
     except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow, or nothing was verified
         return None
 

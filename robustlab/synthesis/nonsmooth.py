@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.controller_laws import AffineBuilder, AffineLaw, Parameter, model_of
@@ -30,7 +30,7 @@ WEIGHTS = (0.3, 0.1, 0.03)
 def descend(
     plant: GeneralizedPlant | PlantMatrices,
     K0: StateSpaceModel,
-    time_limit: float,
+    budget: Budget,
     weights: tuple[float, ...] = WEIGHTS,
 ) -> StateSpaceModel:
     """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
@@ -44,8 +44,8 @@ def descend(
         The generalised plant, or its matrices (continuous, D22 = 0).
     K0
         A stabilising controller, ``u = K y`` with positive feedback.
-    time_limit
-        Time in s.
+    budget
+        Evaluations are counted there; once it is over the descent ends.
     weights
         Weights of the barrier, largest first: larger ones look further around.
 
@@ -54,24 +54,19 @@ def descend(
     StateSpaceModel
         K0 itself where nothing better was found or K0 does not stabilise. Nothing here is verified: the caller does.
     """
-    until = time.monotonic() + time_limit
     if isinstance(plant, PlantMatrices):
         plant = GeneralizedPlant(plant.model(), plant.sizes[4], plant.sizes[2])
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
         raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")
     law, p = law_around(K0)
-    problem = DesignProblem([plant], law, "hinf", ())
-
-    def late() -> bool:
-        return time.monotonic() >= until
-
+    problem = DesignProblem([plant], law, "hinf", (), budget)
     v = problem.variables(p)
     before = problem.norm(v)[0]
-    if not np.isfinite(before) or late():
+    if not np.isfinite(before) or budget.over:
         return K0
-    v, _ = central_path(problem, v, late, weights)
-    q, after = polished(problem, problem.parameters(v)[0], late)
+    v, _ = central_path(problem, v, weights)
+    q, after = polished(problem, problem.parameters(v)[0])
     if not after < before:
         return K0
     return model_of(law, q, K0.dt, K0.inputs, K0.outputs)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from robustlab.budget import MILLION, Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.controller_laws import model_of
@@ -17,7 +18,7 @@ from robustlab.synthesis.controller_structures import FixedOrder
 from robustlab.synthesis.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth import WEIGHTS, descend
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation
-from robustlab.synthesis.search import Candidate, Deadline, Search
+from robustlab.synthesis.search import Candidate, Search
 from robustlab.synthesis.structure_search import multi_start
 
 __all__ = ["descend_from", "is_poor", "stabilise"]
@@ -27,8 +28,8 @@ __all__ = ["descend_from", "is_poor", "stabilise"]
 POOR = 1.02
 # In a plant scaled to order one, a gain below this says that the infimum is zero: ratios mean nothing there.
 NEAR_ZERO = 1e-4
-# Descents get this share of the time left, and at most so many seconds: beyond that they creep.
-SHARE_OF_TIME, SECONDS = 0.25, 15.0
+# Descents get this share of the work left, and at most so much: beyond that they creep.
+SHARE_OF_WORK, MOST_WORK = 0.25, 15 * MILLION
 # Random starts for each order; larger weights of the barrier where the start may be far from an optimum.
 STARTS, SEED, FAR = 3, 0, (3.0, 1.0, *WEIGHTS)
 
@@ -54,17 +55,17 @@ def is_poor(gamma: float, optimum: float, lower: float, disagree: float, scale: 
     return gamma > POOR * optimum if np.isfinite(optimum) else not disagree <= POOR - 1
 
 
-def descend_from(p: PlantMatrices, search: Search, start: Candidate, deadline: Deadline) -> Candidate | None:
+def descend_from(p: PlantMatrices, search: Search, start: Candidate, budget: Budget) -> Candidate | None:
     """The candidate that nonsmooth descent reaches from one of the search; None where it reaches nothing better.
 
     The search adopts it, so that it is verified and softened like every other.
     """
-    seconds = min(SHARE_OF_TIME * deadline.left(), SECONDS)
-    if seconds <= 0:
+    if budget.over:
         return None
+    part = budget.share(min(SHARE_OF_WORK, MOST_WORK / budget.left))
     K0 = StateSpaceModel(*start.K)
     try:
-        K = descend(p, K0, seconds, FAR)
+        K = descend(p, K0, part, FAR)
     except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow on the way
         return None
     if K is K0:
@@ -73,7 +74,7 @@ def descend_from(p: PlantMatrices, search: Search, start: Candidate, deadline: D
     return found if found is not None and found.gamma < start.gamma else None
 
 
-def stabilise(p: PlantMatrices, search: Search, deadline: Deadline, say: Callable[[str], None]) -> str:
+def stabilise(p: PlantMatrices, search: Search, budget: Budget, say: Callable[[str], None]) -> str:
     """Add controllers found by minimising the loop's spectral abscissa, then its norm; how it went in words.
 
     Static gains first, then 2 states, then as many as the plant has: low orders are quick, and often enough.
@@ -81,12 +82,12 @@ def stabilise(p: PlantMatrices, search: Search, deadline: Deadline, say: Callabl
     plant = GeneralizedPlant(p.model(), p.sizes[4], p.sizes[2])
     n = p.sizes[0]
     for order in sorted({0, min(2, n), n}):
-        if deadline.passed():
-            return "no time was left for a nonsmooth search"
-        until = Deadline(0.5 * deadline.left())
+        if budget.over:
+            return "no work was left for a nonsmooth search"
+        part = budget.share(0.5)
         try:
             law = FixedOrder(order).law(plant.measurements, plant.controls, 0.0)
-            starts = multi_start(DesignProblem([plant], law, "hinf", ()), [], STARTS, SEED, until.passed, say)
+            starts = multi_start(DesignProblem([plant], law, "hinf", (), part), [], STARTS, SEED, say)
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
             continue
         for start in (s for s in starts if np.isfinite(s.gamma)):

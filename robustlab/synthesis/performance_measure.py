@@ -10,16 +10,19 @@ holds at every frequency; without scalings the mu analysis finds its own on inte
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
+from robustlab.budget import MILLION, Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.bounds import mu
 from robustlab.mu_analysis.margin import Margin
-from robustlab.mu_analysis.worst_gain import PERFORMANCE, robust_performance
+from robustlab.mu_analysis.stability import margin_within
+from robustlab.mu_analysis.upper import points_work
+from robustlab.mu_analysis.worst_gain import PERFORMANCE, with_performance
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
@@ -43,6 +46,7 @@ Scalings = tuple[StateSpaceModel, StateSpaceModel]
 
 # Points of the grid on which candidates are compared before one of them is proved.
 GRID = 60
+MARGIN_WORK = 30 * MILLION  # at most, of the proof of one candidate without scalings
 
 
 @dataclass(frozen=True)
@@ -73,12 +77,15 @@ class PerformanceMeasure:
         Perturbation blocks of the plant's first inputs and outputs, without the performance block; for ``"mu"``.
     scaled
         The plant with scalings, whose closed-loop norm bounds mu; None without scalings.
+    budget
+        Estimates and proofs are counted there.
     """
 
     plant: GeneralizedPlant
     name: MeasureName
     blocks: tuple[Block, ...] = ()
     scaled: GeneralizedPlant | None = None
+    budget: Budget = field(default_factory=Budget)
 
     @property
     def text(self) -> str:
@@ -103,6 +110,7 @@ class PerformanceMeasure:
         if self.name == "mu" and self.scaled is None:
             return self._margin(self.plant.close(K))
         loop = (self.scaled or self.plant).close(K)
+        self.budget.spend(dense(loop.n_states, 1 if self.name == "h2" else 10))
         if self.name == "h2":
             norm = h2_norm(loop)
             return Performance(norm.value, norm, np.nan)
@@ -111,7 +119,8 @@ class PerformanceMeasure:
 
     def _margin(self, loop: StateSpaceModel) -> Performance:
         try:
-            margin = robust_performance(_uncertain(loop, self.blocks), tolerance=1e-3)
+            part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
+            margin = margin_within(with_performance(_uncertain(loop, self.blocks)), part, tolerance=1e-3)
         except NoTrustworthyNumber:  # the nominal loop is not stable
             norm = hinf_norm(loop)
             return Performance(np.inf, norm, np.nan)
@@ -122,6 +131,7 @@ class PerformanceMeasure:
         """A quick estimate from below, on a grid; inf where the loop is not stable or not well posed."""
         try:
             loop = (self.scaled or self.plant).close(K)
+            self.budget.spend(dense(loop.n_states, 4))
             if not loop.is_stable():
                 return np.inf
             if self.name == "h2":
@@ -135,35 +145,36 @@ class PerformanceMeasure:
         gain = np.linalg.norm(response, 2, axis=(1, 2)) if response.size else np.zeros(1)
         if self.name == "hinf" or self.scaled is not None:
             return float(gain.max())
-        bounds = mu(response, (*self.blocks, _performance_block(loop, self.blocks)))
+        blocks = (*self.blocks, _performance_block(loop, self.blocks))
+        self.budget.spend(2 * points_work(blocks, len(response)))
+        bounds = mu(response, blocks)
         return float(np.max(bounds.upper))
 
 
 def make_measure(
-    plant: GeneralizedPlant, name: str, blocks: Sequence[Block] | None, scalings: Any, where: str
+    plant: GeneralizedPlant, name: str, blocks: Sequence[Block] | None, scalings: Any, where: str, budget: Budget
 ) -> PerformanceMeasure:
-    """The measure that the arguments of a public function ask for, checked."""
+    """The measure that the arguments of a public function ask for, checked; its work is counted in ``budget``."""
     if name not in ("hinf", "h2", "mu"):
         raise InputError(where, f"measure {name!r}", "'hinf', 'h2' or 'mu'")
     if name != "mu" and (blocks is not None or scalings is not None):
         raise InputError(where, f"blocks or scalings with measure {name!r}", "measure='mu'")
     if name != "mu":
-        return PerformanceMeasure(plant, name)
+        return PerformanceMeasure(plant, name, budget=budget)
     known = tuple(plant.blocks if blocks is None else blocks)
     n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
     if known and structure_size(known) == (n_w, n_z) and isinstance(known[-1], FullBlock):
         known = known[:-1]  # the last block is the performance block
     if scalings is not None:
-        return PerformanceMeasure(
-            plant, "mu", known, scaled_plant(plant, given_scalings(scalings, plant.model.dt, where), where)
-        )
+        scaled = scaled_plant(plant, given_scalings(scalings, plant.model.dt, where), where)
+        return PerformanceMeasure(plant, "mu", known, scaled, budget)
     q, p = structure_size(known) if known else (0, 0)
     if not known or q >= n_w or p >= n_z:
         raise InputError(
             where, f"blocks of {q} inputs and {p} outputs in a plant with {n_w} and {n_z}",
             "blocks of the plant's first channels, and channels of performance behind them", "blocks=",
         )  # fmt: skip
-    return PerformanceMeasure(plant, "mu", known)
+    return PerformanceMeasure(plant, "mu", known, None, budget)
 
 
 def scaled_plant(plant: GeneralizedPlant, scalings: Scalings, where: str = "scaled plant") -> GeneralizedPlant:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget, dense
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.upper import UpperBound, upper_bounds
+from robustlab.mu_analysis.upper import UpperBound, points_work, upper_bounds
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar
 
@@ -19,7 +20,7 @@ __all__ = ["MuCurve", "as_complex", "mu_curve"]
 Array = NDArray[Any]
 
 FIRST, ROUNDS, ADDED = 40, 3, 24
-CHUNK = 8  # frequencies between two looks at the clock
+CHUNK = 8  # frequencies between two looks at the budget
 TOLERANCE = 1e-4
 
 
@@ -57,18 +58,16 @@ def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
     return tuple(ComplexScalar(b.name, b.repeats) if isinstance(b, RealScalar) else b for b in blocks)
 
 
-def mu_curve(
-    loop: StateSpaceModel, blocks: Sequence[Block], stop: Callable[[], bool], first: Array | None = None
-) -> MuCurve:
+def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: Array | None = None) -> MuCurve:
     """The curve of a stable continuous loop on frequencies that follow it.
 
     The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
     intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where
-    ``stop`` says so, asked after every few frequencies, it is left at those (the first ones are spread over all).
+    the budget is over after some of them, it is left at those (the first ones are spread over all).
     """
-    omega, response, bounds = _spread(loop, blocks, default_grid(loop, FIRST, 1.0) if first is None else first, stop)
+    omega, response, bounds = _spread(loop, blocks, default_grid(loop, FIRST, 1.0) if first is None else first, budget)
     for _ in range(ROUNDS):
-        if stop():
+        if budget.over:
             break
         levels = np.array([b.beta for b in bounds])
         d = np.log(np.array([np.einsum("ii->i", b.Dw).real for b in bounds]))
@@ -81,7 +80,7 @@ def mu_curve(
         if not len(chosen):
             break
         new = np.sqrt(omega[chosen] * omega[chosen + 1])
-        more, found = _until(loop, blocks, new, stop)
+        more, found = _until(loop, blocks, new, budget)
         new = new[: len(found)]
         order = np.argsort(np.concatenate([omega, new]), kind="stable")
         omega = np.concatenate([omega, new])[order]
@@ -91,27 +90,29 @@ def mu_curve(
 
 
 def _spread(
-    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, stop: Callable[[], bool]
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, budget: Budget
 ) -> tuple[Array, Array, list[UpperBound]]:
-    """The bounds at every so-many-th frequency first, until all are done or the time is up; frequencies rise again."""
+    """The bounds at every so-many-th frequency first, as far as the budget goes; frequencies rise again."""
     stride = max(1, len(omega) // CHUNK)
     order = np.concatenate([np.arange(start, len(omega), stride) for start in range(stride)])
-    response, bounds = _until(loop, blocks, omega[order], stop)
+    response, bounds = _until(loop, blocks, omega[order], budget)
     done = order[: len(bounds)]
     back = np.argsort(done)
     return omega[done[back]], response[back], [bounds[i] for i in back]
 
 
 def _until(
-    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, stop: Callable[[], bool]
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, budget: Budget
 ) -> tuple[Array, list[UpperBound]]:
-    """Responses and bounds at the first of the frequencies, as many as the time allows, and at some of them always."""
+    """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
     responses: list[Array] = []
     bounds: list[UpperBound] = []
     for begin in range(0, len(omega), CHUNK):
-        if bounds and stop():
+        if bounds and budget.over:
             break
-        response, found = _at(loop, blocks, omega[begin : begin + CHUNK])
+        chunk = omega[begin : begin + CHUNK]
+        budget.spend(points_work(blocks, len(chunk)) + dense(loop.n_states))
+        response, found = _at(loop, blocks, chunk)
         responses.append(response)
         bounds += found
     return np.concatenate(responses), bounds

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.synthesis.partition import PlantMatrices
 from robustlab.synthesis.scaling import Scaling
-from robustlab.synthesis.search import IMPROVEMENT, SHARES, Candidate, Deadline, Search, smallest
+from robustlab.synthesis.search import IMPROVEMENT, SHARES, Candidate, Search, smallest
 
 __all__ = ["Portfolio", "portfolio"]
 
@@ -60,7 +61,7 @@ class Portfolio:
 def portfolio(
     matrices: PlantMatrices,
     scalings: tuple[Scaling, Scaling],
-    deadline: Deadline,
+    budget: Budget,
     floor: float = 0.0,
     D22: NDArray[np.float64] | None = None,
 ) -> Portfolio:
@@ -69,7 +70,7 @@ def portfolio(
     ``floor`` is a proved lower bound of gamma: a search that meets it is done. ``D22`` is the direct term that was left
     out of the plant.
     """
-    one, two = (Search(matrices, scaling, deadline, floor, D22) for scaling in scalings)
+    one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
     for search in (one, two):
         search.ladder()
         if search.best is not None and search.proved(search.best):

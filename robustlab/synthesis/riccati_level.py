@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.matrix_equations import balanced_eigenvalues, care
 from robustlab.statespace import StateSpaceModel
@@ -40,6 +41,8 @@ NEGLIGIBLE = 1e-6
 STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
 RTOL = 1e-7
 MAX_TESTS = 40
+# Work of a test and of a pair of frozen forms beside that of their factorisations, as measured.
+TEST_WORK, FORM_WORK = 300, 250
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +103,17 @@ class LevelSearch:
         The scaled plant for parameters theta at a level beta.
     scaling
         Numerical scaling of its states and channels, held fixed.
+    budget
+        Every test is counted there, and it is asked between tests. None: no limit.
     """
 
-    def __init__(self, plant: Callable[[Array, float], PlantMatrices], scaling: Scaling) -> None:
+    def __init__(
+        self, plant: Callable[[Array, float], PlantMatrices], scaling: Scaling, budget: Budget | None = None
+    ) -> None:
         self._plant, self.scaling = plant, scaling
+        self.budget = Budget() if budget is None else budget
 
-    def smallest(self, theta: Array, start: float, stop: Callable[[], bool], rtol: float = RTOL) -> Level | None:
+    def smallest(self, theta: Array, start: float, rtol: float = RTOL) -> Level | None:
         """The smallest level near ``start``; None where none is found.
 
         Above it rho(X Y) < 1. It is bracketed by growing steps, and found by false position (Illinois) on log rho.
@@ -123,7 +131,7 @@ class LevelSearch:
             else:
                 side, high_next = (-1, _halved(high, side == -1)) if high else (-1, high)
                 low, high = (log_beta, value), high_next
-            if stop():
+            if self.budget.over:
                 break
             if high is None or low is None:
                 step *= 4
@@ -150,6 +158,8 @@ class LevelSearch:
         """
         if not level.smooth:
             return None
+        n = len(self.scaling.states)
+        self.budget.spend(dense(n, 2 * most) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
         forms = self._frozen(theta, level, most)
         log_beta = float(np.log(level.beta))
         slope = (forms(theta, log_beta + STEP) - forms(theta, log_beta - STEP)) / (2 * STEP)
@@ -187,6 +197,7 @@ class LevelSearch:
         return self.scaling.apply(self._plant(theta, beta))
 
     def _test(self, theta: Array, beta: float) -> _Pair | None:
+        self.budget.spend(TEST_WORK + dense(len(self.scaling.states), 4))
         try:
             p = self._scaled(theta, beta)
             first = _solution(*_quadratic(p, self.scaling.gain))

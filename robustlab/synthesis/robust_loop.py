@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
@@ -18,7 +18,7 @@ from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Reali
 from robustlab.synthesis.riccati_level import LevelSearch
 from robustlab.synthesis.scaled_plant import proved_level, scaled_plant
 from robustlab.synthesis.scaling import equilibrated, paths_first
-from robustlab.synthesis.search import Deadline, Search
+from robustlab.synthesis.search import Search
 from robustlab.synthesis.softening import soften
 from robustlab.synthesis.verified_loop import named_controller, with_direct_term
 
@@ -74,12 +74,13 @@ class RobustProblem:
     ----------
     plant
         Generalised plant as given; its w and z are exactly the channels of the structure.
-    stop
-        Asked between steps; True where the time is up.
+    budget
+        What is done is counted there, and it is asked between steps; each stage of a search may put its own. None: no
+        limit.
     """
 
-    def __init__(self, plant: GeneralizedPlant, stop: Callable[[], bool]) -> None:
-        self.plant, self.stop = plant, stop
+    def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None) -> None:
+        self.plant, self.budget = plant, Budget() if budget is None else budget
         model = plant.model
         mapped = bilinear_to_continuous(model) if model.is_discrete else model
         self._continuous = GeneralizedPlant(mapped, plant.n_meas, plant.n_con)
@@ -99,14 +100,14 @@ class RobustProblem:
             return scaled_plant(self.matrices, scalings.with_parameters(theta), beta)
 
         scaled = at(scalings.parameters(), 1.0)
-        return LevelSearch(at, equilibrated(scaled) if alternative else paths_first(scaled))
+        return LevelSearch(at, equilibrated(scaled) if alternative else paths_first(scaled), self.budget)
 
     def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
         """The controller of smallest proved level for given scalings; None where none was found."""
         best: Iterate | None = None
         for alternative in (False, True):
             search = self.search(scalings, alternative)
-            level = search.smallest(scalings.parameters(), start, self.stop, 1e-5)
+            level = search.smallest(scalings.parameters(), start, 1e-5)
             if level is None:
                 continue
             found = self._backed_off(search, scalings, level.beta)
@@ -117,7 +118,7 @@ class RobustProblem:
         return best
 
     def at_level(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
-        """The controller at a level that is known to be the smallest one of these scalings; does not ask the clock."""
+        """The controller at a level that is known to be the smallest one of these scalings; does not ask the budget."""
         return self._backed_off(self.search(scalings), scalings, beta, BACKOFF[:3])
 
     def _backed_off(
@@ -136,7 +137,7 @@ class RobustProblem:
                 break
         return best
 
-    def softened(self, iterate: Iterate, limit: float, deadline: Deadline) -> Iterate:
+    def softened(self, iterate: Iterate, limit: float) -> Iterate:
         """The same scalings with the controller of slowest poles whose proved level is at most ``limit``.
 
         The central controller at the smallest level has poles that run away to infinity; at a level a little higher
@@ -150,10 +151,10 @@ class RobustProblem:
             K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
             middle = K if K is not None else middle
             best = self._slower(K, best, limit)
-        if middle is None or deadline.passed():
+        if middle is None or self.budget.over:
             return best
         plant = scaled_plant(self.bare, iterate.scalings, limit)  # a gain of at most one proves the limit
-        trials = Search(plant, paths_first(plant), deadline)
+        trials = Search(plant, paths_first(plant), self.budget)
         start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
         if start is not None:
             soften(trials, start, 1.0)
@@ -163,7 +164,7 @@ class RobustProblem:
 
     def _slower(self, K: StateSpaceModel | None, best: Iterate, limit: float) -> Iterate:
         """The controller in place of the best one where it is slower and proves the limit."""
-        found = None if K is None or self.stop() else self.closed(K, best.scalings, best.level)
+        found = None if K is None or self.budget.over else self.closed(K, best.scalings, best.level)
         return found if found is not None and found.level <= limit and found.pace < best.pace else best
 
     def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
@@ -184,6 +185,7 @@ class RobustProblem:
             if not loop.is_stable():
                 return None
             loop = bilinear_to_continuous(loop) if loop.is_discrete else loop
+            self.budget.spend(dense(loop.n_states + scalings.n_states, 20 * 10 if scalings.mixed else 10))
             level, _ = proved_level(loop, scalings, guess)
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
             return None
@@ -197,6 +199,7 @@ class RobustProblem:
         """
         if self._regular:
             return
+        self.budget.spend(dense(iterate.loop.n_states + iterate.scalings.n_states, 4))
         n, n_w, n_u, n_z, n_y = self.bare.sizes
         into = self.scale.states * self.scale.rate
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.mu_analysis.worst_gain import WorstCaseGain, worst_case_gain
+from robustlab.mu_analysis.worst_gain import WorstCaseGain, gain_within
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis.design import told
 from robustlab.synthesis.fixed_result import FixedSynthesis
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.uncertainty.lft import UncertainModel
@@ -22,16 +23,18 @@ from robustlab.uncertainty.realised_delta import realise_delta
 __all__ = ["robust_design"]
 
 Array = NDArray[Any]
-Design = Callable[[Sequence[GeneralizedPlant], Sequence[Array], float], FixedSynthesis]
+Design = Callable[[Sequence[GeneralizedPlant], Sequence[Array], Budget], FixedSynthesis]
 
 ROUNDS = 12
 # Worst-case gain over the scenarios' gain at which the scenarios count as enough.
 ENOUGH = 1.01
-# Shares of the time that remains: for one design, for one search for the worst member, for the final proof.
+# Shares of the work that remains: for one design, and for one search for the worst member with its proof.
 DESIGN_SHARE, SEARCH_SHARE = 0.5, 0.3
 
 
-def robust_design(plant: GeneralizedPlant, design: Design, until: float, say: Callable[[str], None]) -> FixedSynthesis:
+def robust_design(
+    plant: GeneralizedPlant, design: Design, budget: Budget, say: Callable[[str], None]
+) -> FixedSynthesis:
     """Design on scenarios, find the worst Delta of the loop, add it, and repeat; the best design by its proved bound.
 
     Parameters
@@ -39,9 +42,9 @@ def robust_design(plant: GeneralizedPlant, design: Design, until: float, say: Ca
     plant
         Generalised plant with perturbation blocks; their channels come first.
     design
-        ``(plants, starts as parameters, until)`` to a verified design.
-    until
-        End of the time on the monotonic clock.
+        ``(plants, starts as parameters, budget)`` to a verified design.
+    budget
+        Designs and proofs get shares of it; once it is over no further round begins.
     say
         Called with one line per round.
     """
@@ -50,21 +53,17 @@ def robust_design(plant: GeneralizedPlant, design: Design, until: float, say: Ca
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
     best: FixedSynthesis | None = None
     known: list[Array] = []
-    cut = False
     for number in range(ROUNDS):
-        now = time.monotonic()
-        if best is not None and now >= until:
-            cut = True
+        if best is not None and budget.over:
             break
         try:
-            found = design(members, known, now + DESIGN_SHARE * (until - now))
+            found = design(members, known, budget.share(DESIGN_SHARE))
         except NoTrustworthyNumber:
             if best is None:
                 raise
-            cut = time.monotonic() >= until
             break
         known = [np.array([p.value for p in found.parameters])]
-        worst = _worst(uncertain, found.K, SEARCH_SHARE * max(until - time.monotonic(), 1.0))
+        worst = _worst(uncertain, found.K, budget.share(SEARCH_SHARE))
         found = replace(found, worst=worst, scenarios=tuple(deltas))
         say(f"round {number + 1}: {len(members)} scenarios, gain {found.gamma:.5g}, worst member {worst.lower:.5g}")
         if best is None or _order(found) < _order(best):
@@ -77,12 +76,12 @@ def robust_design(plant: GeneralizedPlant, design: Design, until: float, say: Ca
         deltas.append(dict(worst.delta))
         members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
     assert best is not None
-    return _judged(best, cut)
+    return _judged(best, budget)
 
 
-def _worst(uncertain: UncertainModel, K: StateSpaceModel, seconds: float) -> WorstCaseGain:
+def _worst(uncertain: UncertainModel, K: StateSpaceModel, budget: Budget) -> WorstCaseGain:
     loop = UncertainModel(lower_lft(uncertain.M, K), uncertain.blocks)
-    return worst_case_gain(loop, tolerance=0.02, time_limit=seconds)
+    return gain_within(loop, budget, tolerance=0.02)
 
 
 def _order(design: FixedSynthesis) -> tuple[float, float]:
@@ -103,17 +102,15 @@ def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel 
         return None
 
 
-def _judged(design: FixedSynthesis, cut: bool) -> FixedSynthesis:
-    """With gamma, status and reason as the worst-case gain has them; ``cut``: time was up before the search was."""
+def _judged(design: FixedSynthesis, budget: Budget) -> FixedSynthesis:
+    """With gamma, status and reason as the worst-case gain has them, and what ended the search."""
     worst = design.worst
     assert worst is not None
     scenarios = f"{len(design.scenarios)} scenarios"
-    if cut and "time limit" not in design.reason:
-        scenarios += "; time limit reached: a smaller gamma may exist"
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
-        reason = f"{design.reason}; worst-case gain over the whole set proved; {scenarios}"
-        return replace(design, gamma=worst.upper, reason=reason)
-    text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved in time"
-    return replace(
-        design, gamma=max(design.gamma, worst.lower), status=Status.INCONCLUSIVE, reason=f"{text}; {scenarios}"
-    )
+        parts = [design.reason, "worst-case gain over the whole set proved", scenarios]
+        status, reason = told(Status.CERTIFIED, parts, budget)
+        return replace(design, gamma=worst.upper, status=status, reason=reason)
+    text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
+    status, reason = told(Status.INCONCLUSIVE, [text, scenarios], budget)
+    return replace(design, gamma=max(design.gamma, worst.lower), status=status, reason=reason)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -10,22 +9,30 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import MILLION, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.design import Synthesis
+from robustlab.synthesis.design import Synthesis, design_budget, told
 from robustlab.synthesis.discretisation import METHODS, MergedModes, discretise, merged_modes
-from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.lifting import lift
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.performance_measure import given_scalings, scaled_plant
-from robustlab.synthesis.sampled_data import SampledDataNorm, check_sampling, sampled_loop_norm, with_antialiasing
+from robustlab.synthesis.sampled_data import (
+    SampledDataNorm,
+    check_sampling,
+    norm_work,
+    sampled_loop_norm,
+    with_antialiasing,
+)
 
 __all__ = ["SampledController", "SampledMethod", "SampledTrial", "discretise_controller"]
 
 WHERE = "discretise_controller"
+WORK = 60 * MILLION
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 
 # Intervals of a period on which the direct design sees disturbance and performance, and its allowed ratio of gammas.
@@ -160,7 +167,8 @@ def discretise_controller(
     scalings: Any = None,
     n_meas: int | None = None,
     n_con: int | None = None,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> SampledController:
     r"""Digital controller for a continuous design, with the proved norm of the sampled loop and what it loses.
@@ -196,7 +204,10 @@ def discretise_controller(
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
     time_limit
-        Time in s, asked between methods and kept by the direct design.
+        Time in s, asked between methods and kept by the direct design; none where left out. Where it ends the search
+        the status is TIMEOUT.
+    effort
+        Multiple of the usual work.
     progress
         Called with one line for each method.
 
@@ -233,17 +244,16 @@ def discretise_controller(
     known = ("auto", "direct", *METHODS)
     if method not in known:
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
-    if not 0 <= loss < np.inf or not time_limit > 0:
-        raise InputError(WHERE, f"loss {loss}, time_limit {time_limit}", "a loss >= 0 and a positive time in s")
+    if not 0 <= loss < np.inf:
+        raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
+    budget = design_budget(WHERE, WORK, effort, time_limit)
     judged = plant if scalings is None else scaled_plant(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
     filtered = with_antialiasing(judged, antialiasing, WHERE)
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
+    with one_thread():
         continuous = hinf_norm(judged.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        search = _Trials(filtered, full, float(dt), delay, continuous, time.monotonic() + time_limit, progress)
+        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress)
         search.run(method, loss, prewarp)
     return _finished(search, plant, full, loss, antialiasing)
 
@@ -268,25 +278,24 @@ class _Trials:
         dt: float,
         delay: float,
         continuous: HinfNorm,
-        until: float,
+        budget: Budget,
         progress: Callable[[str], None] | None,
     ) -> None:
         self.plant, self.K, self.dt, self.delay, self.continuous = plant, K, dt, delay, continuous
-        self.until = until
+        self.budget = budget
         self.progress = progress or (lambda _: None)
         self.merged = merged_modes(plant.model, dt)
         self.trials: list[SampledTrial] = []
         self.best: tuple[str, StateSpaceModel, SampledDataNorm] | None = None
-        self.late = False
 
     def run(self, method: str, loss: float, prewarp: float | None) -> None:
         """Try what ``method`` asks for."""
         for name in self._formulas(method):
-            if self._time_is_up():
+            if self.budget.over:
                 return
             self._formula(name, prewarp)
         enough = self.best is not None and _loss(self.best[2].upper, self.continuous) <= loss
-        if (method == "direct" or (method == "auto" and not enough)) and not self._time_is_up():
+        if (method == "direct" or (method == "auto" and not enough)) and not self.budget.over:
             self._direct()
 
     def _formulas(self, method: str) -> list[str]:
@@ -296,10 +305,6 @@ class _Trials:
         if 0 < self.continuous.frequency < 0.9 * np.pi / self.dt:
             names.insert(1, "tustin-prewarp")
         return [*names, "matched"] if (self.K.n_inputs, self.K.n_outputs) == (1, 1) else names
-
-    def _time_is_up(self) -> bool:
-        self.late = time.monotonic() > self.until
-        return self.late
 
     def _formula(self, name: str, prewarp: float | None) -> None:
         if name == "tustin-prewarp" and prewarp is None:
@@ -316,9 +321,8 @@ class _Trials:
         channels = max(self.plant.model.n_inputs - self.plant.n_con, self.plant.model.n_outputs - self.plant.n_meas)
         n_intervals = int(np.clip(MOST_CHANNELS // max(channels, 1), 1, DESIGN_INTERVALS))
         lifted = lift(self.plant, self.dt, n_intervals, self.delay).generalized_plant()
-        limit = max(self.until - time.monotonic(), 1e-3)
         try:
-            design = hinf(lifted, gamma_rel=DESIGN_GAMMA_REL, time_limit=limit)
+            design = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, self.budget)
         except NoTrustworthyNumber as error:
             named = [str(merged) for merged in self.merged if not merged.stable]
             self._none("direct", "; ".join([error.line, *named]))
@@ -331,6 +335,7 @@ class _Trials:
         self.progress(f"{name}: {reason}")
 
     def _judge(self, name: str, K: StateSpaceModel) -> None:
+        self.budget.spend(norm_work(self.plant, K))
         try:
             norm = sampled_loop_norm(
                 self.plant, K, self.delay, 1e-2, np.inf if self.best is None else self.best[2].upper
@@ -353,7 +358,7 @@ def _finished(
     search: _Trials, plant: GeneralizedPlant, full: StateSpaceModel, loss: float, antialiasing: float | None
 ) -> SampledController:
     if search.best is None:
-        late = " in the time limit" if search.late else ""
+        late = f" ({search.budget.remark})" if search.budget.remark else ""
         fates = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
         named = [str(merged) for merged in search.merged]
         raise NoTrustworthyNumber(
@@ -365,12 +370,13 @@ def _finished(
     reason = f"{name}: sampled loop rebuilt, norm proved on {norm.n_intervals} intervals a period"
     if achieved > loss:
         reason += f"; no method tried keeps the loss to {100 * loss:g} %"
+    status, reason = told(norm.status, [reason], search.budget, "one that loses less")
     return SampledController(
         K=K,
         gamma=norm.upper,
         closed_loop=norm.loop,
-        status=norm.status,
-        reason=reason + ("; time was up" if search.late else ""),
+        status=status,
+        reason=reason,
         limit=_limiting_channels(norm, search.plant),
         plant=plant,
         method=f"sampled {name}",

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import dense, one_thread
 from robustlab.errors import InputError
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
@@ -144,9 +145,7 @@ def sampled_data_norm(
         raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
     if not 0 < rtol < 1:
         raise InputError(where, f"rtol is {rtol}", "between 0 and 1")
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
+    with one_thread():
         return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol)
 
 
@@ -182,6 +181,11 @@ def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str)
     )  # fmt: skip
     behind = series(StateSpaceModel(m.A, m.B, m.C, m.D), append(gain, filters))
     return GeneralizedPlant(behind.renamed(m.inputs, m.outputs), n_y, plant.n_con, plant.blocks)
+
+
+def norm_work(plant: GeneralizedPlant, K: StateSpaceModel) -> int:
+    """Work of `sampled_loop_norm`, as measured: brackets for two or three numbers of intervals."""
+    return dense(plant.model.n_states + K.n_states, 200)
 
 
 def sampled_loop_norm(

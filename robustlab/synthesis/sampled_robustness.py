@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.margin import Margin
-from robustlab.mu_analysis.stability import robust_stability
+from robustlab.mu_analysis.stability import margin_within
 from robustlab.mu_analysis.upper import compile_kernels
-from robustlab.mu_analysis.worst_gain import PERFORMANCE, robust_performance
+from robustlab.mu_analysis.worst_gain import PERFORMANCE, with_performance
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.synthesis.design import design_budget
 from robustlab.synthesis.lifting import lift
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
-from robustlab.synthesis.sampled_data import check_sampling, sampled_loop_norm, with_antialiasing
+from robustlab.synthesis.sampled_data import check_sampling, norm_work, sampled_loop_norm, with_antialiasing
 from robustlab.synthesis.sampled_uncertainty import REST, SampledUncertainPlant, sample_uncertain_plant
 from robustlab.synthesis.tracking_problem import TrackingProblem
 from robustlab.uncertainty.blocks import RealScalar, block_slices
@@ -27,6 +28,9 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["SampledRobustness", "sampled_robustness"]
 
 WHERE = "sampled_robustness"
+WORK = 60 * MILLION
+# Shares of the work that is left: for the search of a critical Delta, and for a proof.
+AIM_SHARE, PROOF_SHARE = 0.3, 0.7
 # Degrees that are tried, and how loose the cover may be (times the size of Delta) for a degree to be worth a try.
 DEGREES, LOOSE = (1, 2, 3, 4, 5), 0.05
 # Largest number of channels of Delta in a loop that is tried: beyond it a single frequency takes minutes.
@@ -74,7 +78,8 @@ class SampledRobustness:
     widened
         Blocks that a larger one covers: repeated dynamic scalars.
     status
-        CERTIFIED: the margins are proved. TIMEOUT: not in time; ``mu_upper`` is inf.
+        CERTIFIED: the margins are proved. TIMEOUT: the time limit ended a proof. INCONCLUSIVE: the work was done before
+        something was proved; ``mu_upper`` is inf then.
     notes
         What a reader must know.
     """
@@ -143,7 +148,8 @@ def sampled_robustness(
     n_con: int | None = None,
     degree: int | None = None,
     accuracy: float = 0.01,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> SampledRobustness:
@@ -178,7 +184,9 @@ def sampled_robustness(
     accuracy
         Relative distance or change of mu that ends the refinement.
     time_limit
-        Time in s for all proofs.
+        Time in s for all proofs; none where left out. Where it ends one the status is TIMEOUT.
+    effort
+        Multiple of the usual work.
     seed
         Seed of the searches.
     progress
@@ -207,14 +215,13 @@ def sampled_robustness(
     p, k = _checked(plant, K, n_meas, n_con, delay)
     if degree is not None and (isinstance(degree, bool) or not isinstance(degree, int) or not 1 <= degree <= 6):
         raise InputError(WHERE, f"degree is {degree!r}", "a whole number from 1 to 6")
-    if not 0 < accuracy < 1 or not time_limit > 0:
-        raise InputError(WHERE, f"accuracy {accuracy}, time_limit {time_limit}", "0 < accuracy < 1 and a positive time")
+    if not 0 < accuracy < 1:
+        raise InputError(WHERE, f"accuracy {accuracy}", "a number between 0 and 1")
+    budget = design_budget(WHERE, WORK, effort, time_limit)
     filtered = with_antialiasing(p, antialiasing, WHERE)
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1):  # small matrices: one BLAS thread is the quickest
+    with one_thread():
         compile_kernels()
-        proofs = _Proofs(filtered, k, float(delay), time.monotonic() + time_limit, seed, progress)
+        proofs = _Proofs(filtered, k, float(delay), budget, seed, progress)
         return proofs.run(DEGREES if degree is None else (degree,), accuracy, antialiasing)
 
 
@@ -262,17 +269,17 @@ class _Proofs:
         plant: GeneralizedPlant,
         K: StateSpaceModel,
         delay: float,
-        until: float,
+        budget: Budget,
         seed: int,
         progress: Callable[[str], None] | None,
     ) -> None:
-        self.plant, self.K, self.delay, self.until, self.seed = plant, K, delay, until, seed
+        self.plant, self.K, self.delay, self.budget, self.seed = plant, K, delay, budget, seed
         self.progress = progress or (lambda _: None)
         self.real = [b.name for b in plant.blocks if isinstance(b, RealScalar)]
         self.history: list[tuple[int, float]] = []
 
     def run(self, degrees: tuple[int, ...], accuracy: float, antialiasing: float | None) -> SampledRobustness:
-        """Prove with one degree after another, as long as it brings something and there is time."""
+        """Prove with one degree after another, as long as it brings something and there is work left."""
         first = sample_uncertain_plant(self.plant, self.K.dt, degrees[0], self.delay)
         loop = first.uncertain.close(self.K)
         _check_stable(loop)
@@ -294,6 +301,11 @@ class _Proofs:
         if len(self.real) < len(self.plant.blocks):
             notes.append("dynamic blocks: every linear operator that repeats with the sample time; zero in the member")
         certified = all(m.status is Status.CERTIFIED for m in (shown, stability))
+        status = Status.CERTIFIED if certified else Status.INCONCLUSIVE
+        if self.budget.struck:
+            status = Status.TIMEOUT
+        if self.budget.remark:
+            notes.append(self.budget.remark)
         return SampledRobustness(
             stability=stability,
             performance=shown if performance else None,
@@ -308,7 +320,7 @@ class _Proofs:
             antialiasing=antialiasing,
             held=sampled.held,
             widened=sampled.widened,
-            status=Status.CERTIFIED if certified else Status.TIMEOUT,
+            status=status,
             notes=tuple(notes),
         )
 
@@ -316,8 +328,9 @@ class _Proofs:
         """What the loop without covers says: no bound, but an estimate, and where to look for members."""
         if not self.real:
             return _Aim(_sensible(self._proof(core, performance, 1.0, SEARCH).lower), {})
-        analyse = robust_performance if performance else robust_stability
-        found = analyse(core, accuracy=SEARCH, tolerance=np.inf, time_limit=self._left(), seed=self.seed)
+        searched = with_performance(core) if performance else core
+        part = self.budget.share(AIM_SHARE)
+        found = margin_within(searched, part, accuracy=SEARCH, tolerance=np.inf, seed=self.seed)
         return _Aim(_sensible(found.lower), {name: float(found.delta.get(name, 0.0)) for name in self.real})
 
     def _refined(
@@ -327,10 +340,10 @@ class _Proofs:
         member = self._attained(aim.delta) if performance else self._unstable_member(aim.delta)
         enough = max(1 / aim.size, member[0]) * (1 + accuracy)
         best: tuple[Margin, SampledUncertainPlant, UncertainModel] | None = None
-        begun = time.monotonic()
+        before_that = self.budget.left
         for degree in degrees:
-            took, begun = time.monotonic() - begun, time.monotonic()
-            if best is not None and begun + 3 * took > self.until:
+            took, before_that = before_that - self.budget.left, self.budget.left
+            if best is not None and (3 * took > self.budget.left or self.budget.over):
                 break
             sampled, loop = self._loop(degree, aim.size)
             margin = self._proof(loop, performance, aim.size)
@@ -357,9 +370,6 @@ class _Proofs:
             small.append(degree)
         return tuple(small[-1:]) or degrees[:1]
 
-    def _left(self) -> float:
-        return max(self.until - time.monotonic(), 1.0)
-
     def _loop(self, degree: int, size: float) -> tuple[SampledUncertainPlant, UncertainModel]:
         """The closed loop, with the rests covered best for Delta of that size."""
         sampled = sample_uncertain_plant(self.plant, self.K.dt, degree, self.delay, size)
@@ -367,9 +377,9 @@ class _Proofs:
 
     def _proof(self, loop: UncertainModel, performance: bool, size: float, accuracy: float = PROOF) -> Margin:
         """The margin from below alone, where about ``size`` is expected."""
-        options: dict[str, Any] = {"accuracy": accuracy, "tolerance": np.inf, "time_limit": self._left()}
-        analyse = robust_performance if performance else robust_stability
-        return analyse(loop, expected=size * (1 + SEARCH), **options)
+        proved = with_performance(loop) if performance else loop
+        part = self.budget.share(PROOF_SHARE)
+        return margin_within(proved, part, accuracy=accuracy, tolerance=np.inf, expected=size * (1 + SEARCH))
 
     def _with_member(self, margin: Margin, mu: float, member: Mapping[str, float]) -> Margin:
         """The proved margin with the member that attains ``mu``."""
@@ -406,6 +416,7 @@ class _Proofs:
 
     def _is_stable(self, delta: Mapping[str, float]) -> bool:
         """Whether a member is stable in its own exact sampled loop; True where that cannot be told."""
+        self.budget.spend(dense(self.plant.model.n_states + self.K.n_states, 4))
         try:
             lifted = lift(self._member(delta), self.K.dt, 1, self.delay)
             return lower_lft(lifted.model, self.K).is_stable()
@@ -441,6 +452,7 @@ class _Proofs:
 
     def _gain(self, delta: Mapping[str, float]) -> float:
         """Lower bound of the sampled-data norm of a member; inf where it is not stable, 0 where it is ill-posed."""
+        self.budget.spend(norm_work(self.plant, self.K))
         try:
             return sampled_loop_norm(self._member(delta), self.K, self.delay, MEMBER).lower
         except (InputError, NoTrustworthyNumber):

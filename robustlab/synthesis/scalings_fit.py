@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.synthesis.dynamic_scalings import BlockScaling, DynamicScalings, Factor, reference_block, unit_scalings
 from robustlab.synthesis.pointwise_scalings import MuCurve
-from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
+from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, structure_size
 
 __all__ = ["fit_factor", "fitted_scalings", "scaled_peaks"]
 
@@ -26,10 +27,11 @@ TRIED = 6
 # Zeros and poles lie within the frequencies whose weight is above this share of the largest one, and so far beyond
 # (logarithm): far slower or faster ones cost the synthesis digits and bring nothing.
 HEARD, REACH = 0.04, 2.3
+FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
 
 
 def fitted_scalings(
-    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, stop: Callable[[], bool]
+    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget
 ) -> DynamicScalings:
     """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be.
 
@@ -45,6 +47,7 @@ def fitted_scalings(
     def factor(i: int, k: int, order: int) -> Factor:
         if (i, k, order) not in fits:
             before = factor(i, k, order - 1) if order else None
+            budget.spend(FIT_WORK * order**2)
             fits[i, k, order] = fit_factor(curve.omega, targets[i][k], weights, before)
         return fits[i, k, order]
 
@@ -53,7 +56,7 @@ def fitted_scalings(
         factors = tuple(factor(i, k, 0) for k in range(len(part.factors)))
         scalings = scalings.with_part(i, BlockScaling(factors, mixings[i], part.g))
     score = _score(scaled_peaks(curve, scalings))
-    while score[1] > curve.peak * (1 + loss) and not stop():
+    while score[1] > curve.peak * (1 + loss) and not budget.over:
         best: tuple[float, tuple[float, float], DynamicScalings] | None = None
         for i, k in _worst(scalings, curve.omega, targets, weights):
             part = scalings.parts[i]
@@ -63,6 +66,7 @@ def fitted_scalings(
             cost = trial.n_states - scalings.n_states
             if order > MAX_FACTOR_ORDER or trial.n_states > max_states:
                 continue
+            budget.spend(_peaks_work(curve, trial))
             reached = _score(scaled_peaks(curve, trial))
             gain = (score[0] - reached[0]) / cost
             if best is None or gain > best[0]:
@@ -77,6 +81,12 @@ def fitted_scalings(
             best = (0.0, reached, trial)
         _, score, scalings = best
     return scalings
+
+
+def _peaks_work(curve: MuCurve, scalings: DynamicScalings) -> float:
+    """Work of `scaled_peaks`: responses of D on both sides, and the singular values."""
+    n, size = scalings.n_states, structure_size(scalings.blocks)[1]
+    return 300 + len(curve.omega) * (10 + n**2 // 10 + size**3 // 5)
 
 
 def _all_larger(scalings: DynamicScalings, factor: Callable[[int, int, int], Factor]) -> DynamicScalings:

@@ -7,13 +7,13 @@ problem, and judges its controller by the gain of the loop on the plant without 
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.synthesis.direct_term import well_posed_neighbours
 from robustlab.synthesis.loop_gain import closed, loop_gain, responses, trial_frequencies
@@ -21,7 +21,7 @@ from robustlab.synthesis.partition import PlantMatrices, Realisation
 from robustlab.synthesis.scaling import Scaling
 from robustlab.synthesis.two_riccati import PROBES, TwoRiccatiProblem
 
-__all__ = ["Candidate", "Deadline", "Regularisation", "Search", "smallest"]
+__all__ = ["Candidate", "Regularisation", "Search", "smallest"]
 
 Array = NDArray[Any]
 
@@ -36,21 +36,6 @@ PROVED = 3e-4
 REGULAR = 1e-6
 # In a plant scaled to order one, a gain below this is zero for every purpose.
 NEGLIGIBLE = 1e-7
-
-
-class Deadline:
-    """A time limit on the monotonic clock, asked between steps."""
-
-    def __init__(self, seconds: float) -> None:
-        self._end = time.monotonic() + seconds
-
-    def passed(self) -> bool:
-        """True when the time is up."""
-        return self.left() <= 0
-
-    def left(self) -> float:
-        """Seconds until then; negative afterwards."""
-        return self._end - time.monotonic()
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +90,8 @@ class Search:
         Continuous plant without D22.
     scaling
         Its scaling.
-    deadline
-        Asked between trials and between gamma tests.
+    budget
+        Trials and gamma tests are counted there, and it is asked between them.
     floor
         Proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
     D22
@@ -117,13 +102,13 @@ class Search:
         self,
         plant: PlantMatrices,
         scaling: Scaling,
-        deadline: Deadline,
+        budget: Budget,
         floor: float = 0.0,
         D22: Array | None = None,
     ) -> None:
         self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
         self.scaling, self.plant = scaling, scaling.apply(plant)
-        self.deadline, self.floor, self.careful, self.probes = deadline, floor, False, PROBES[:1]
+        self.budget, self.floor, self.careful, self.probes = budget, floor, False, PROBES[:1]
         self.candidates: list[Candidate] = []
         # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
         self.regular_gamma: float | None = None
@@ -170,7 +155,7 @@ class Search:
                 return
         worse, best, start = 0, np.inf, 1.0
         for eps in LADDER:
-            if self.deadline.passed():
+            if self.budget.over:
                 return
             u = 0.0 if size_u > max(REGULAR, eps) else eps
             y = 0.0 if size_y > max(REGULAR, eps) else eps
@@ -188,7 +173,7 @@ class Search:
         """Regularisations scaled by the best loop so far, smaller and smaller, until gamma falls no more."""
         k = 0
         for _ in range(SELF_SCALED_STEPS):
-            if best is None or k == len(shares) or self.deadline.passed():
+            if best is None or k == len(shares) or self.budget.over:
                 return
             if self.negligible(best) or self.proved(best):
                 return
@@ -207,7 +192,7 @@ class Search:
     def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
         """The central controller of this regularisation at gamma, where it exists and its loop stays below gamma."""
         try:
-            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful)
+            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful, self.budget)
         except NoTrustworthyNumber:
             return None
         return self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
@@ -230,6 +215,7 @@ class Search:
     def _channel_gains(self, candidate: Candidate) -> tuple[Array, Array, Array, Array] | None:
         """Peak gains in scaled units on a grid: w to each u, noise on each y to z, w to x, x disturbance to z."""
         n, n_w, n_u, n_z, n_y = self.plant.sizes
+        self.budget.spend(dense(n + len(candidate.K.A), 2))
         loop = closed(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
         if not all(np.isfinite(part).all() for part in loop):
             return None
@@ -249,10 +235,10 @@ class Search:
     ) -> tuple[float | None, Candidate | None]:
         """Smallest gamma of the regularised problem in the plant's units, and the best controller found for it."""
         try:
-            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful)
+            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful, self.budget)
         except NoTrustworthyNumber:
             return None, None
-        gamma = problem.smallest_gamma(start, self.deadline.passed, rtol, self.probes)
+        gamma = problem.smallest_gamma(start, rtol, self.probes)
         if gamma is None:
             return None, None
         found: list[Candidate] = []
@@ -294,6 +280,7 @@ class Search:
         """The same for a controller that can take D22 back in."""
         scale = self.scaling
         loop = closed(self.plant, K)
+        self.budget.spend(dense(len(loop.A), 3))  # its poles, responses on a grid, a few Hamiltonians of twice its size
         gain = loop_gain(loop, limit * scale.gain)
         if not np.isfinite(gain):
             return None

@@ -31,7 +31,7 @@ def soften(search: Search, start: Candidate, gamma: float) -> None:
     base = search.relative(start, BASE_SHARE, 0.0)
     low, high, size = 1e-4, 1e2, 0.0
     for _ in range(STEPS):
-        if search.deadline.passed() or base is None:
+        if base is None or search.budget.over:
             return
         middle = float(np.sqrt(low * high))
         if search.found_within(replace(base, x_out=middle, x_in=middle), half) is not None:
@@ -48,7 +48,7 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
     for _ in range(ROUNDS):
         softest: Candidate | None = None
         for _ in range(steps):
-            if search.deadline.passed():
+            if search.budget.over:
                 return
             middle = float(np.sqrt(low * high))
             weights = search.relative(start, middle, 0.0 if x else 0.1, 3.0)

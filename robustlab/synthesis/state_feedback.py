@@ -15,7 +15,8 @@ from robustlab.matrix_equations import RiccatiSolution, care, dare
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
-from robustlab.synthesis.h2_synthesis import H2Synthesis, synthesize_h2
+from robustlab.synthesis.design import design_budget
+from robustlab.synthesis.h2_synthesis import WORK, H2Synthesis, synthesize_h2
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.verified_loop import surely_stable
 
@@ -169,7 +170,16 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     return StateFeedback(K, reached, status, f"poles miss their places by {miss / size:.1e} of the largest at most")
 
 
-def lqg(G: Any, Q: ArrayLike, R: ArrayLike, W: ArrayLike, V: ArrayLike, *, time_limit: float = 60.0) -> H2Synthesis:
+def lqg(
+    G: Any,
+    Q: ArrayLike,
+    R: ArrayLike,
+    W: ArrayLike,
+    V: ArrayLike,
+    *,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+) -> H2Synthesis:
     r"""Linear-quadratic-Gaussian controller ``u = K y``, with *positive* feedback as everywhere in this package.
 
     .. math:: \dot x = A x + B u + w, \quad y = C x + D u + v, \qquad
@@ -185,7 +195,7 @@ def lqg(G: Any, Q: ArrayLike, R: ArrayLike, W: ArrayLike, V: ArrayLike, *, time_
     Q, R, W, V
         Symmetric positive semidefinite, shapes (n_x, n_x), (n_u, n_u), (n_x, n_x), (n_y, n_y); R and V positive
         definite.
-    time_limit
+    time_limit, effort
         As for `robustlab.h2`.
 
     Raises
@@ -228,7 +238,8 @@ def lqg(G: Any, Q: ArrayLike, R: ArrayLike, W: ArrayLike, V: ArrayLike, *, time_
         A, B, C, D, g.dt, [*(Signal(name) for name in inputs), *g.inputs],
         [*(Signal(name) for name in outputs), *g.outputs], g.states, where="lqg",
     )  # fmt: skip
-    return synthesize_h2(GeneralizedPlant(model, p, m), "lqg", 1.0, time_limit)
+    budget = design_budget("synth lqg", WORK, effort, time_limit)
+    return synthesize_h2(GeneralizedPlant(model, p, m), "lqg", 1.0, budget)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

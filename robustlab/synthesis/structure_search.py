@@ -3,8 +3,8 @@
 Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
 and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
 
-Every start goes through the same steps, with budgets in steps rather than in time, so that the same seed gives the same
-answer; the time limit only cuts.
+Every start goes through the same steps, and the budget of the problem counts evaluations, so that the same seed gives
+the same answer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from robustlab.synthesis.design_problem import DesignProblem
 __all__ = ["Start", "central_path", "multi_start", "polished", "stabilised"]
 
 Array = NDArray[Any]
-Late = Callable[[], bool]
 
 # The abscissa (in scaled time) at which a start counts as stable, and the steps that move it further inside.
 STABLE = -1e-6
@@ -72,7 +71,7 @@ class Start:
         return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
 
-def stabilised(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float]:
+def stabilised(problem: DesignProblem, v: Array) -> tuple[Array, float]:
     """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
 
     The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
@@ -84,27 +83,25 @@ def stabilised(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, flo
     def limits(x: Array, _: float) -> tuple[float, Array | None]:
         return problem.violation(x)
 
-    v, value = _below_zero(loops, v, late)
+    v, value = _below_zero(problem, loops, v)
     if value >= STABLE or not problem.limits:
         return v, value
-    return _below_zero(limits, v, late)
+    return _below_zero(problem, limits, v)
 
 
-def _below_zero(function: Function, v: Array, late: Late) -> tuple[Array, float]:
+def _below_zero(problem: DesignProblem, function: Function, v: Array) -> tuple[Array, float]:
     """Descent until the function is negative, and a few steps further."""
     value = function(v, np.inf)[0]
     if value < STABLE:
         return v, value
-    found = bfgs(function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE, late=late)
+    found = bfgs(function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE, late=problem.late)
     if found is None or found.value >= STABLE:
         return (v, value) if found is None else (found.x, found.value)
-    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP, late=late)
+    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP, late=problem.late)
     return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
 
 
-def central_path(
-    problem: DesignProblem, v: Array, late: Late, weights: Sequence[float] = BARRIER
-) -> tuple[Array, list[float]]:
+def central_path(problem: DesignProblem, v: Array, weights: Sequence[float] = BARRIER) -> tuple[Array, list[float]]:
     """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
     best, at = problem.norm(v)[0], v
     values = [best]
@@ -116,8 +113,8 @@ def central_path(
         def function(x: Array, _: float, mu: float = mu) -> tuple[float, Array | None]:
             return problem.barrier(x, mu)
 
-        found = bfgs(function, z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL, late=late)
-        if found is None or late():
+        found = bfgs(function, z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL, late=problem.late)
+        if found is None or problem.late():
             break
         z = found.x
         value = problem.norm(z[:-1])[0]
@@ -127,12 +124,12 @@ def central_path(
     return at, values
 
 
-def _descended(problem: DesignProblem, v: Array, late: Late) -> tuple[Array, float]:
-    found = bfgs(problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL, late=late)
+def _descended(problem: DesignProblem, v: Array) -> tuple[Array, float]:
+    found = bfgs(problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL, late=problem.late)
     return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
 
 
-def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float]:
+def polished(problem: DesignProblem, p: Array) -> tuple[Array, float]:
     """Parameters improved by sequential linear programs and descents in turn."""
     free = problem.free
     low = np.array([c.parameter.low for c in problem.coordinates])
@@ -140,14 +137,14 @@ def polished(problem: DesignProblem, p: Array, late: Late) -> tuple[Array, float
     p = p.copy()
     value = problem.value_at(p[free])
     for _ in range(POLISH_ROUNDS):
-        if late():
+        if problem.late():
             break
         q, reached = sequential_linear(
-            problem.value_at, problem.pieces, p[free], low, high, max_steps=POLISH_STEPS, late=late
+            problem.value_at, problem.pieces, p[free], low, high, max_steps=POLISH_STEPS, late=problem.late
         )
         full = p.copy()
         full[free] = q
-        v, descended = _descended(problem, problem.variables(full), late)
+        v, descended = _descended(problem, problem.variables(full))
         if descended < reached:
             full, reached = problem.parameters(v)[0], descended
         gained = reached < value * (1 - 3e-4)
@@ -184,7 +181,6 @@ def multi_start(
     given: Sequence[tuple[str, Array]],
     starts: int,
     seed: int,
-    late: Late,
     progress: Callable[[str], None],
 ) -> list[Start]:
     """All starts, the best ones polished; best first. Those that were never stable come last.
@@ -194,7 +190,7 @@ def multi_start(
     field: list[_Runner] = []
     total = len(given) + 1 + starts
     for i in range(total):
-        if late() and field:
+        if problem.late() and field:
             break
         if i < len(given):
             kind, v = given[i][0], problem.variables(given[i][1])
@@ -203,38 +199,38 @@ def multi_start(
         else:
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i - len(given),)))
             kind, v = "random", _random(problem, rng, (i - len(given)) % 2 == 0)
-        field.append(_entered(problem, kind, v, late))
+        field.append(_entered(problem, kind, v))
         best = min(runner.start.gamma for runner in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {field[-1].start.gamma:.6g}, {text}")
     for steps, keep in ROUNDS:
         field = _distinct_first(field)
-        field = [_further(problem, r, steps, late) if i < keep else r for i, r in enumerate(field)]
+        field = [_further(problem, r, steps) if i < keep else r for i, r in enumerate(field)]
     found = [r.start for r in _distinct_first(field)]
-    followed = [_followed(problem, s, late) if i < FOLLOWED else s for i, s in enumerate(found)]
-    return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), late, progress)
+    followed = [_followed(problem, s) if i < FOLLOWED else s for i, s in enumerate(found)]
+    return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), progress)
 
 
-def _entered(problem: DesignProblem, kind: str, v: Array, late: Late) -> _Runner:
+def _entered(problem: DesignProblem, kind: str, v: Array) -> _Runner:
     """A start made stable; with limits, or where it is not a random one, taken along the central path."""
-    v, instability = stabilised(problem, v, late)
+    v, instability = stabilised(problem, v)
     if instability >= STABLE:
         return _Runner(Start(kind, instability, np.inf, problem.parameters(v)[0], ()), v, np.inf, stands=True)
     value = problem.norm(v)[0]
     values = [value]
     if kind != "random" or problem.limits:
-        v, values = central_path(problem, v, late)
+        v, values = central_path(problem, v)
         value = min(values)
     gammas = tuple(x / problem.gain for x in values)
     start = Start(kind, instability, value / problem.gain, problem.parameters(v)[0], gammas)
-    return _further(problem, _Runner(start, v, value), ROUNDS[0][0], late)
+    return _further(problem, _Runner(start, v, value), ROUNDS[0][0])
 
 
-def _further(problem: DesignProblem, runner: _Runner, steps: int, late: Late) -> _Runner:
+def _further(problem: DesignProblem, runner: _Runner, steps: int) -> _Runner:
     """A start some steps further down the norm."""
-    if runner.stands or not np.isfinite(runner.value) or runner.value == 0 or late():
+    if runner.stands or not np.isfinite(runner.value) or runner.value == 0 or problem.late():
         return runner
-    found = bfgs(problem.norm, runner.v, max_steps=steps, rtol=ROUND_RTOL, inverse=runner.inverse, late=late)
+    found = bfgs(problem.norm, runner.v, max_steps=steps, rtol=ROUND_RTOL, inverse=runner.inverse, late=problem.late)
     if found is None or not found.value < runner.value:
         return replace(runner, stands=True)
     p, gamma = problem.parameters(found.x)[0], found.value / problem.gain
@@ -252,12 +248,12 @@ def _distinct_first(field: list[_Runner]) -> list[_Runner]:
     return first + again
 
 
-def _followed(problem: DesignProblem, start: Start, late: Late) -> Start:
+def _followed(problem: DesignProblem, start: Start) -> Start:
     """A start taken along the path from where it is, and down the norm itself."""
-    if not np.isfinite(start.gamma) or start.gamma == 0 or late():
+    if not np.isfinite(start.gamma) or start.gamma == 0 or problem.late():
         return start
-    v, values = central_path(problem, problem.variables(start.p), late, CLOSER)
-    v, value = _descended(problem, v, late)
+    v, values = central_path(problem, problem.variables(start.p), CLOSER)
+    v, value = _descended(problem, v)
     norms = (*start.values, *(x / problem.gain for x in (*values[1:], value)))
     gamma = value / problem.gain
     if not gamma < start.gamma:
@@ -265,18 +261,16 @@ def _followed(problem: DesignProblem, start: Start, late: Late) -> Start:
     return Start(start.kind, start.instability, gamma, problem.parameters(v)[0], norms)
 
 
-def _best_polished(
-    problem: DesignProblem, found: list[Start], late: Late, progress: Callable[[str], None]
-) -> list[Start]:
+def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
     done: list[Start] = []
     ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
     for start in found:
         new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > SAME * start.gamma for end in ends)
-        if len(ends) == POLISHED or not new or start.gamma == 0 or late():
+        if len(ends) == POLISHED or not new or start.gamma == 0 or problem.late():
             done.append(start)
             continue
         ends.append(start.gamma)
-        p, value = polished(problem, start.p, late)
+        p, value = polished(problem, start.p)
         gamma = value / problem.gain
         if gamma < start.gamma:
             progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")

@@ -6,20 +6,20 @@ still. Here the static gain is kept and B_K made nonzero, so that the norm is th
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import MILLION, Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.controller_laws import AffineLaw, Law
 from robustlab.synthesis.controller_structures import StaticGain
 from robustlab.synthesis.design_limits import Limit
 from robustlab.synthesis.design_problem import DesignProblem
-from robustlab.synthesis.hinf_synthesis import hinf
+from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.model_reduction import reduce_model
 from robustlab.synthesis.nonsmooth import law_around
 from robustlab.synthesis.partition import GeneralizedPlant
@@ -29,9 +29,11 @@ __all__ = ["informed_starts"]
 
 Array = NDArray[Any]
 
-# Random starts of the static search; shares of the time that is left, and the most in s, for it and for the full order.
+# Random starts of the static search; shares of the work that is left for it and for the full order, and most for that.
 STATIC_STARTS = 6
-STATIC_SHARE, FULL_SHARE, FULL_MOST = 0.3, 0.15, 10.0
+STATIC_SHARE, FULL_SHARE, FULL_MOST = 0.3, 0.2, 10 * MILLION
+# The full-order design may be so much worse than the best one: it is calmer then, and easier to reduce.
+GAMMA_REL = 1.05
 # Poles of the states beside a static gain, in units of the plant's rate (discrete: in the z-plane).
 POLES, DISCRETE_POLES = (0.3, 3.0), (0.2, 0.8)
 
@@ -42,7 +44,7 @@ def informed_starts(
     objective: str,
     limits: Sequence[Limit],
     seed: int,
-    until: float,
+    budget: Budget,
     progress: Callable[[str], None],
 ) -> list[tuple[str, Array]]:
     """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
@@ -53,21 +55,20 @@ def informed_starts(
         Plants without uncertainty; the full-order design is that of the first.
     law, objective, limits, seed
         Those of the search that follows.
-    until
-        ``time.monotonic()`` at which its time is up; at most 45 % of what is left is used here.
+    budget
+        At most 45 % of what is left is used here.
     progress
         Called with a line after every start of the static search.
     """
     if not isinstance(law, AffineLaw) or not _is_given_order(law):
         return []
     problem = DesignProblem(plants, law, objective, limits)
-    left = until - time.monotonic()
     found: list[tuple[str, Array]] = []
     if _free(law)[law.sizes[0] :, law.sizes[0] :].any():
-        D = _static_gain(plants, law, objective, seed, time.monotonic() + STATIC_SHARE * left, progress)
+        D = _static_gain(plants, law, objective, seed, budget.share(STATIC_SHARE), progress)
         if D is not None:
             found.append(("static", _held(law, _extended(problem, law, D, 0, seed))))
-    K = _reduced(plants[0], law.sizes[0], min(FULL_SHARE * left, FULL_MOST))
+    K = _reduced(plants[0], law.sizes[0], budget.share(min(FULL_SHARE, FULL_MOST / max(budget.left, 1.0))))
     if K is not None:
         around, q = law_around(K)
         found.append(("reduced", _held(law, _extended(problem, law, around.packed(q), K.n_states, seed))))
@@ -103,18 +104,18 @@ def _static_gain(
     law: AffineLaw,
     objective: str,
     seed: int,
-    until: float,
+    budget: Budget,
     progress: Callable[[str], None],
 ) -> Array | None:
     """The best static gain with the law's free entries of D_K; None where none stabilises all plants."""
     k, first = law.sizes[0], plants[0]
     static = StaticGain(_free(law)[k:, k:]).law(first.measurements, first.controls, first.model.dt)
-    problem = DesignProblem(plants, static, objective, ())
+    problem = DesignProblem(plants, static, objective, (), budget)
 
     def say(line: str) -> None:
         progress(f"static gain: {line}")
 
-    best = multi_start(problem, [], STATIC_STARTS, seed, lambda: time.monotonic() >= until, say)[0]
+    best = multi_start(problem, [], STATIC_STARTS, seed, say)[0]
     return static.packed(best.p) if np.isfinite(best.gamma) else None
 
 
@@ -132,12 +133,12 @@ def _extended(problem: DesignProblem, law: AffineLaw, theta: Array, order: int, 
     return full
 
 
-def _reduced(plant: GeneralizedPlant, order: int, seconds: float) -> StateSpaceModel | None:
+def _reduced(plant: GeneralizedPlant, order: int, budget: Budget) -> StateSpaceModel | None:
     """The full-order H-infinity controller reduced to this order; None where either fails."""
-    if not seconds > 0:
+    if budget.over:
         return None
     try:
-        K = hinf(plant, time_limit=seconds).K
+        K = synthesize(plant, "hinf", GAMMA_REL, budget).K
     except (InputError, NoTrustworthyNumber):
         return None
     if K.n_states <= order:

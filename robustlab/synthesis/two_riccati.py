@@ -5,13 +5,13 @@ Best read with Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import care, hamiltonian_riccati
 from robustlab.synthesis.partition import PlantMatrices, Realisation
@@ -50,6 +50,8 @@ class TwoRiccatiProblem:
         The plant, D12 of full column rank and D21 of full row rank.
     careful
         Solve each equation in two ways where the quick one fails: slower, for plants on which rounding decides.
+    budget
+        Every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
 
     Raises
     ------
@@ -57,7 +59,7 @@ class TwoRiccatiProblem:
         D12 has no full column rank or D21 no full row rank.
     """
 
-    def __init__(self, plant: PlantMatrices, careful: bool = False) -> None:
+    def __init__(self, plant: PlantMatrices, careful: bool = False, budget: Budget | None = None) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
@@ -65,7 +67,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
-        self.careful = careful
+        self.careful, self.budget = careful, Budget() if budget is None else budget
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
@@ -90,6 +92,7 @@ class TwoRiccatiProblem:
 
     def pair(self, gamma: float) -> RiccatiPair | None:
         """Both solutions, whatever their coupling; None where one does not exist or is not positive semidefinite."""
+        self.budget.spend(dense(len(self.A), 3))
         if gamma <= self.floor * (1 + 1e-12):
             return None
         X = self._control.solution(gamma, self.careful)
@@ -100,31 +103,25 @@ class TwoRiccatiProblem:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
-    def smallest_gamma(
-        self,
-        start: float,
-        stop: Callable[[], bool] = lambda: False,
-        rtol: float = 1e-4,
-        probes: tuple[float, ...] = PROBES,
-    ) -> float | None:
+    def smallest_gamma(self, start: float, rtol: float = 1e-4, probes: tuple[float, ...] = PROBES) -> float | None:
         """Smallest gamma that passes the test; None where none up to ``LARGEST`` does.
 
         Brackets from ``start`` by growing steps and closes the bracket: by a secant in log gamma where the coupling
         fails, which is a smooth function, and by bisection where a solution ceases to exist. Then it probes below the
-        result, because the test in floating point is not monotone in gamma. ``stop`` is asked between tests; then the
+        result, because the test in floating point is not monotone in gamma. Where the budget is over between tests the
         smallest gamma so far is returned.
         """
         high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
         while (at_high := self.solve(high)) is None:
             low, high = high, 4 * high
-            if high > LARGEST or stop():
+            if high > LARGEST or self.budget.over:
                 return None
         while True:
-            high = self._closed(low, at_high, stop, rtol)
+            high = self._closed(low, at_high, rtol)
             if high < SMALLEST:
                 return high
             for share in probes:
-                if stop():
+                if self.budget.over:
                     return high
                 at_high = self.solve(high * share)
                 if at_high is not None:
@@ -133,11 +130,11 @@ class TwoRiccatiProblem:
             else:
                 return high
 
-    def _closed(self, low: float, at_high: RiccatiPair, stop: Callable[[], bool], rtol: float) -> float:
+    def _closed(self, low: float, at_high: RiccatiPair, rtol: float) -> float:
         """The upper end of a bracket of relative width ``rtol``, from a passing pair and a gamma below it."""
         at_low: RiccatiPair | None = None
         step = 0.03
-        while not stop():
+        while not self.budget.over:
             high = at_high.gamma
             # rho(X Y) falls with gamma: below this one the coupling is 1 or more.
             low = max(low, high * float(np.sqrt(at_high.coupling)) * (1 - 1e-9), 1e-3 * high)

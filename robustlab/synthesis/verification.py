@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.partition import GeneralizedPlant
-from robustlab.synthesis.search import Candidate, Deadline
+from robustlab.synthesis.search import Candidate
 from robustlab.synthesis.stability import proved_stable
 from robustlab.synthesis.verified_loop import named_controller, with_direct_term
 
@@ -63,12 +64,12 @@ class Verifier:
         The plant as given.
     D22
         The direct term that was left out of the continuous plant that the candidates are for.
-    deadline
-        After it no second candidate is verified.
+    budget
+        Verifications are counted there; once it is over no second candidate is verified.
     """
 
-    def __init__(self, plant: GeneralizedPlant, D22: NDArray[np.float64], deadline: Deadline) -> None:
-        self.plant, self.D22, self.deadline = plant, D22, deadline
+    def __init__(self, plant: GeneralizedPlant, D22: NDArray[np.float64], budget: Budget) -> None:
+        self.plant, self.D22, self.budget = plant, D22, budget
         self._known: dict[int, Verified | None] = {}
 
     def __call__(self, candidate: Candidate) -> Verified | None:
@@ -86,7 +87,7 @@ class Verifier:
             if verified is None:
                 continue
             found.append(verified)
-            if self.deadline.passed() or (verified.certified and verified.gamma <= LOSS * candidate.gamma):
+            if (verified.certified and verified.gamma <= LOSS * candidate.gamma) or self.budget.over:
                 break
         return min(found, key=lambda v: (not v.certified, v.gamma), default=None)
 
@@ -95,7 +96,7 @@ class Verifier:
         limit = gamma_rel * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
         for candidate in allowed[:TRIES]:
-            if self.deadline.passed():
+            if self.budget.over:
                 break
             verified = self(candidate)
             if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
@@ -142,6 +143,7 @@ class Verifier:
                 model = bilinear_to_discrete(model, plant.model.dt)
             named = named_controller(model, plant.measurements, plant.controls, model.dt)
             loop = plant.close(named)
+            self.budget.spend(dense(loop.n_states, 10))
             norm = hinf_norm(loop)
         except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
             return None

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import time
 
 import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab.budget import Budget
 from robustlab.mu_analysis.axis_model import continuous
 from robustlab.mu_analysis.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.branch_and_bound import MarginProblem, Region, tighten
@@ -58,7 +58,7 @@ def test_no_attack_inside_the_proved_margin(uncertain, margins):
 def test_the_leaves_fill_the_set_at_every_frequency(uncertain, margins):
     """A Delta of the proved set lies, at any frequency, in a proved leaf, or in a region its ancestors proved there."""
     problem = MarginProblem(continuous(uncertain.delta_channels), uncertain.blocks, None)
-    proof = tighten(problem, 1 / margins[1].upper, np.inf, 0.01, time.monotonic() + 60)
+    proof = tighten(problem, 1 / margins[1].upper, np.inf, 0.01, Budget())
     assert proof.upper <= 1.02 / margins[1].upper
     rng = np.random.default_rng(1)
     for delta in rng.uniform(-1, 1, (50, 6)) / proof.upper:
@@ -120,9 +120,9 @@ def test_no_time_leaves_the_bounds_of_the_scalings(uncertain):
 
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": -1.0}, {"tolerance": 0.1, "time_limit": -1.0}])
 def test_bad_options_are_named(options):
-    with pytest.raises(rl.InputError, match="tolerance"):
+    with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):
         rl.mu([[1.0]], [[-1, 0]], **options)
-    with pytest.raises(rl.InputError, match="tolerance"):
+    with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):
         rl.robust_stability(model_with_a_gap(), **options)
 
 

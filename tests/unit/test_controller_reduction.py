@@ -125,9 +125,9 @@ def test_an_unstable_controller_and_a_discrete_one():
 def test_an_improvement_is_verified_and_only_taken_where_it_is_one(design):
     calls: list[int] = []
 
-    def worse(plant, K, seconds):
+    def worse(plant, K, budget):
         calls.append(K.n_states)
-        assert seconds > 0
+        assert budget.left > 0
         return rl.StateSpaceModel(K.A, K.B, 0.5 * K.C, 0.5 * K.D)
 
     same, plain_one = (rl.reduce_controller(design, order=1, improve=how) for how in (worse, None))
@@ -135,7 +135,7 @@ def test_an_improvement_is_verified_and_only_taken_where_it_is_one(design):
     assert same.gamma == plain_one.gamma
 
     # More states than asked for are no improvement.
-    other = rl.reduce_controller(design, order=1, improve=lambda plant, K, seconds: design.K)
+    other = rl.reduce_controller(design, order=1, improve=lambda plant, K, budget: design.K)
     assert other.K.n_states == 1
     assert other.gamma == plain_one.gamma
 

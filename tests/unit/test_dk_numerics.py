@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import budget
+from robustlab.budget import MILLION, Budget, dense
 from robustlab.mu_analysis import intervals
+from robustlab.mu_analysis.upper import points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk_iteration import _Search, structure_with_performance
 from robustlab.synthesis.dynamic_scalings import BlockScaling, Factor, unit_scalings
@@ -62,7 +64,7 @@ def test_a_negative_x_is_seen_beside_one_that_is_larger_by_ten_decades(start: fl
     scalings = unit_scalings([FullBlock("all", 4, 4)])
     same = Scaling(1.0, np.ones(3), np.ones(1), np.ones(1))
     search = LevelSearch(lambda _, beta: scaled_plant(three_modes(), scalings, beta), same)
-    level = search.smallest(scalings.parameters(), start, lambda: False)
+    level = search.smallest(scalings.parameters(), start)
     assert level is not None
     assert level.smooth
     assert level.beta == pytest.approx(1 + np.sqrt(3), rel=1e-6)
@@ -86,8 +88,8 @@ def test_a_level_found_over_ten_decades_of_poles_is_proved() -> None:
     for i, block in enumerate(blocks):
         if block.name in sections:
             scalings = scalings.with_part(i, BlockScaling((Factor(*sections[block.name]),)))
-    problem = RobustProblem(plant, lambda: False)
-    level = problem.search(scalings).smallest(scalings.parameters(), 1.5, lambda: False, 1e-5)
+    problem = RobustProblem(plant)
+    level = problem.search(scalings).smallest(scalings.parameters(), 1.5, 1e-5)
     found = problem.solve(scalings, 1.5)
     assert level is not None
     assert found is not None
@@ -98,11 +100,11 @@ def test_a_level_found_over_ten_decades_of_poles_is_proved() -> None:
 def test_the_nominal_start_replaces_a_poor_one_and_loses_nothing() -> None:
     # Without a disturbance the H-infinity start has a mu of 2.7; a small disturbance on the control asks for feedback.
     plant, blocks = actuator()
-    search = _Search(plant, blocks, 120.0, 30, True, None)
+    search = _Search(plant, blocks, Budget(120 * MILLION), 30, True, None)
     search.start(None)
     first, second = search.iterates
     assert [step.stage for step in search.history] == ["start", "nominal start"]
-    peaks = [mu_curve(i.loop, search.blocks, lambda: False).peak for i in (first, second)]
+    peaks = [mu_curve(i.loop, search.blocks, Budget()).peak for i in (first, second)]
     assert peaks[1] < 0.4 * peaks[0]
     assert search.best is min(search.iterates, key=lambda i: i.level)
 
@@ -110,9 +112,9 @@ def test_the_nominal_start_replaces_a_poor_one_and_loses_nothing() -> None:
 def test_no_nominal_start_where_control_has_nothing_to_do_or_the_plant_cannot_be_stabilised() -> None:
     D = np.array([[0.0, 0, 1], [0, 0.5, 1], [1, 0, 0]])
     idle = GeneralizedPlant(StateSpaceModel([[-1.0]], [[1.0, 0, 1]], [[1.0], [0], [1]], D), 1, 1)  # y knows no w
-    assert nominal_start(idle, 1, 1, 10.0) is None
+    assert nominal_start(idle, 1, 1, Budget(10 * MILLION)) is None
     lost = GeneralizedPlant(StateSpaceModel([[1.0]], [[1.0, 1, 0]], [[1.0], [1], [1]], D), 1, 1)
-    assert nominal_start(lost, 1, 1, 10.0) is None
+    assert nominal_start(lost, 1, 1, Budget(10 * MILLION)) is None
 
 
 class Clock:
@@ -132,24 +134,26 @@ def test_the_proof_by_intervals_asks_the_clock_before_each_of_them(monkeypatch: 
         clock.now += 2.0
         return extend(*arguments)
 
-    monkeypatch.setattr(intervals, "time", clock)
+    monkeypatch.setattr(budget, "time", clock)
     monkeypatch.setattr(intervals, "extend", slow)
     modes = np.kron(np.diag([1.0, 10.0, 100.0]), [[0.0, 1.0], [-1.0, -0.01]])
     model = StateSpaceModel(modes, np.ones((6, 2)), np.ones((2, 6)), np.zeros((2, 2)))
     blocks = [ComplexScalar("a"), ComplexScalar("b")]
     places = np.geomspace(0.01, 1e3, 30)
-    cover = intervals.cover_axis(model, blocks, 0.0, first=places, until=9.0, accuracy=1e-6)
+    limit = budget.Budget(time_limit=9.0)
+    cover = intervals.cover_axis(model, blocks, 0.0, first=places, budget=limit, accuracy=1e-6)
     assert cover.open
-    assert clock.now == 8.0  # a fifth interval would not be ready in time
+    assert limit.struck
+    assert clock.now == 10.0  # the fifth interval ends it
 
 
-def test_the_curve_of_mu_asks_the_clock_between_chunks() -> None:
+def test_the_curve_of_mu_asks_the_budget_between_chunks() -> None:
     model = StateSpaceModel([[-0.01, 1.0], [-1.0, -0.01]], np.eye(2), np.eye(2), np.zeros((2, 2)))
     blocks = [ComplexScalar("a"), ComplexScalar("b")]
-    whole = mu_curve(model, blocks, lambda: False)
+    whole = mu_curve(model, blocks, Budget())
+    chunk = points_work(blocks, CHUNK) + dense(2)
     for looks in (0, 1, 3, 6, 7):
-        answers = iter([False] * looks)
-        part = mu_curve(model, blocks, partial(next, answers, True))
+        part = mu_curve(model, blocks, Budget((looks + 0.5) * chunk))
         assert len(part.omega) <= min(CHUNK * (looks + 1), len(whole.omega))
         assert (np.diff(part.omega) > 0).all()
         assert len(part.bounds) == len(part.response) == len(part.omega)

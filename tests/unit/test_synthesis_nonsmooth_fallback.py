@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab.budget import MILLION, Budget
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import hinf, hinf_synthesis, mixsyn, nonsmooth_fallback
@@ -12,7 +13,7 @@ from robustlab.synthesis.nonsmooth_fallback import descend_from, is_poor, stabil
 from robustlab.synthesis.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.portfolio import Portfolio
 from robustlab.synthesis.scaling import paths_first
-from robustlab.synthesis.search import Deadline, Search
+from robustlab.synthesis.search import Search
 
 # x' = -x + w1 + u, z = (x, u), y = x + w2: the optimum is sqrt(3) - 1.
 PLANT = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
@@ -33,7 +34,7 @@ def without_equations(monkeypatch):
 def search_of(model: StateSpaceModel) -> tuple[GeneralizedPlant, Search]:
     plant = GeneralizedPlant(model, 1, 1)
     matrices = plant.matrices()
-    return plant, Search(matrices, paths_first(matrices), Deadline(20.0))
+    return plant, Search(matrices, paths_first(matrices), Budget(20 * MILLION))
 
 
 @pytest.mark.parametrize(("model", "direct"), [(PLANT, 0.0), (UNSTABLE, 0.5)])
@@ -56,16 +57,16 @@ def test_a_poor_controller_is_descended_from_and_a_good_one_is_left():
     detuned = Realisation(np.array([[-3.0]]), np.array([[1.0]]), np.array([[1.0]]), np.array([[-1.0]]))
     start = search.adopt(detuned)
     assert start is not None
-    better = descend_from(plant.matrices(), search, start, Deadline(20.0))
+    better = descend_from(plant.matrices(), search, start, Budget(20 * MILLION))
     assert better is not None
     assert better in search.candidates
     assert np.sqrt(3) - 1 - 1e-6 <= better.gamma <= 1.01 * (np.sqrt(3) - 1) < start.gamma
-    assert descend_from(plant.matrices(), search, better, Deadline(-1.0)) is None
+    assert descend_from(plant.matrices(), search, better, Budget(0.0)) is None
 
 
 def test_without_time_nothing_is_stabilised_and_it_says_so():
     plant, search = search_of(UNSTABLE)
-    assert "no time" in stabilise(plant.matrices(), search, Deadline(-1.0), lambda _: None)
+    assert "no work" in stabilise(plant.matrices(), search, Budget(0.0), lambda _: None)
     assert not search.candidates
 
 

@@ -38,7 +38,7 @@ def hinf(step: HinfStep, work: Workspace) -> Outcome:
     import robustlab as rl
 
     P, *channels = generalised(step, work, nominal=step.nominal)
-    found = rl.hinf(P, *channels, gamma_rel=step.gamma_rel, time_limit=step.time_limit)
+    found = rl.hinf(P, *channels, gamma_rel=step.gamma_rel, effort=step.effort, time_limit=step.time_limit)
     _draw_loop(found, work)
     _draw_functions(found, step.of, work)
     return designed(found, f"H-infinity controller for {step.of}.", work)
@@ -49,7 +49,7 @@ def h2(step: H2Step, work: Workspace) -> Outcome:
     import robustlab as rl
 
     P, *channels = generalised(step, work, nominal=True)
-    found = rl.h2(P, *channels, time_limit=step.time_limit)
+    found = rl.h2(P, *channels, effort=step.effort, time_limit=step.time_limit)
     _draw_loop(found, work)
     _draw_functions(found, step.of, work)
     return designed(found, f"H2 controller for {step.of}.", work)
@@ -73,7 +73,8 @@ def dk(step: DkStep, work: Workspace) -> Outcome:
 
     P, *channels = generalised(step, work)
     start = None if step.start is None else work.values[step.start]
-    options: dict[str, Any] = step.model_dump(include={"direct", "mixed", "max_order", "order_rel", "time_limit"})
+    taken = {"direct", "mixed", "max_order", "order_rel", "effort", "time_limit"}
+    options: dict[str, Any] = step.model_dump(include=taken)
     found = rl.dk(P, None, *channels, K0=start, **options)
     _draw_loop(found, work)
     work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
@@ -88,7 +89,7 @@ def fixed(step: FixedStep, work: Workspace) -> Outcome:
     from robustlab.synthesis.structure_words import structure_in_words
 
     plant = as_generalized_plant(*generalised(step, work, nominal=step.nominal), "fixed")
-    options: dict[str, Any] = {"objective": step.objective, "starts": step.starts, "time_limit": step.time_limit}
+    options: dict[str, Any] = step.model_dump(include={"objective", "starts", "effort", "time_limit"})
     found = rl.fixed_structure(plant, structure_in_words(step.structure, plant), seed=work.seed, **options)
     _draw_loop(found, work)
     _draw_functions(found, step.of, work, proved=step.nominal and step.objective == "hinf")
@@ -102,12 +103,7 @@ def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
 
     P, n_meas, n_con = generalised(step, work, nominal=step.measure != "mu")
     K = as_model(work.values[step.controller], step.controller)
-    options: dict[str, Any] = {
-        "loss": step.loss,
-        "order": step.order,
-        "measure": step.measure,
-        "time_limit": step.time_limit,
-    }
+    options: dict[str, Any] = step.model_dump(include={"loss", "order", "measure", "effort", "time_limit"})
     found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
     return designed(found, f"{step.controller} with fewer states.", work)
 

@@ -31,7 +31,7 @@ def discretise(step: DiscretiseStep, work: Workspace) -> Outcome:
     plant = _uncertain(work.values[step.plant])
     found = rl.discretise_controller(
         plant.nominal, step.dt, K, method=step.method, loss=step.loss, delay=step.delay, antialiasing=step.antialiasing,
-        prewarp=step.prewarp, time_limit=step.time_limit,
+        prewarp=step.prewarp, effort=step.effort, time_limit=step.time_limit,
     )  # fmt: skip
     outcome = designed(found, f"{step.of} with a sample time of {step.dt:g} s.", work)
     return _with_robustness(outcome, step, plant, K, found.K, work) if plant.blocks else outcome
@@ -43,11 +43,9 @@ def _with_robustness(
     """The same with mu and margin of the uncertain loop, continuous before and sampled after."""
     import robustlab as rl
 
-    limit = step.time_limit
-    before = rl.robust_performance(plant.close(K), accuracy=1e-3, tolerance=math.inf, time_limit=limit, seed=work.seed)
-    after = rl.sampled_robustness(
-        plant, digital, delay=step.delay, antialiasing=step.antialiasing, time_limit=limit, seed=work.seed
-    )
+    options: dict[str, Any] = {"effort": step.effort, "time_limit": step.time_limit, "seed": work.seed}
+    before = rl.robust_performance(plant.close(K), accuracy=1e-3, tolerance=math.inf, **options)
+    after = rl.sampled_robustness(plant, digital, delay=step.delay, antialiasing=step.antialiasing, **options)
     work.keep(after, "robustness")
     mu = {"lower": inverse(before.upper), "upper": inverse(before.lower)}
     numbers = {

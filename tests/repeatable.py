@@ -1,0 +1,103 @@
+"""The same call under load: a snippet in a process of its own, idle or at nice 19 beside two busy loops.
+
+What it prints has to be the same to the last bit. The loaded process has another number of BLAS threads as well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["answer", "digest", "same_under_load"]
+
+# Fields that hold how long something took: they are no part of an answer.
+TIMES = {"seconds"}
+# What is imported and compiled at the first call comes before the load: it would take most of the time. The loops give
+# way to other tests (at nice 10 each still gets seven times the share of nice 19), and end with their process.
+FRAME = """
+import contextlib, io, os, subprocess, sys
+import numpy as np
+import robustlab as rl
+from repeatable import digest
+loops, code = [], compile({snippet!r}, "snippet", "exec")
+if {loaded}:
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(code, dict(rl=rl, np=np, digest=digest))
+    busy = "import os; os.nice(10)\\nwhile os.getppid() == " + str(os.getpid()) + ":\\n    sum(range(100000))"
+    loops = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(2)]
+    os.nice(19)
+try:
+    exec(code, dict(rl=rl, np=np, digest=digest))
+finally:
+    for loop in loops:
+        loop.kill()
+        loop.wait()
+"""
+
+
+def answer(snippet: str, *, loaded: bool = False) -> str:
+    """What a snippet prints; it finds ``rl``, ``np`` and ``digest``."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        environment.pop(name, None)
+        if loaded:
+            environment[name] = "1"
+    code = FRAME.format(loaded=loaded, snippet=snippet)
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def same_under_load(snippet: str) -> str:
+    """What the snippet prints, once it has printed the same with and without load."""
+    idle, loaded = answer(snippet), answer(snippet, loaded=True)
+    assert idle == loaded
+    assert idle.strip()
+    return idle
+
+
+def digest(*values: Any) -> str:
+    """A number for all bits of results: arrays, models, dataclasses and what they hold, but for how long it took."""
+    state = hashlib.sha256()
+    for piece in _pieces(values):
+        state.update(piece)
+    return state.hexdigest()[:16]
+
+
+def _pieces(value: Any) -> Iterator[bytes]:
+    if isinstance(value, np.ndarray) and value.dtype.kind != "O":
+        yield f"{value.dtype}{value.shape}".encode()
+        yield np.ascontiguousarray(value).tobytes()
+    elif value is None or isinstance(value, (str, bool, int, float, complex, np.generic, Enum, slice, Path)):
+        yield repr(value).encode()
+    elif isinstance(value, Mapping):
+        yield b"{"
+        for key, item in value.items():
+            if key not in TIMES:
+                yield from _pieces((key, item))
+    elif dataclasses.is_dataclass(value):
+        yield type(value).__name__.encode()
+        yield from _pieces({f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        yield f"[{len(value)}".encode()
+        for item in value:
+            yield from _pieces(item)
+    elif all(hasattr(value, name) for name in "ABCD"):
+        yield from _pieces([value.A, value.B, value.C, value.D, value.dt])
+    elif callable(value):
+        yield b"function"
+    elif hasattr(value, "to_json"):
+        yield from _pieces(value.to_json())
+    else:
+        raise TypeError(f"{type(value).__name__} has no digest")
