@@ -76,6 +76,11 @@ class Budget:
         child._parent = self
         return child
 
+    def apart(self, work: float) -> Budget:
+        """A budget of so much work, taken off this one now, for a search beside others that must not see each other."""
+        self.spend(work)
+        return Budget(work, None if self.seconds_left == inf else self.seconds_left)
+
     @property
     def left(self) -> float:
         """Units of work left; negative where a step took more than there was."""
@@ -108,6 +113,10 @@ class Budget:
         own = self._end - time.monotonic() if self._end < inf else inf
         return own if self._parent is None else min(own, self._parent.seconds_left)
 
+    def strike(self) -> None:
+        """Say that the time limit ended something elsewhere: in a solver that has a limit of its own."""
+        self._tell("_struck")
+
     def _tell(self, what: str) -> None:
         setattr(self, what, True)
         if self._parent is not None:
@@ -131,7 +140,10 @@ def search_budget(where: str, work: float, effort: float, time_limit: float | No
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores."""
+    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores.
+
+    A context, and a decorator: ``@one_thread()``.
+    """
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1):

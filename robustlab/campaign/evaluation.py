@@ -32,9 +32,9 @@ __all__ = ["TILE", "Evaluator"]
 TILE = 64
 # Operations in a tile, roughly: a tile of a large model is smaller, so that its time limit stays near that of a sample.
 TILE_WORK = 2e9
-# The limit of a search is the limit of its sample, which whoever started the worker enforces: a search that looked at
-# its own clock would give an answer that depends on the machine.
-NO_LIMIT = 1e12
+# The limit of a search is the limit of its sample, which whoever started the worker enforces; the search itself ends
+# where nothing helps any more.
+TO_THE_END = 1e9
 
 
 class Evaluator:
@@ -153,7 +153,7 @@ class Evaluator:
         s = self.settings
         own = np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)
         asked = vars(_request(self.uncertain, s))
-        found = worst_case(self.uncertain, **asked, n=s.starts, seed=int(own[0]), time_limit=NO_LIMIT)
+        found = worst_case(self.uncertain, **asked, n=s.starts, seed=int(own[0]), effort=TO_THE_END)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"

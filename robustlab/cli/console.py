@@ -42,6 +42,7 @@ TimeLimitOption = Annotated[
     float | None,
     typer.Option(
         "--time-limit",
+        "--timeout",
         help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
         show_default=False,
     ),

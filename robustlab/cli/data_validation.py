@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note
+from robustlab.cli.console import EffortOption, JsonOption, OutOption, TimeLimitOption, assignments, emit, note
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, InputError, NoTrustworthyNumber
 
 if TYPE_CHECKING:
@@ -57,7 +57,8 @@ def validate(
         float | None, typer.Option("--at-most", help="Exit code 1 where gamma is not shown to be at most this.")
     ] = None,
     precision: Annotated[float, typer.Option("--precision", help="Relative width of the bounds.")] = 0.01,
-    time_limit: Annotated[float, typer.Option("--time-limit", help="Seconds.")] = 120.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     group: Annotated[
         str | None, typer.Option("--group", help="HDF5 group or MATLAB struct with the signals.", show_default=False)
     ] = None,
@@ -125,6 +126,7 @@ def validate(
         per_block=per_block,
         precision=precision,
         time_limit=time_limit,
+        effort=effort,
         progress=note,
     )
     members = (20 if all(b.kind == "constant" for b in found.blocks.values()) else 0) if cover is None else cover

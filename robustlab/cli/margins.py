@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, emit, note, table
+from robustlab.cli.console import EffortOption, JsonOption, OutOption, SeedOption, TimeLimitOption, emit, note, table
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ def margins(
             show_default=False,
         ),
     ] = None,
-    timeout: Annotated[float, typer.Option(help="Seconds for the proof with all loops, or all members.")] = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     seed: SeedOption = 0,
     transpose: TransposeOption = False,
     out: OutOption = None,
@@ -58,11 +59,12 @@ def margins(
     k = None if controller is None else load(controller, transpose=transpose)
     sign = _sign(feedback, k)
     place = cast(Place, at)
+    options: dict[str, Any] = {"time_limit": time_limit, "effort": effort, "seed": seed}
     if isinstance(thing, UncertainModel):
-        result: Any = worst_case_disk_margin(thing, k, at=place, skew=skew, sign=sign, time_limit=timeout, seed=seed)
+        result: Any = worst_case_disk_margin(thing, k, at=place, skew=skew, sign=sign, **options)
         text = _worst_text(result)
     else:
-        result = disk_margin(thing, k, at=place, skew=skew, sign=sign, time_limit=timeout, seed=seed)
+        result = disk_margin(thing, k, at=place, skew=skew, sign=sign, **options)
         text = _text(result)
     if out is not None:
         from robustlab.storage import save

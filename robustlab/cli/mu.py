@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, emit, note, table
+from robustlab.cli.console import EffortOption, JsonOption, OutOption, SeedOption, TimeLimitOption, emit, note, table
 from robustlab.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ def mu(
         float, typer.Option(help="Relative gap of the bounds that branch and bound aims at; inf: none.")
     ] = 0.01,
     accuracy: Annotated[float, typer.Option(help="Relative distance to the best margin that D, G can prove.")] = 3e-5,
-    timeout: Annotated[float, typer.Option(help="Seconds after which the proof stops where it is.")] = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     intervals: Annotated[bool, typer.Option("--intervals", help="Print the proved frequency intervals.")] = False,
     figure: Annotated[
         str | None,
@@ -57,15 +58,15 @@ def mu(
         raise UsageError("mu", "--gain and --performance", "one of them")
     if (inputs or outputs) and not (gain or performance):
         raise UsageError("mu", "--inputs or --outputs without --gain or --performance", "one of these, too")
-    if not 0 < accuracy < 1 or not timeout > 0 or not tolerance > 0:
-        found = f"accuracy {accuracy}, timeout {timeout}, tolerance {tolerance}"
-        raise InputError("mu", found, "0 < accuracy < 1, a positive timeout and a positive tolerance")
+    if not 0 < accuracy < 1 or not tolerance > 0:
+        raise InputError("mu", f"accuracy {accuracy}, tolerance {tolerance}", "0 < accuracy < 1, a positive tolerance")
+    options: dict[str, Any] = {"tolerance": tolerance, "effort": effort, "time_limit": time_limit, "seed": seed}
     uncertain = _uncertain(file, inputs, outputs)
     if gain:
-        result, text = _worst_gain(uncertain, tolerance, timeout, seed, intervals, figure)
+        result, text = _worst_gain(uncertain, options, intervals, figure)
     else:
         result, text = _margin(
-            uncertain, performance, tolerance, accuracy, timeout, seed, with_intervals=intervals, figure=figure
+            uncertain, performance, {**options, "accuracy": accuracy}, with_intervals=intervals, figure=figure
         )
     balls = None
     if certify:
@@ -107,10 +108,7 @@ def _grid(uncertain: UncertainModel, figure: str | None) -> Any:
 def _margin(
     uncertain: UncertainModel,
     performance: bool,
-    tolerance: float,
-    accuracy: float,
-    timeout: float,
-    seed: int,
+    options: dict[str, Any],
     *,
     with_intervals: bool,
     figure: str | None,
@@ -118,14 +116,7 @@ def _margin(
     from robustlab.mu_analysis import robust_performance, robust_stability
 
     analyse = robust_performance if performance else robust_stability
-    margin = analyse(
-        uncertain,
-        omega=_grid(uncertain, figure),
-        accuracy=accuracy,
-        time_limit=timeout,
-        seed=seed,
-        tolerance=tolerance,
-    )
+    margin = analyse(uncertain, omega=_grid(uncertain, figure), **options)
     if figure is not None:
         _draw(uncertain, margin, figure, performance)
     what = "robust performance margin" if performance else "robust stability margin"
@@ -141,12 +132,11 @@ def _margin(
 
 
 def _worst_gain(
-    uncertain: UncertainModel, tolerance: float, timeout: float, seed: int, with_intervals: bool, figure: str | None
+    uncertain: UncertainModel, options: dict[str, Any], with_intervals: bool, figure: str | None
 ) -> tuple[WorstCaseGain, str]:
     from robustlab.mu_analysis import worst_case_gain
 
-    grid = _grid(uncertain, figure)
-    worst = worst_case_gain(uncertain, omega=grid, tolerance=tolerance, time_limit=timeout, seed=seed)
+    worst = worst_case_gain(uncertain, omega=_grid(uncertain, figure), **options)
     if figure is not None:
         from robustlab.report.mu_figures import gain_figure
 

@@ -6,7 +6,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, ends, note, table
+from robustlab.cli.console import (
+    EffortOption,
+    JsonOption,
+    OutOption,
+    SeedOption,
+    TimeLimitOption,
+    assignments,
+    emit,
+    ends,
+    note,
+    table,
+)
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
@@ -87,9 +98,8 @@ def build(
         str | None,
         typer.Option("--controller", help="File of a controller u = K y: the cover's worst gain is that of its loop."),
     ] = None,
-    time_limit: Annotated[
-        float, typer.Option("--time-limit", help="Time in s for the proof of the cover's worst gain.")
-    ] = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     discovery: Annotated[
         str | None,
         typer.Option("--discovery", help="Instead: folder of data discover --out, or its updated plant."),
@@ -119,7 +129,7 @@ def build(
         )
     if cover is not None:
         _build_cover(cover, out, as_json, form=form, order=order, directions=directions, tolerance=noise,
-                     controller=controller, time_limit=time_limit)  # fmt: skip
+                     controller=controller, time_limit=time_limit, effort=effort)  # fmt: skip
         return
     if discovery is not None:
         kept = outputs.split(",") if outputs else None
@@ -159,6 +169,7 @@ def build(
 
 def _build_cover(files: list[str], out: str | None, as_json: bool, **options: Any) -> None:
     from robustlab.cli.uncertain_sources import cover_of
+    from robustlab.result import Status
     from robustlab.storage import save
 
     found, origin = cover_of(files, options.pop("form"), **options)
@@ -170,7 +181,8 @@ def _build_cover(files: list[str], out: str | None, as_json: bool, **options: An
     result = {"file": out, "delta_shape": found.model.delta_shape, "blocks": _blocks(found.model)}
     emit("uncertain build", {**result, **evidence, "deltas": deltas}, "\n".join(lines), as_json)
     judged = found.conservatism
-    if not found.status.trustworthy or (judged is not None and not judged.reason and not judged.status.trustworthy):
+    unproved = judged is not None and not (judged.status.trustworthy or judged.status is Status.FAILED)
+    if not found.status.trustworthy or unproved:
         raise typer.Exit(4)
 
 

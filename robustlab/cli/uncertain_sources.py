@@ -24,7 +24,8 @@ def cover_of(
     directions: int | None,
     tolerance: float | None,
     controller: str | None,
-    time_limit: float,
+    time_limit: float | None,
+    effort: float,
 ) -> tuple[Cover, Provenance]:
     """The cover of the models in the files, its worst gain in the loop of a controller where one is given."""
     from robustlab.mu_analysis.cover import cover
@@ -38,7 +39,7 @@ def cover_of(
     options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
     with progress("cover") as advance:
         found = cover(
-            models, form, directions=directions, order=order, loop=loop, time_limit=time_limit,
+            models, form, directions=directions, order=order, loop=loop, time_limit=time_limit, effort=effort,
             progress=lambda text: advance(0, text), **options,
         )  # fmt: skip
     used = {path: file_sha256(path) for path in [*files, *([controller] if controller else [])]}

@@ -6,7 +6,17 @@ from typing import Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, SeedOption, assignments, emit, note, table
+from robustlab.cli.console import (
+    EffortOption,
+    JsonOption,
+    OutOption,
+    SeedOption,
+    TimeLimitOption,
+    assignments,
+    emit,
+    note,
+    table,
+)
 from robustlab.cli.uncertain import (
     EndOption,
     InputOption,
@@ -47,7 +57,8 @@ def worst_case(
         typer.Option("-n", "--samples", help="Points that the search starts from (256); with --limit: samples."),
     ] = None,
     seed: SeedOption = 0,
-    time_limit: Annotated[float, typer.Option("--time-limit", help="Time limit of the search in s.")] = 60.0,
+    effort: EffortOption = 1.0,
+    time_limit: TimeLimitOption = None,
     limit: Annotated[
         str | None,
         typer.Option("--limit", help="Do not search: how probable is it that samples violate this? '0.5 rad'."),
@@ -91,7 +102,8 @@ def worst_case(
         _keep(out, found, file, seed)
         _report_violation(file, found, figure, as_json)
         return
-    found = worst_case_analysis.worst_case(model, metric, n=256 if n is None else n, time_limit=time_limit, **options)
+    options |= {"effort": effort, "time_limit": time_limit}
+    found = worst_case_analysis.worst_case(model, metric, n=256 if n is None else n, **options)
     _keep(out, found, file, seed)
     emit("worst-case", {"file": file, **found.to_json()}, _text(found), as_json)
     if not found.status.trustworthy:

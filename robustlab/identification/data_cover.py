@@ -120,8 +120,9 @@ def data_cover(
     window: float | None = None,
     at_rest: bool = False,
     precision: float = 0.02,
-    time_limit: float = 120.0,
+    time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
+    effort: float = 1.0,
 ) -> DataCover:
     """The set of models around a plant, with or without effects, that explains its records.
 
@@ -140,8 +141,8 @@ def data_cover(
         bound of its own is ``margin`` times the largest along the records.
     sigmas
         Half width of the range of a fitted value in its standard deviations.
-    noise_norm, window, at_rest, precision, time_limit, progress
-        As in `validate`; the time limit is that of each record. Delta may vary with time: friction does.
+    noise_norm, window, at_rest, precision, time_limit, progress, effort
+        As in `validate`; time limit and effort are those of each record. Delta may vary with time: friction does.
 
     Raises
     ------
@@ -176,7 +177,7 @@ def data_cover(
         reached[record.name] = max((float(np.abs(driven[x.name]).max()) for x in made.loads), default=0.0)
         found[record.name] = validate(
             bare, driven, noise, noise_norm=noise_norm, delta="time-varying", at_rest=at_rest,
-            window=window, precision=precision, time_limit=time_limit, progress=progress,
+            window=window, precision=precision, time_limit=time_limit, progress=progress, effort=effort,
         )  # fmt: skip
     mine = [found[r.name] for r in records]
     needed = max(v.upper for v in mine)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import one_thread
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.port_model import linear_plant_of, parameter_groups, port_model
 from robustlab.dynamics.effects.simulator import Windows
@@ -86,6 +87,7 @@ class _Data:
         return self.problem.on(known)
 
 
+@one_thread()
 def discover(
     plant: Any,
     records: Record | Sequence[Record],

@@ -18,6 +18,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
+from robustlab.budget import NOT_REPEATABLE, USED_UP
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.mu_analysis.worst_gain import worst_case_gain
 from robustlab.norms import hinf_norm
@@ -57,7 +58,7 @@ class Conservatism:
     status
         That of the worst gain; FAILED where there is none.
     reason
-        Why there is none; else empty.
+        Why there is none, or what ended its proof early; else empty.
     """
 
     ratio: float
@@ -139,10 +140,11 @@ class Cover:
         c = self.conservatism
         if c is not None:
             lines.append(
-                f"worst gain {c.cover_lower:.6g} .. {c.cover_upper:.6g}, of the set {c.set_gain:.6g}"
+                f"conservatism: none, {c.reason}"
+                if c.status is Status.FAILED
+                else f"worst gain {c.cover_lower:.6g} .. {c.cover_upper:.6g}, of the set {c.set_gain:.6g}"
                 f" (model {c.set_model}): ratio at most {c.ratio:.4g} ({c.status})"
-                if not c.reason
-                else f"conservatism: none, {c.reason}"
+                + (f"; {c.reason}" if c.reason else "")
             )
         return "\n".join([*lines, *([self.reason] if self.reason else [])])
 
@@ -162,8 +164,9 @@ def cover(
     excess: float = 0.1,
     loop: Loop | None = None,
     gain: bool = True,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
+    effort: float = 1.0,
 ) -> Cover:
     """The smallest uncertain model of a form that holds every one of a set of models.
 
@@ -198,9 +201,11 @@ def cover(
     gain
         False: no conservatism.
     time_limit
-        Time in s for the proof of the worst gain.
+        Time in s for the proof of the worst gain; None: no limit.
     progress
         Called with one short line before each step.
+    effort
+        Work of that proof, as in `worst_case_gain`.
 
     Returns
     -------
@@ -236,7 +241,7 @@ def cover(
     if not gain:
         return made
     say("cover: worst gain of the cover")
-    compared = conservatism(made.model, found, loop=loop, time_limit=time_limit)
+    compared = conservatism(made.model, found, loop=loop, time_limit=time_limit, effort=effort)
     return dataclasses.replace(made, conservatism=compared)
 
 
@@ -286,7 +291,12 @@ def _unstructured(
 
 
 def conservatism(
-    uncertain: UncertainModel, models: Iterable[Any], *, loop: Loop | None = None, time_limit: float = 60.0
+    uncertain: UncertainModel,
+    models: Iterable[Any],
+    *,
+    loop: Loop | None = None,
+    time_limit: float | None = None,
+    effort: float = 1.0,
 ) -> Conservatism:
     """How much larger the worst gain of an uncertain model is than the largest one of the models it stands for.
 
@@ -299,7 +309,9 @@ def conservatism(
     loop
         What is made of each before its gain is taken; nothing where left out.
     time_limit
-        Time in s for the proof of the worst gain.
+        Time in s for the proof of the worst gain; None: no limit.
+    effort
+        Work of that proof, as in `worst_case_gain`.
 
     Raises
     ------
@@ -329,11 +341,12 @@ def conservatism(
     if largest == 0:
         return Conservatism(np.nan, np.nan, 0.0, number, np.nan, np.nan, Status.FAILED, "all models have no gain")
     try:
-        worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit)
+        worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
     except NoTrustworthyNumber as error:
         return Conservatism(np.nan, np.nan, largest, number, np.nan, np.nan, Status.FAILED, str(error.found))
+    said = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
     return Conservatism(
-        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status
+        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, said
     )
 
 

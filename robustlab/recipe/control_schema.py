@@ -8,13 +8,16 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from robustlab.recipe.vocabulary import (
+    GUARD,
     ComplementaryWeight,
     ControlWeight,
+    Effort,
     ErrorWeight,
     PerformanceWeight,
     Positive,
     RefersTo,
     StepBase,
+    TimeLimit,
     ToController,
     ToModel,
     ToPlant,
@@ -45,9 +48,6 @@ Sizes = Positive | dict[str, Positive]
 Controllers = Annotated[list[ToController], Field(min_length=1, max_length=12)]
 Names = Annotated[list[str], Field(min_length=1, max_length=100)]
 GammaRel = Annotated[float, Field(ge=1, le=10)]
-TimeLimit = Annotated[float, Field(gt=0, le=86400)]
-Effort = Annotated[float, Field(gt=0, le=10_000)]
-GUARD = "s; a guard: where it strikes, the step ends without a repeatable answer."
 
 
 class TrackingProblemStep(StepBase):

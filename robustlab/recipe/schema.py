@@ -29,9 +29,11 @@ from robustlab.recipe.control_schema import (
 from robustlab.recipe.story_schema import DataCoverStep, StoryStep
 from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep, WithLoadsStep
 from robustlab.recipe.vocabulary import (
+    GUARD,
     ComplementaryWeight,
     ControlWeight,
     Count,
+    Effort,
     FileName,
     NumberOrPair,
     PerformanceWeight,
@@ -42,6 +44,7 @@ from robustlab.recipe.vocabulary import (
     StepName,
     Strict,
     Text,
+    TimeLimit,
     ToAnything,
     ToController,
     Tolerance,
@@ -242,6 +245,8 @@ class WorstCaseStep(MetricStep):
 
     do: Literal["worst-case"]
     n: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Points that the search starts from.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the search.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
 
 
 class ViolationStep(MetricStep):
@@ -282,6 +287,8 @@ class RobustStabilityStep(StepBase):
 
     do: Literal["robust-stability"]
     of: ToUncertain
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the proof.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
 
 
 # --- synthesis -------------------------------------------------------------------------------------------------------
@@ -441,7 +448,8 @@ class ValidateStep(StepBase):
     window: Positive | None = Field(None, description="s; windows with a free start each, for long records.")
     per_block: bool = Field(False, description="Also the smallest scaling of each block alone.")
     precision: Annotated[float, Field(ge=1e-4, le=0.2)] = 0.01
-    time_limit: Positive = Field(120.0, description="s")
+    effort: Effort = Field(1.0, description="Multiple of the usual work.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
 
 
 # --- published numbers -----------------------------------------------------------------------------------------------

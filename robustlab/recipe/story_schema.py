@@ -7,7 +7,18 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from robustlab.recipe.vocabulary import Positive, RefersTo, StepBase, Text, ToController, ToRecord, ToUncertain
+from robustlab.recipe.vocabulary import (
+    GUARD,
+    Effort,
+    Positive,
+    RefersTo,
+    StepBase,
+    Text,
+    TimeLimit,
+    ToController,
+    ToRecord,
+    ToUncertain,
+)
 
 __all__ = ["DataCoverStep", "StoryStep"]
 
@@ -42,7 +53,8 @@ class DataCoverStep(StepBase):
     decimate: Annotated[int, Field(ge=1, le=100)] = Field(
         1, description="Keep every so-many-th sample; inputs are averaged in between."
     )
-    time_limit: Positive = Field(120.0, description="s for each record.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work, for each record.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
 
 
 class StoryStep(StepBase):

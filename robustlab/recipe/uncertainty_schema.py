@@ -8,9 +8,12 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from robustlab.recipe.vocabulary import (
+    GUARD,
+    Effort,
     Positive,
     RefersTo,
     StepBase,
+    TimeLimit,
     ToController,
     Tolerance,
     ToOneModel,
@@ -60,7 +63,8 @@ class CoverModelsStep(StepBase):
         None, description="Closed around the models and the cover, u = K (r - y), before their gains are compared."
     )
     conservatism: bool = Field(True, description="Compare the worst gain of the cover with that of the set.")
-    time_limit: Positive = Field(60.0, description="s, for the proof of the worst gain.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the proof of the worst gain.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
 
     @model_validator(mode="after")
     def _is_a_set(self) -> Self:

@@ -9,9 +9,11 @@ from pydantic import BaseModel, ConfigDict, Field, WrapValidator
 from pydantic_core import PydanticCustomError, ValidationError
 
 __all__ = [
+    "GUARD",
     "ComplementaryWeight",
     "ControlWeight",
     "Count",
+    "Effort",
     "ErrorWeight",
     "FileName",
     "NumberOrPair",
@@ -25,6 +27,7 @@ __all__ = [
     "StepName",
     "Strict",
     "Text",
+    "TimeLimit",
     "ToAnything",
     "ToController",
     "ToModel",
@@ -66,6 +69,9 @@ Text = Annotated[str, Field(max_length=2000)]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=0, le=1_000_000)]
 Points = Annotated[int, Field(ge=2, le=100_000)]
+TimeLimit = Annotated[float, Field(gt=0, le=86400)]
+Effort = Annotated[float, Field(gt=0, le=10_000)]
+GUARD = "s; a guard: where it strikes, the step ends without a repeatable answer."
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
 Order = Annotated[int, Field(ge=1, le=10)]
 

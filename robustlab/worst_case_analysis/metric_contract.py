@@ -107,6 +107,11 @@ class Metric:
         """
         return None
 
+    def work(self, count: int) -> float:
+        """Work of measuring so many members at once, roughly; a slope costs what two members do on their own."""
+        n = self.uncertain.M.n_states
+        return 300 + count * (20 + n**2 + n**3 / 30)
+
     def slack(self, value: float) -> float:
         """How far re-evaluation may be off ``value``."""
         return self.tolerance * abs(value)

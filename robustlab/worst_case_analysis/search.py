@@ -8,7 +8,6 @@ A search attains what it reports; it proves no bound. Guaranteed bounds are `rob
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -39,6 +39,10 @@ LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
 
+# What a search may cost: about a minute.
+WORK = 60 * MILLION
+# Share of it that the climbs may take, each an equal part.
+CLIMBING = 0.5
 MAX_VERTICES = 1024
 # Local searches with gradients, and compass searches where there are none.
 CLIMBS, STARTS = 8, 4
@@ -63,10 +67,10 @@ class WorstCase:
     nominal_value
         The metric at Delta = 0, by the same path as ``value``.
     status
-        CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; TIMEOUT where the time limit
-        ended the search.
+        CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
+        budget ended the search, TIMEOUT where the time limit did.
     label
-        What the value is, and is not.
+        What the value is, and is not, and what ended the search early.
     evaluations
         Number of members that were evaluated.
     physical
@@ -124,8 +128,9 @@ def worst_case(
     band: float = 0.02,
     n: int = 256,
     seed: int = 0,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
     workers: int = 1,
+    effort: float = 1.0,
 ) -> WorstCase:
     """The worst member of a set that a search over all normalised Delta finds.
 
@@ -156,9 +161,12 @@ def worst_case(
     seed
         Same seed, same answer.
     time_limit
-        In s; what was found by then comes back with status TIMEOUT.
+        In s; what was found by then comes back with status TIMEOUT, and cannot be repeated. None: no limit.
     workers
         Threads of the local searches; the answer does not depend on their number.
+    effort
+        Work that the search may take, as a multiple of the usual (about a minute); counted, not timed. Most searches
+        end long before.
 
     Raises
     ------
@@ -176,40 +184,48 @@ def worst_case(
     >>> found.delta, round(found.value, 3)  # log(50) / 0.8
     ({'pole': -1.0}, 4.89)
     """
-    deadline = time.monotonic() + time_limit
+    budget = search_budget("worst_case", WORK, effort, time_limit)
     request = MetricRequest(metric, output, input, t, u, hold, band)
-    judge = make_metric(uncertain, request)
     for name, count, least in (("n", n, 1), ("workers", workers, 1), ("seed", seed, 0)):
         if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < least:
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
-    search = _Search(judge, deadline)
-    theta, found = search.run(int(n), int(seed), int(workers))
+    with one_thread():
+        return _searched(uncertain, request, budget, int(n), int(seed), int(workers))
+
+
+def _searched(
+    uncertain: UncertainModel, request: MetricRequest, budget: Budget, n: int, seed: int, workers: int
+) -> WorstCase:
+    judge = make_metric(uncertain, request)
+    search = _Search(judge, budget)
+    theta, found = search.run(n, seed, workers)
     stack = search.box.deltas(theta[None])
     delta = delta_values(uncertain.blocks, stack[0])
     evaluation = judge.evaluate(delta)
     value = evaluation.value
     status = Status.CONVERGED if evaluation.accurate and _agree(found, value, judge) else Status.INACCURATE
-    if search.out_of_time:
-        status = Status.TIMEOUT
+    if search.ended:
+        status = Status.TIMEOUT if search.remark == NOT_REPEATABLE else Status.INCONCLUSIVE
     why = f": {evaluation.reason}" if evaluation.reason else ""
-    label = LABEL if np.isfinite(value) else f"{UNBOUNDED}{why}"
+    label = LABEL_SMALLEST if judge.sense < 0 else LABEL
+    label = label if np.isfinite(value) else f"{UNBOUNDED}{why}"
     return WorstCase(
         value,
         delta,
         request.name,
         judge.evaluate({}).value,
         status,
-        LABEL_SMALLEST if judge.sense < 0 and np.isfinite(value) else label,
+        f"{label}; {search.remark}" if search.ended else label,
         search.evaluations,
         uncertain.physical(delta),
         evaluation.at,
         judge.location,
         found,
         judge.unit,
-        input,
-        output,
+        request.input,
+        request.output,
         float(members(uncertain, stack).spectral_abscissa()[0]),
-        int(seed),
+        seed,
         search.gradients,
     )
 
@@ -234,30 +250,35 @@ class _Unbounded(Exception):
         self.theta = theta
 
 
-class _OutOfTime(Exception):
-    """The time limit ended a climb."""
+class _Over(Exception):
+    """The budget of a climb ended it."""
 
 
 @dataclass
 class _Climb:
-    """What a local search has found so far: the best vector, its score, and what it cost."""
+    """What a local search has found so far: the best vector, its score, what it cost and may cost."""
 
     theta: Array
     score: float
+    budget: Budget
     evaluations: int = 0
     gradients: int = 0
-    out_of_time: bool = False
 
 
 class _Search:
     """Scores are ``sense * value``: the larger the worse."""
 
-    def __init__(self, judge: Metric, deadline: float) -> None:
-        self.judge, self.deadline = judge, deadline
+    def __init__(self, judge: Metric, budget: Budget) -> None:
+        self.judge, self.budget = judge, budget
         self.box = DeltaBox(judge.uncertain.blocks)
         self._real = RealSet(judge.uncertain) if self.box.all_real else None
         self.evaluations = self.gradients = 0
-        self.out_of_time = False
+        self.remark: str | None = None  # what ended the search early
+
+    @property
+    def ended(self) -> bool:
+        """Whether the budget ended it early."""
+        return self.remark is not None
 
     def run(self, n: int, seed: int, workers: int) -> tuple[Array, float]:
         """The worst vector and its value."""
@@ -265,7 +286,7 @@ class _Search:
         scores = self._scores(points)
         order = np.argsort(-scores, kind="stable")
         best, top = points[order[0]], float(scores[order[0]])
-        if self.box.size and not np.isposinf(top) and not self.out_of_time:
+        if self.box.size and not np.isposinf(top) and not self.ended:
             if self._has_slope(best):
                 starts = _apart(points[order], CLIMBS)
                 for found in self._climbs(starts, workers):
@@ -297,21 +318,22 @@ class _Search:
         return self.judge.values(self.box.deltas(theta))
 
     def _scores(self, theta: Array) -> Array:
-        """Scores at vectors (k, d); after the deadline the rest counts as -inf."""
+        """Scores at vectors (k, d); after the end of the budget the rest counts as -inf."""
         scores = np.full(len(theta), -np.inf)
         m = self.judge.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
-            if self.evaluations and time.monotonic() > self.deadline:
-                self.out_of_time = True
+            if self.evaluations and self.budget.over:
+                self.remark = self.budget.remark
                 break
             scores[part] = self.judge.sense * self._measure(theta[part])
+            self.budget.spend(self.judge.work(part.stop - part.start))
             self.evaluations += part.stop - part.start
         return scores
 
     def _add(self, found: _Climb) -> None:
         self.evaluations += found.evaluations
         self.gradients += found.gradients
-        self.out_of_time = self.out_of_time or found.out_of_time
+        self.remark = self.remark if self.remark == NOT_REPEATABLE else found.budget.remark or self.remark
 
     # -- climbing along gradients --
 
@@ -319,17 +341,20 @@ class _Search:
         return self._real is not None and self.judge.slope(self._real.members(theta[None])) is not None
 
     def _climbs(self, starts: Array, workers: int) -> Iterator[_Climb]:
+        # With a common budget the end of a climb would depend on how far the others, in other threads, have come.
+        each = CLIMBING * self.budget.left / len(starts)
+        budgets = [self.budget.apart(each) for _ in starts]
         if workers == 1:
-            yield from map(self._climb, starts)
+            yield from map(self._climb, starts, budgets)
             return
         with ThreadPoolExecutor(workers) as pool:
-            yield from pool.map(self._climb, starts)
+            yield from pool.map(self._climb, starts, budgets)
 
-    def _climb(self, start: Array) -> _Climb:
+    def _climb(self, start: Array, budget: Budget) -> _Climb:
         """Jumps towards the vertex that the gradient points to, then L-BFGS-B; the best point seen counts."""
         from scipy.optimize import minimize
 
-        climb = _Climb(start, -np.inf)
+        climb = _Climb(start, -np.inf, budget)
         try:
             self._jump(climb)
             size = max(abs(climb.score), 1e-300)
@@ -342,8 +367,8 @@ class _Search:
             minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
         except _Unbounded as met:
             climb.theta, climb.score = met.theta, np.inf
-        except _OutOfTime:
-            climb.out_of_time = True
+        except _Over:
+            pass
         return climb
 
     def _jump(self, climb: _Climb) -> None:
@@ -354,6 +379,7 @@ class _Search:
             trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
             scores = self.judge.sense * self._measure(trials)
             climb.evaluations += len(trials)
+            climb.budget.spend(self.judge.work(len(trials)))
             best = int(np.argmax(scores))
             if np.isposinf(scores[best]):
                 raise _Unbounded(trials[best])
@@ -363,8 +389,9 @@ class _Search:
             climb.theta, climb.score = theta, float(scores[best])
 
     def _score_and_slope(self, theta: Array, climb: _Climb) -> tuple[float, Array]:
-        if time.monotonic() > self.deadline:
-            raise _OutOfTime
+        if climb.budget.over:
+            raise _Over
+        climb.budget.spend(2 * self.judge.work(1))
         assert self._real is not None
         found = self.judge.slope(self._real.members(theta[None]))
         assert found is not None
@@ -386,7 +413,7 @@ class _Search:
 
         The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as SMALLEST_STEP.
         """
-        while step > SMALLEST_STEP and not self.out_of_time and not np.isposinf(score):
+        while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
             trials = self._trials(theta, score, step)
             scores = self._scores(trials)
             best = int(scores.argmax())

@@ -94,6 +94,11 @@ class TimeMetric(Metric):
         worst = int(size.argmax())
         return Evaluation(float(size[worst]), float(self._drive.t[worst]))
 
+    def work(self, count: int) -> float:
+        """See `Metric.work`; members side by side share most of the steps."""
+        n, steps = self.uncertain.M.n_states, len(self._drive.t)
+        return 300 + steps * (0.1 + n**2 / 160) + count * (20 + n**3 / 50 + steps * (0.05 + n**2 / 6000))
+
     def slope(self, ensemble: Ensemble) -> tuple[float, Array] | None:
         """See `Metric.slope`."""
         with np.errstate(all="ignore"):

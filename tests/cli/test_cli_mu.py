@@ -80,10 +80,10 @@ def test_missing_file_is_exit_code_3(tmp_path, capsys):
     assert "absent.h5" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", [["--accuracy", "0"], ["--timeout", "-1"], ["--accuracy", "nan"]])
+@pytest.mark.parametrize("option", [["--accuracy", "0"], ["--timeout", "-1"], ["--accuracy", "nan"], ["--effort", "0"]])
 def test_options_out_of_range(model_file, option, capsys):
     assert call(model_file, *option) == 3
-    assert "accuracy" in capsys.readouterr().err
+    assert {"--timeout": "time_limit"}.get(option[0], option[0][2:]) in capsys.readouterr().err
 
 
 def test_worst_gain_with_its_figure(model_file, tmp_path, capsys):

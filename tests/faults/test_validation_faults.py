@@ -92,7 +92,8 @@ def broken(kind):
         if kind == "panic":
             raise Panic
         nothing = np.full(len(q), np.nan), np.full(len(b), np.nan)
-        return SimpleNamespace(solve=lambda: SimpleNamespace(status="NumericalError", x=nothing[0], z=nothing[1]))
+        answer = SimpleNamespace(status="NumericalError", x=nothing[0], z=nothing[1], iterations=1)
+        return SimpleNamespace(solve=lambda: answer)
 
     return solver
 

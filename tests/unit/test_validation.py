@@ -115,7 +115,7 @@ def test_constants_and_systems_together():
     t = np.arange(50) * 0.1
     u = np.sign(np.sin(1.3 * t))
     truth = rl.simulate(model.evaluate({"pole": 0.8, "gain": 0.2}), t, {"u": u})
-    found = rl.validate(model, rl.Record(t, {"u": u}, {"y": truth["y"]}), {"y": 0.02}, at_rest=True, time_limit=6)
+    found = rl.validate(model, rl.Record(t, {"u": u}, {"y": truth["y"]}), {"y": 0.02}, at_rest=True, effort=0.05)
     assert found.lower <= found.upper <= 0.82
     assert found.blocks["pole"].kind == "constant"
     assert found.excess <= 1 + 1e-6

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
+from robustlab.budget import Budget
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
 from robustlab.identification.best_linear_approximation import held_response
@@ -142,7 +143,7 @@ def test_the_certificate_bounds_every_point(seed):
     omega = np.array([0.5, 2.0])
     data = rl.FrequencyData(omega, rng.standard_normal((2, 2)) * (1 + 1j), "u", ["y0", "y1"])
     problem = spectrum_of_response(model, data, {"y0": 0.1, "y1": 0.1}).problem
-    found = smallest_by_lines(problem, np.ones(3, dtype=bool), 0.01, np.inf)
+    found = smallest_by_lines(problem, np.ones(3, dtype=bool), 0.01, Budget())
     D, noise = found.multipliers.D, found.multipliers.noise
     gammas = np.full(3, found.lower)
     largest = line_lagrangian(problem, found.multipliers, gammas)

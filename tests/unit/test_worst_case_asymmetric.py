@@ -5,12 +5,11 @@ The lag 1 / (s + a), a in [0.25, 1.5] around 1: a negative delta counts one and 
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from robustlab.budget import Budget
 from robustlab.campaign import CampaignSettings
 from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.statespace import StateSpaceModel
@@ -90,14 +89,14 @@ def test_gradient_against_central_differences_on_both_sides(metric, dt, theta):
     model = random_set(dt)
     t, u = 0.1 * np.arange(120), np.random.default_rng(5).standard_normal((120, 2))
     judge = make_metric(model, MetricRequest(metric, model.outputs[0].name, None, t, u, "zoh"))
-    search = _Search(judge, time.monotonic() + 60)
+    search = _Search(judge, Budget())
     theta = np.array(theta)
     value = search._measure(theta[None])[0]
     assert np.isfinite(value)
     again = judge.evaluate(dict(zip("abc", theta, strict=True))).value  # through delta_matrix and simulation
     assert abs(value - again) <= judge.slack(value)
     assert value == pytest.approx(judge.values(search.box.deltas(theta[None]))[0], rel=1e-9)
-    score, slope = search._score_and_slope(theta, _Climb(theta, -np.inf))
+    score, slope = search._score_and_slope(theta, _Climb(theta, -np.inf, Budget()))
     assert score == pytest.approx(judge.sense * value, rel=1e-12)
     h = 1e-5
     steps = h * np.eye(3)
@@ -106,9 +105,9 @@ def test_gradient_against_central_differences_on_both_sides(metric, dt, theta):
 
 
 def test_one_sided_slopes_at_nominal_differ_by_the_ratio():
-    search = _Search(make_metric(lag(), MetricRequest("hinf")), time.monotonic() + 60)
-    _, above = search._score_and_slope(np.array([1e-9]), _Climb(np.zeros(1), -np.inf))
-    _, below = search._score_and_slope(np.array([-1e-9]), _Climb(np.zeros(1), -np.inf))
+    search = _Search(make_metric(lag(), MetricRequest("hinf")), Budget())
+    _, above = search._score_and_slope(np.array([1e-9]), _Climb(np.zeros(1), -np.inf, Budget()))
+    _, below = search._score_and_slope(np.array([-1e-9]), _Climb(np.zeros(1), -np.inf, Budget()))
     assert above == pytest.approx([-0.5], rel=1e-6)  # d(1 / a) = -da
     assert below == pytest.approx([-0.75], rel=1e-6)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pickle
-import time
 
 import control
 import numpy as np
 import pytest
 
+from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
@@ -50,7 +50,7 @@ CASES = [(dt, hold, seed) for dt, hold in ((0.0, "zoh"), (0.0, "foh"), (0.1, "zo
 def test_two_ways_and_the_gradient_agree(metric, dt, hold, seed):
     model = random_set(seed, dt)
     judge = make_metric(model, request(metric, model, hold))
-    search = _Search(judge, time.monotonic() + 60)
+    search = _Search(judge, Budget())
     theta = np.array([0.3, -0.4, 0.2])
     value = search._measure(theta[None])[0]
     assert np.isfinite(value)
@@ -59,7 +59,7 @@ def test_two_ways_and_the_gradient_agree(metric, dt, hold, seed):
     if not search._has_slope(theta):
         assert metric in ("settling-time", "controllability", "hankel")
         return
-    score, slope = search._score_and_slope(theta, _Climb(theta, -np.inf))
+    score, slope = search._score_and_slope(theta, _Climb(theta, -np.inf, Budget()))
     assert score == pytest.approx(judge.sense * value, rel=1e-12)
     h = 1e-5
     steps = h * np.eye(3)
@@ -258,7 +258,7 @@ def test_search_against_brute_force_in_two_parameters():
     points = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     for metric in ("peak-deviation", "rms"):
         judge = make_metric(family, MetricRequest(metric, t=t, u=u))
-        brute = _Search(judge, time.monotonic() + 60)._measure(points).max()
+        brute = _Search(judge, Budget())._measure(points).max()
         found = worst_case(family, metric, t=t, u=u, n=32)
         assert found.value >= brute * (1 - 1e-9)
         assert found.gradients > 0

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.identification.validation.sampled_problem import Recorded
 from robustlab.identification.validation.window_fit import WindowFit
 from robustlab.uncertainty.blocks import RealScalar
@@ -36,6 +36,8 @@ SPARE = 0.25
 WIDEST = 1e3  # parameters beyond this many times their range are not tried
 SLACK = 1e-9
 MOVES, EXCHANGES, FEW = 40, 20, 60
+# Work of a linear programme, besides its entries.
+PROGRAMME = 3000
 # After so many moves in a row that leave more than this share of what is beyond the noise bound no more is tried.
 CREEP, CREEPS = 0.995, 3
 
@@ -55,7 +57,7 @@ class Parameters:
     boxes
         How many boxes were examined.
     finished
-        Whether the search ended before the time did.
+        Whether the search came to its end before its budget did.
     least_excess
         Smallest noise over its bound that was found anywhere.
     """
@@ -70,10 +72,10 @@ class Parameters:
 
 
 def smallest_parameters(
-    recorded: Recorded, blocks: Sequence[RealScalar], scaled: NDArray[np.bool_], precision: float, deadline: float
+    recorded: Recorded, blocks: Sequence[RealScalar], scaled: NDArray[np.bool_], precision: float, budget: Budget
 ) -> Parameters:
     """Bounds of the largest ``|delta|`` over the blocks that ``scaled`` names; the others stay within [-1, 1]."""
-    fit = WindowFit(recorded, blocks)
+    fit = WindowFit(recorded, blocks, budget)
     m = len(blocks)
     zero = fit.excess(fit.windows(np.zeros(m)))
     if zero[0] <= 1 + SLACK:
@@ -84,16 +86,16 @@ def smallest_parameters(
     best: tuple[float, Array] = (np.inf, np.zeros(m))
     least = zero[0]
     for k, start in enumerate(starts):
-        found, excess = _descend(fit, start, scaled, precision, deadline)
+        found, excess = _descend(fit, start, scaled, precision, budget)
         least = min(least, excess)
         size = _size(found, scaled) if excess <= 1 + SLACK else np.inf
         if size < best[0]:
             best = size, found
         if k == 0 and np.isinf(size):  # often a few boxes show that there is nothing to be found
-            tried = _branch(fit, best, least, scaled, precision, deadline, FEW)
+            tried = _branch(fit, best, least, scaled, precision, budget, FEW)
             if tried.finished:
                 return tried
-    return _branch(fit, best, least, scaled, precision, deadline)
+    return _branch(fit, best, least, scaled, precision, budget)
 
 
 def _size(delta: Array, scaled: NDArray[np.bool_]) -> float:
@@ -103,7 +105,7 @@ def _size(delta: Array, scaled: NDArray[np.bool_]) -> float:
 
 
 def _descend(
-    fit: WindowFit, delta: Array, scaled: NDArray[np.bool_], precision: float, deadline: float
+    fit: WindowFit, delta: Array, scaled: NDArray[np.bool_], precision: float, budget: Budget
 ) -> tuple[Array, float]:
     """Successive linear programmes: first into the noise bound, then to the smallest delta."""
     at = fit.windows(delta)
@@ -111,7 +113,7 @@ def _descend(
     radius, m = 0.5, len(delta)
     best, creeps = (np.inf, delta, excess), 0
     for _ in range(MOVES):
-        if creeps >= CREEPS or at is None or time.monotonic() > deadline:
+        if creeps >= CREEPS or at is None or budget.over:
             break
         step = 1e-5 * max(1.0, float(np.abs(delta).max(initial=0.0)))
         sides = [[fit.windows(delta + s * step * np.eye(m)[k]) for s in (1, -1)] for k in range(m)]
@@ -183,6 +185,7 @@ def _linear_move(
         matrix = sparse.vstack([moved - spare, -moved - spare, sparse.csr_matrix(box)])
         right = np.concatenate([limit - here, limit + here, room - delta, room + delta])
         found = linprog(cost, matrix, right, bounds=bounds, method="highs")
+        fit.budget.spend(PROGRAMME + matrix.nnz)
         if found.x is None or not np.isfinite(found.x).all():
             return None
         x, missed = np.asarray(found.x), 0
@@ -241,7 +244,7 @@ def _branch(
     least: float,
     scaled: NDArray[np.bool_],
     precision: float,
-    deadline: float,
+    budget: Budget,
     most: float = np.inf,
 ) -> Parameters:
     """Branch and bound over delta, boxes nearest to nominal first; not finished where ``most`` boxes are not enough."""
@@ -259,7 +262,7 @@ def _branch(
         if nearest >= best[0] * (1 - precision):
             lower = min(nearest, best[0])
             break
-        if boxes >= most or time.monotonic() > deadline:
+        if boxes >= most or budget.over:
             finished = False
             break
         boxes += 1

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.line_programme import SpectralSizes, smallest_by_lines
 from robustlab.identification.validation.result import BlockSize, Validation
@@ -38,7 +38,7 @@ def validate_by_lines(
     period: float | None,
     per_block: bool,
     precision: float,
-    deadline: float,
+    budget: Budget,
     progress: Callable[[str], None],
     estimated: bool,
 ) -> Validation:
@@ -52,20 +52,20 @@ def validate_by_lines(
         spectrum = spectrum_of_response(uncertain, data, noise)
     problem = spectrum.problem
     count = len(uncertain.blocks)
-    found = smallest_by_lines(problem, np.ones(count, dtype=bool), precision, deadline)
+    found = smallest_by_lines(problem, np.ones(count, dtype=bool), precision, budget)
     progress(f"{problem.n} lines: gamma {found.lower:.4g} .. {found.upper:.4g}")
     alone: dict[str, tuple[float, float]] = {}
     if per_block and np.isfinite(found.upper):
         for k, block in enumerate(uncertain.blocks):
             progress(f"block {block.name} alone")
-            part = smallest_by_lines(problem, np.arange(count) == k, precision, deadline)
+            part = smallest_by_lines(problem, np.arange(count) == k, precision, budget)
             alone[block.name] = part.lower, part.upper
     said = (
         *spectrum.said,
         *(("the noise bound was estimated from the record's own periods",) if estimated else ()),
         "complex and full blocks are causal stable time-invariant systems",
     )
-    return _result(data, spectrum, found, alone, said, precision, time.monotonic() > deadline)
+    return _result(data, spectrum, found, alone, said, precision, budget)
 
 
 def _result(
@@ -75,7 +75,7 @@ def _result(
     alone: Mapping[str, tuple[float, float]],
     said: tuple[str, ...],
     precision: float,
-    late: bool,
+    budget: Budget,
 ) -> Validation:
     problem = spectrum.problem
     explained, error = np.full(spectrum.y.shape, np.nan), 0.0
@@ -96,7 +96,8 @@ def _result(
     exact = "exact" if found.known else "lower bound exact where the Lagrangian is concave"
     evidence = {"energy": found.multipliers.D, "noise": found.multipliers.noise}
     return Validation(
-        status=_status(found, precision, late),
+        status=_status(found, precision, budget),
+        notes=(budget.remark,) if budget.remark else (),
         record=data.name,
         lower=found.lower,
         upper=found.upper,
@@ -125,14 +126,16 @@ def _result(
     )
 
 
-def _status(found: SpectralSizes, precision: float, late: bool) -> Status:
+def _status(found: SpectralSizes, precision: float, budget: Budget) -> Status:
     if np.isinf(found.lower):
         return Status.INFEASIBLE
+    if budget.struck:
+        return Status.TIMEOUT
     if np.isfinite(found.upper) and found.upper - found.lower <= 1.01 * precision * max(found.upper, SMALLEST):
         return Status.CERTIFIED
     if found.lower > 1 or found.upper <= 1:
         return Status.CONVERGED
-    return Status.TIMEOUT if late else Status.INCONCLUSIVE
+    return Status.INCONCLUSIVE
 
 
 def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:

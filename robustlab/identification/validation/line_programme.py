@@ -21,7 +21,6 @@ Mathematics of Operations Research 32 (2007), theorem 2.1, for when the multipli
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -30,7 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.validation.cone_solver import solved_cones
 from robustlab.identification.validation.spectral_problem import SpectralProblem
 
 __all__ = ["LineMultipliers", "SpectralSizes", "largest_disproved_at", "line_lagrangian", "smallest_by_lines"]
@@ -83,7 +84,7 @@ class SpectralSizes:
 
 
 def smallest_by_lines(
-    problem: SpectralProblem, scaled: NDArray[np.bool_], precision: float, deadline: float
+    problem: SpectralProblem, scaled: NDArray[np.bool_], precision: float, budget: Budget
 ) -> SpectralSizes:
     """Bounds over the blocks that ``scaled`` names; the others keep the size 1.
 
@@ -92,7 +93,7 @@ def smallest_by_lines(
     NoTrustworthyNumber
         The solver gives no answer, or an impossibility that its multipliers do not prove.
     """
-    programme = _Programme(problem, scaled, deadline)
+    programme = _Programme(problem, scaled, budget)
     known = not np.abs(problem.M11).max(initial=0.0)
     none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     empty = LineMultipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
@@ -107,7 +108,7 @@ def smallest_by_lines(
         return SpectralSizes(np.inf, np.inf, none, multipliers, least, known, None)
     best, at, lower, multipliers = np.inf, none, 0.0, empty
     for start in (problem.z0, problem.z(free.w)):
-        gamma, w, solved = _descend(problem, programme, scaled, start, known, precision, deadline)
+        gamma, w, solved = _descend(problem, programme, scaled, start, known, precision)
         if solved is not None:
             trial = programme.multipliers(solved)
             # With several programmes in one the multipliers of a line are those of its own gamma: the worst decides.
@@ -136,7 +137,6 @@ def _descend(
     z: ComplexArray,
     known: bool,
     precision: float,
-    deadline: float,
 ) -> tuple[float, ComplexArray, _Solved | None]:
     """Best gamma that its own w shows, that w, and the last programme solved."""
     best, at, last, before = np.inf, np.zeros_like(problem.e[:, :0]), None, np.inf
@@ -149,7 +149,7 @@ def _descend(
         gamma = shown_size(problem, solved.w, scaled)
         if gamma < best:
             best, at = gamma, solved.w
-        if gamma > before * (1 - 0.02 * precision) or time.monotonic() > deadline:
+        if gamma > before * (1 - 0.02 * precision) or programme.budget.over:
             break
         before = gamma
     return best, at, last
@@ -239,8 +239,8 @@ class _Solved:
 class _Programme:
     """Cone programmes in the real and imaginary parts of w, and g: one, or one for each line where they are apart."""
 
-    def __init__(self, problem: SpectralProblem, scaled: NDArray[np.bool_], deadline: float) -> None:
-        self.problem, self.scaled, self.deadline = problem, scaled, deadline
+    def __init__(self, problem: SpectralProblem, scaled: NDArray[np.bool_], budget: Budget) -> None:
+        self.problem, self.scaled, self.budget = problem, scaled, budget
         self.q = problem.M21.shape[2]
         self.n_g = 1 if problem.total else problem.n
         self.at_g = 2 * problem.n * self.q
@@ -354,22 +354,13 @@ class _Programme:
     def _solve(self, parts: list[tuple[list[Any], list[Array], list[Any], list[tuple[str, int]]]]) -> _Solved | None:
         from scipy import sparse
 
-        clarabel: Any = import_module("clarabel")
         matrices = [m for part in parts for m in part[0]]
         A = sparse.vstack(matrices).tocsc()
         b = np.concatenate([offset for part in parts for offset in part[1]])
         cost = np.zeros(self.size)
         cost[self.at_g :] = 1.0
-        settings = clarabel.DefaultSettings()
-        settings.verbose, settings.max_threads = False, 1
-        settings.time_limit = min(max(self.deadline - time.monotonic(), 1.0), 1e6)
         square = sparse.csc_matrix((self.size, self.size))
-        try:
-            found = clarabel.DefaultSolver(square, cost, A, b, [c for part in parts for c in part[2]], settings).solve()
-        except BaseException as error:
-            if isinstance(error, (KeyboardInterrupt, SystemExit)):
-                raise
-            raise NoTrustworthyNumber("validate", f"the solver broke down ({type(error).__name__})") from None
+        found = solved_cones(square, cost, A, b, [c for part in parts for c in part[2]], self.budget)
         status = str(found.status)
         if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
             return None

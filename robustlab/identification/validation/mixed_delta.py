@@ -10,7 +10,6 @@ size, a larger set, whose multipliers disprove a gamma.
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["smallest_mixed"]
 
-SHARE = 0.4  # of the time for the search over the constants
+SHARE = 0.4  # of the budget for the search over the constants
 FINEST = 0.02
 LONGEST_RELAXED = 4000  # samples at the beginning of the record from which the lower bound comes
 
@@ -38,18 +37,17 @@ def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
     real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
     names = [b.name for b in blocks if isinstance(b, RealScalar)]
     free, kept = scaled[real], scaled[~real]
-    begun = time.monotonic()
     problem = sampled(job.recorded.part(0, LONGEST_RELAXED), job.recorded.uncertain.M, blocks)
-    relaxed = smallest_contractions(problem, scaled, job.precision, job.deadline)
+    relaxed = smallest_contractions(problem, scaled, job.precision, job.budget)
     if np.isinf(relaxed.lower):
         return _unexplained(job, relaxed, problem)
-    stop = begun + SHARE * (job.deadline - begun)
+    part = replace(job, budget=job.budget.share(SHARE))
 
     def size_at(delta: Any) -> float:
         if (np.abs(delta[~free]) > 1).any():
             return np.inf
         try:
-            found = job.dynamic(dict(zip(names, map(float, delta), strict=True)), kept, quick=True)
+            found = part.dynamic(dict(zip(names, map(float, delta), strict=True)), kept, quick=True)
         except NoTrustworthyNumber:
             return np.inf
         return max(found.upper, float(np.abs(delta[free]).max(initial=0.0)))
@@ -58,7 +56,7 @@ def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
     best, step = size_at(delta), 0.5
     if len(job.recorded.t) > LONGEST_RELAXED:
         step = 0.0  # nothing explains a record of which only the beginning is judged
-    while step > FINEST * max(best if np.isfinite(best) else 1.0, 0.05) and time.monotonic() < stop:
+    while step > FINEST * max(best if np.isfinite(best) else 1.0, 0.05) and not part.budget.over:
         better = False
         for k in range(len(names)):
             for sign in (1.0, -1.0):

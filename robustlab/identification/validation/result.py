@@ -54,7 +54,8 @@ class Validation(Evidence):
     status
         CERTIFIED: both bounds were re-derived from their evidence and are within the precision asked for. CONVERGED:
         each bound holds as labelled, and either they are that close or they decide about gamma = 1. INCONCLUSIVE: they
-        decide nothing. INFEASIBLE: no Delta of any size explains the record. TIMEOUT: the time ended the search first.
+        decide nothing. INFEASIBLE: no Delta of any size explains the record. TIMEOUT: the time limit ended the
+        search first.
     record
         Name of the record.
     lower, upper
@@ -88,6 +89,8 @@ class Validation(Evidence):
     omega, line_sizes
         Frequencies of the lines in rad/s (n_lines,), and how large each block is there in the explanation
         (n_lines, blocks); empty in the time domain.
+    notes
+        What ended the search before its precision was reached: its work, or the time limit.
     """
 
     status: Status
@@ -113,6 +116,7 @@ class Validation(Evidence):
     domain: Literal["time", "frequency"] = "time"
     omega: Array = field(default_factory=lambda: np.zeros(0))
     line_sizes: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    notes: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -152,6 +156,7 @@ class Validation(Evidence):
         if np.isfinite(self.upper):
             lines.append(f"replayed: noise {self.excess:.4g} of its {self.noise_norm} bound")
         lines += [f"assumed: {text}" for text in self.assumptions]
+        lines += self.notes
         return "\n".join(lines)
 
     def to_json(self, series: bool = True) -> dict[str, object]:

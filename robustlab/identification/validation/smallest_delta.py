@@ -11,7 +11,6 @@ Smith and Doyle, "Model validation: a connection between robust control and iden
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -19,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.certificate import largest_disproved
 from robustlab.identification.validation.constant_parameters import smallest_parameters
@@ -47,6 +47,8 @@ __all__ = ["DeltaKind", "validate"]
 Array = NDArray[np.float64]
 DeltaKind = Literal["time-invariant", "time-varying"]
 
+# What a validation may cost: about two minutes.
+WORK = 120 * MILLION
 # Pulse responses are unknowns of a dense problem: a longer record is cut to its beginning, which is a weaker test.
 MOST_UNKNOWNS = 2000
 LONGEST = 700
@@ -74,8 +76,9 @@ def validate(
     missing: Mapping[str, Sequence[int]] | None = None,
     per_block: bool = False,
     precision: float = 0.01,
-    time_limit: float = 120.0,
+    time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
+    effort: float = 1.0,
 ) -> Validation:
     """Smallest scaling of Delta with which an uncertain model could have produced a record.
 
@@ -114,9 +117,11 @@ def validate(
     precision
         Relative width of the bounds to be reached.
     time_limit
-        Seconds; what was found by then is returned.
+        In s; what was found by then is returned with status TIMEOUT, and cannot be repeated. None: no limit.
     progress
         Called with one line at each step.
+    effort
+        Work that the search may take, as a multiple of the usual (about two minutes); counted, not timed.
 
     Returns
     -------
@@ -155,7 +160,7 @@ def validate(
     >>> round(found.upper, 2), found.invalidated, str(found.status)
     (0.4, False, 'certified')
     """
-    begun, estimated = time.monotonic(), noise is None
+    budget, estimated = search_budget("validate", WORK, effort, time_limit), noise is None
     if not isinstance(uncertain, UncertainModel):
         raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
     if delta not in ("time-invariant", "time-varying"):
@@ -164,29 +169,26 @@ def validate(
         raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
     if domain not in ("time", "frequency"):
         raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
+    say = progress or (lambda _line: None)
     if domain == "frequency" or isinstance(record, FrequencyData):
         _fits_frequency_domain(record, domain, noise_norm, delta, window, at_rest, missing, noise)
-        if isinstance(record, Record):
-            noise = noise if noise is not None else _estimated(uncertain, record, "rms")
-        return validate_by_lines(
-            uncertain, record, noise or {}, period=period, per_block=per_block, precision=precision,
-            deadline=begun + time_limit, progress=progress or (lambda _line: None), estimated=estimated,
-        )  # fmt: skip
+        with one_thread():
+            if isinstance(record, Record):
+                noise = noise if noise is not None else _estimated(uncertain, record, "rms")
+            return validate_by_lines(
+                uncertain, record, noise or {}, period=period, per_block=per_block, precision=precision,
+                budget=budget, progress=say, estimated=estimated,
+            )  # fmt: skip
     if period is not None:
         raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
     norm: NoiseNorm = noise_norm or "peak"
-    bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm)
-    recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest, missing=missing)
-    job = _Job(recorded, delta, precision, begun + time_limit, progress or (lambda _line: None))
-    found = job.bounds(np.ones(len(recorded.uncertain.blocks), dtype=bool))
-    alone: dict[str, tuple[float, float]] = {}
-    if per_block and np.isfinite(found.upper):
-        for k, block in enumerate(recorded.uncertain.blocks):
-            job.progress(f"block {block.name} alone")
-            part = job.bounds(np.arange(len(recorded.uncertain.blocks)) == k)
-            alone[block.name] = part.lower, part.upper
-    assumptions = _assumptions(recorded, delta, estimated)
-    return _result(record, recorded, found, alone, assumptions, precision, job)
+    with one_thread():
+        bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm)
+        recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest, missing=missing)
+        job = _Job(recorded, delta, precision, budget, say)
+        found, alone = job.run(per_block)
+        assumptions = _assumptions(recorded, delta, estimated)
+        return _result(record, recorded, found, alone, assumptions, precision, job)
 
 
 def _fits_frequency_domain(
@@ -254,8 +256,19 @@ class _Job:
     recorded: Recorded
     delta: DeltaKind
     precision: float
-    deadline: float
+    budget: Budget
     progress: Callable[[str], None]
+
+    def run(self, per_block: bool) -> tuple[_Found, dict[str, tuple[float, float]]]:
+        """Bounds over all blocks, and those of each alone where asked."""
+        blocks = self.recorded.uncertain.blocks
+        found, alone = self.bounds(np.ones(len(blocks), dtype=bool)), {}
+        if per_block and np.isfinite(found.upper):
+            for k, block in enumerate(blocks):
+                self.progress(f"block {block.name} alone")
+                part = self.bounds(np.arange(len(blocks)) == k)
+                alone[block.name] = part.lower, part.upper
+        return found, alone
 
     def bounds(self, scaled: NDArray[np.bool_]) -> _Found:
         """Bounds over the blocks that ``scaled`` names, the others within 1."""
@@ -271,7 +284,7 @@ class _Job:
 
     def noise_alone(self) -> _Found:
         """Without a block the record is explained by its noise, or not at all."""
-        fit, none = WindowFit(self.recorded, []), np.zeros(0)
+        fit, none = WindowFit(self.recorded, [], self.budget), np.zeros(0)
         excess, noise, weights = fit.excess(fit.windows(none))
         gamma = 0.0 if excess <= 1 + SLACK else np.inf
         if gamma and not fit.witness(weights, none) > 1:
@@ -286,7 +299,7 @@ class _Job:
     def constant(self, scaled: NDArray[np.bool_]) -> _Found:
         """All blocks are real."""
         blocks = [b for b in self.recorded.uncertain.blocks if isinstance(b, RealScalar)]
-        found = smallest_parameters(self.recorded, blocks, scaled, self.precision, self.deadline)
+        found = smallest_parameters(self.recorded, blocks, scaled, self.precision, self.budget)
         self.progress(f"constants: gamma {found.lower:.4g} .. {found.upper:.4g}, {found.boxes} boxes")
         values = {b.name: float(v) for b, v in zip(blocks, found.delta, strict=True)}
         explained = np.isfinite(found.upper)
@@ -302,7 +315,7 @@ class _Job:
         M, blocks = with_delta_of(self.recorded.uncertain, values)
         long = len(self.recorded.t) > LONGEST_PROGRAMME
         problem = sampled(self.recorded.part(0, LONGEST_PROGRAMME) if long else self.recorded, M, blocks)
-        varying = smallest_contractions(problem, scaled, self.precision, self.deadline)
+        varying = smallest_contractions(problem, scaled, self.precision, self.budget)
         self.progress(f"time-varying: gamma {varying.lower:.4g} .. {varying.upper:.4g}")
         if long:
             label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
@@ -347,13 +360,13 @@ class _Job:
         if problem.n > longest:
             start = sampled(self.recorded.part(0, longest), M, blocks)
             guess = c.upper if np.isfinite(c.upper) else 1.0
-            head = smallest_pulse_responses(start, scaled, self.precision, self.deadline, guess)
+            head = smallest_pulse_responses(start, scaled, self.precision, self.budget, guess)
             lower = max(c.lower, head.lower if head is not None else 0.0)
             label = f"time-invariant: lower bound from the first {longest} samples and from time-varying systems"
             return replace(relaxed, lower=lower, label=label)
         guess = c.upper if np.isfinite(c.upper) else max(1.0, c.lower)
         z = c.z if c.z.size else None
-        found = smallest_pulse_responses(problem, scaled, self.precision, self.deadline, guess, z)
+        found = smallest_pulse_responses(problem, scaled, self.precision, self.budget, guess, z)
         if found is None:
             label = "time-invariant: lower bound from time-varying systems (relaxation), no explanation found"
             return replace(relaxed, label=label)
@@ -420,7 +433,6 @@ def _result(
             raise NoTrustworthyNumber(
                 f"validate {record.name}", f"the explanation is off by {error:.1e} of the noise bound when replayed"
             )
-    late = time.monotonic() > job.deadline
     w, z = found.w, found.z
     if found.problem is not None and w.size:
         w, z = w.copy(), z.copy()
@@ -429,7 +441,7 @@ def _result(
             z[:, cols] *= size
     bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
     return Validation(
-        status=_status(found, precision, late),
+        status=_status(found, precision, job.budget),
         record=record.name,
         lower=float(min(found.lower, found.upper)),
         upper=float(found.upper),
@@ -449,17 +461,20 @@ def _result(
         z=z,
         multipliers=found.multipliers,
         recheck=found.recheck,
+        notes=(job.budget.remark,) if job.budget.remark else (),
     )
 
 
-def _status(found: _Found, precision: float, late: bool) -> Status:
+def _status(found: _Found, precision: float, budget: Budget) -> Status:
     if np.isinf(found.lower):
         return Status.INFEASIBLE
+    if budget.struck:
+        return Status.TIMEOUT
     if np.isfinite(found.upper) and found.upper - found.lower <= 1.01 * precision * max(found.upper, SMALLEST):
         return Status.CERTIFIED if found.certified else Status.CONVERGED
     if found.lower > 1 or found.upper <= 1:
         return Status.CONVERGED
-    return Status.TIMEOUT if late or not found.finished else Status.INCONCLUSIVE
+    return Status.INCONCLUSIVE
 
 
 def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]], delta: DeltaKind) -> BlockSize:

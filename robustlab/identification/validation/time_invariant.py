@@ -21,7 +21,6 @@ Poolla et al. (1994), theorem 3.1; Smith and Doyle (1992) for the role of the st
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -30,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.identification.validation.contraction_kernel import (
     Barrier,
     barrier,
@@ -196,7 +196,7 @@ def smallest_pulse_responses(
     problem: SampledProblem,
     scaled: NDArray[np.bool_],
     precision: float,
-    deadline: float,
+    budget: Budget,
     guess: float,
     z_guess: Array | None = None,
 ) -> PulseResponses | None:
@@ -212,17 +212,17 @@ def smallest_pulse_responses(
     maps = _Maps(problem)
     if problem.z_is_known():
         path = _Path(maps, maps.jacobian(None, problem.z0), problem.e[problem.used], scaled, 1.0)
-        theta = path.follow(np.zeros(sum(maps.counts) + maps.n_free), guess, precision, deadline)
+        theta = path.follow(np.zeros(sum(maps.counts) + maps.n_free), guess, precision, budget)
         if theta is None:
             return None
         return replace(_answer(maps, theta, scaled, path.lower, path.dual), recheck=path.recheck)
     # First as if the z of the other explanation were given; then Gauss-Newton.
     z = problem.z0 if z_guess is None else z_guess
     path = _Path(maps, maps.jacobian(None, z), problem.e[problem.used], scaled, 1 - RESERVE)
-    theta = path.follow(np.zeros(sum(maps.counts) + maps.n_free), guess, 0.1, deadline, dual=False)
+    theta = path.follow(np.zeros(sum(maps.counts) + maps.n_free), guess, 0.1, budget, dual=False)
     best: PulseResponses | None = None
     for _ in range(ROUNDS):
-        if theta is None or time.monotonic() > deadline:
+        if theta is None or budget.over:
             break
         answer = _answer(maps, theta, scaled, 0.0, np.zeros(problem.e.shape))
         if problem.excess(answer.noise) <= 1 + SLACK and (best is None or answer.upper < best.upper):
@@ -233,7 +233,7 @@ def smallest_pulse_responses(
         J = maps.jacobian(theta, answer.z)
         path = _Path(maps, J, answer.noise[problem.used] + J @ theta, scaled, 1 - RESERVE)
         size = float(answer.sizes[scaled].max(initial=0.0))
-        theta = path.follow(theta, size, precision, deadline, dual=False)
+        theta = path.follow(theta, size, precision, budget, dual=False)
     return best
 
 
@@ -260,10 +260,15 @@ class _Path:
         self.weight = np.ones(len(e)) if self.groups is None else np.array([float(g.sum()) for g in self.groups])
         self.count = sum(n * (r + c) for n, r, c in maps.shapes) + 2 * float(self.weight.sum())
         self.lower, self.dual = 0.0, np.zeros(p.e.shape)
+        m, size = J.shape
+        # Of a Newton step: its system and the barriers.
+        self.work = (
+            500 + size**3 / 30_000 + m * size**2 / 5000 + sum(n**3 * min(r, c) / 1000 for n, r, c in maps.shapes)
+        )
         self.last = np.zeros(0), 1.0, np.zeros(0)
         self.recheck: Callable[[], float] | None = None
 
-    def follow(self, theta: Array, guess: float, precision: float, deadline: float, dual: bool = True) -> Array | None:
+    def follow(self, theta: Array, guess: float, precision: float, budget: Budget, dual: bool = True) -> Array | None:
         """A point near the optimum; None where no point within the noise bound was reached."""
         if not theta.any():
             theta = self._regularised()
@@ -280,10 +285,11 @@ class _Path:
         t, penalty, steps, before, fastest = 8.0 * self.count, 0, 0, np.inf, FASTER
         centred = theta, gamma, t
         for _ in range(STEPS):
-            if time.monotonic() > deadline and not inside:
+            if budget.over and not inside:
                 return None
             weight = None if inside else max(t, self.count / sigma) * PENALTIES[penalty]
             theta, gamma, sigma, decrement = self._newton(theta, gamma, sigma, t / unit, weight)
+            budget.spend(self.work)
             steps += 1
             if not inside and sigma < 0.995:
                 inside, sigma, steps = True, 1.0, 0
@@ -302,7 +308,7 @@ class _Path:
                 if penalty == len(PENALTIES):
                     return None
                 continue
-            late = time.monotonic() > deadline
+            late = budget.over
             if dual and (left < 8 * wanted or late):
                 self._bound()
                 if gamma - self.lower < 0.7 * wanted or left < 1e-3 * wanted or late:

@@ -17,7 +17,6 @@ Poolla et al. (1994), theorem 3.3; Yuille and Rangarajan, "The concave-convex pr
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -26,8 +25,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.certificate import Multipliers, lagrangian_maximum, largest_disproved
+from robustlab.identification.validation.cone_solver import solved_cones
 from robustlab.identification.validation.sampled_problem import SampledProblem
 
 __all__ = ["Contractions", "smallest_contractions"]
@@ -38,6 +39,8 @@ Array = NDArray[np.float64]
 MARGIN = 1e-7
 SLACK = 1e-9
 ROUNDS = 25
+# Work of finding what multipliers disprove, per sample: some 15 sweeps over the record.
+SWEEPS = 250
 AHEAD = 3.0
 # Shares of the record at whose beginning a weaker problem leaves out the conditions on the energies.
 LATE = (0.004, 0.02, 0.1)
@@ -82,10 +85,10 @@ class Contractions:
 
 
 def smallest_contractions(
-    problem: SampledProblem, scaled: NDArray[np.bool_], precision: float, deadline: float
+    problem: SampledProblem, scaled: NDArray[np.bool_], precision: float, budget: Budget
 ) -> Contractions:
     """Bounds of the smallest gamma over the blocks that ``scaled`` names; the others keep the size 1."""
-    first = _Programme(problem, scaled, deadline)
+    first = _Programme(problem, scaled, budget)
     convex = first.convex
     z = problem.z0
     if not convex:
@@ -95,7 +98,7 @@ def smallest_contractions(
         if start is None:
             return _unexplained(problem, first)
         z = problem.respond(*first.signals(start))[0]
-    best, solution = _descend(first, z, 0, precision, deadline)
+    best, solution = _descend(first, z, 0, precision)
     if solution is None:
         infeasible = first.status == "infeasible"
         if first.least_effort() is None:
@@ -111,6 +114,7 @@ def smallest_contractions(
 
     def disproved(by: _Solved, at: float) -> tuple[float, Multipliers]:
         multipliers = first.multipliers(by)
+        budget.spend(SWEEPS * problem.n)
         return largest_disproved(problem, multipliers, gammas, at, precision) if at > 0 else 0.0, multipliers
 
     top = best.gamma if best is not None else float(np.sqrt(max(solution.x[first.at_g], 0.0)))
@@ -118,9 +122,9 @@ def smallest_contractions(
     # With a free state the first samples of z may have either sign: two valleys, and no concave Lagrangian over both.
     # Without the conditions at the first samples there is a weaker problem whose bound holds all the same.
     for share in () if convex else LATE:
-        if lower >= (1 - precision) * top or time.monotonic() > deadline:
+        if lower >= (1 - precision) * top or budget.over:
             break
-        _, weaker = _descend(first, z, 1 + int(share * problem.n), precision, deadline, rounds=4)
+        _, weaker = _descend(first, z, 1 + int(share * problem.n), precision, rounds=4)
         if weaker is not None:
             found, others = disproved(weaker, min(top, float(np.sqrt(max(weaker.x[first.at_g], 0.0)))))
             lower, multipliers = (found, others) if found > lower else (lower, multipliers)
@@ -139,7 +143,7 @@ class _Point:
 
 
 def _descend(
-    programme: _Programme, z: Array, late: int, precision: float, deadline: float, rounds: int = ROUNDS
+    programme: _Programme, z: Array, late: int, precision: float, rounds: int = ROUNDS
 ) -> tuple[_Point | None, _Solved | None]:
     """Best point that its replay confirms, and the last solution; no conditions before the sample ``late``."""
     problem, convex = programme.problem, programme.convex
@@ -161,7 +165,7 @@ def _descend(
         reached = float(np.sqrt(max(found.x[programme.at_g], 0.0)))
         if best is None or gamma < best.gamma:
             best = _Point(gamma, w, states)
-        if reached > before * (1 - 0.02 * precision) or time.monotonic() > deadline:
+        if reached > before * (1 - 0.02 * precision) or programme.budget.over:
             break
         before = reached
     return best, solution
@@ -264,8 +268,8 @@ class _Solved:
 class _Programme:
     """The cone programme in the sparse variables (x_t, w_t, cumulative energies, g)."""
 
-    def __init__(self, problem: SampledProblem, scaled: NDArray[np.bool_], deadline: float) -> None:
-        self.problem, self.scaled, self.deadline = problem, scaled, deadline
+    def __init__(self, problem: SampledProblem, scaled: NDArray[np.bool_], budget: Budget) -> None:
+        self.problem, self.scaled, self.budget = problem, scaled, budget
         n, (n_x, q), m = problem.n, problem.B.shape, len(problem.blocks)
         self.at_w, self.at_c = n * n_x, n * (n_x + q)
         self.at_e = self.at_c + n * m
@@ -475,19 +479,8 @@ class _Programme:
         motion, still = self._dynamics
         A = sparse.vstack([motion, *blocks]).tocsc()
         b = np.concatenate([still, *offsets])
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_threads = 1
-        settings.time_limit = max(self.deadline - time.monotonic(), 1.0)
         square = sparse.csc_matrix((self.size, self.size)) if P is None else P
-        try:
-            found = clarabel.DefaultSolver(
-                square, cost, A, b, [clarabel.ZeroConeT(len(still)), *cones], settings
-            ).solve()
-        except BaseException as error:
-            if isinstance(error, (KeyboardInterrupt, SystemExit)):
-                raise
-            raise NoTrustworthyNumber("validate", f"the solver broke down ({type(error).__name__})") from None
+        found = solved_cones(square, cost, A, b, [clarabel.ZeroConeT(len(still)), *cones], self.budget)
         status = str(found.status)
         if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
             self.status = "infeasible"

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.recursion import powers, states
 from robustlab.identification.validation.sampled_problem import Recorded, held, shown
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 
 ENOUGH = 1e-9
 EXCHANGES = 60
+# Work of a simulation, besides its samples, and of a fit by linear programmes.
+SIMULATION, FITTING = 500, 5000
 KEPT_NUMBERS = 4_000_000  # of simulated members that are kept
 ILL_POSED = 1e12
 
@@ -53,10 +56,10 @@ class Member:
 
 
 class WindowFit:
-    """Noise of a record for values of its real blocks."""
+    """Noise of a record for values of its real blocks; what it simulates and fits is spent of the budget."""
 
-    def __init__(self, recorded: Recorded, blocks: Sequence[RealScalar]) -> None:
-        self.recorded, self.blocks = recorded, blocks
+    def __init__(self, recorded: Recorded, blocks: Sequence[RealScalar], budget: Budget) -> None:
+        self.recorded, self.blocks, self.budget = recorded, blocks, budget
         ends = [*recorded.starts[1:], len(recorded.t)]
         self.cuts = [slice(a, b) for a, b in zip(recorded.starts, ends, strict=True)]
         self.count = recorded.counts
@@ -81,6 +84,8 @@ class WindowFit:
 
     def _simulated(self, delta: Array, chosen: tuple[int, ...]) -> Windows | None:
         record = self.recorded
+        samples = sum(self.cuts[i].stop - self.cuts[i].start for i in chosen)
+        self.budget.spend(SIMULATION + 0.3 * samples * len(record.bound))
         closed = self._member(delta)
         if closed is None:
             return None
@@ -161,6 +166,7 @@ class WindowFit:
             if peaks[i] <= worst:  # the fit in the largest deviation is not worse than least squares
                 break
             size, rest[i], dual = chebyshev(rest[i], at.basis[i])
+            self.budget.spend(FITTING if at.basis[i].size else 0)
             if size > worst:
                 worst, weights = size, {int(i): dual}
         return worst, rest, weights

@@ -107,7 +107,7 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
     options = metric_options(step, work)
     if step.n is not None:
         options["n"] = step.n
-    found = rl.worst_case(model, step.metric, **options)
+    found = rl.worst_case(model, step.metric, effort=step.effort, time_limit=step.time_limit, **options)
     work.keep(found)
     numbers = {
         "value": found.value,
@@ -207,7 +207,7 @@ def robust_stability(step: RobustStabilityStep, work: Workspace) -> Outcome:
 
     uncertain = work.uncertain(step.of)
     grid = default_grid(uncertain.M, 60) if uncertain.M.n_states else None
-    margin = rl.robust_stability(uncertain, omega=grid, seed=work.seed)
+    margin = rl.robust_stability(uncertain, omega=grid, effort=step.effort, time_limit=step.time_limit, seed=work.seed)
     work.keep(margin)
     numbers = {"lower": margin.lower, "upper": margin.upper, "frequency": margin.frequency, "delta": margin.delta}
     attained = f"{quantity(margin.upper)}: the values below destabilise" if margin.delta else "none found"

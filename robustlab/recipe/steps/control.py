@@ -116,6 +116,7 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
     margins: dict[str, Any] = {}
     rows: dict[str, dict[str, Any]] = {}
     statuses: list[Status] = []
+    remarks: list[str] = []
     for name in step.controllers:
         loop, K = _closed(step, work, name)
         row: dict[str, Any] = {"order": K.n_states, "nominal_gain": rl.hinf_norm(loop.nominal).upper}
@@ -127,10 +128,12 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
         row |= {"mu_lower": inverse(margin.upper), "mu_upper": inverse(margin.lower), "frequency": margin.frequency}
         margins[name] = margin
         statuses.append(margin.status)
+        remarks += [f"{name}, μ: {text}." for text in margin.notes]
         if step.gain:
             worst = rl.worst_case_gain(loop, tolerance=0.01, **options)
             row |= {"gain_lower": worst.lower, "gain_upper": worst.upper}
             statuses.append(worst.status)
+            remarks += [f"{name}, gain: {text}." for text in worst.notes]
         rows[name] = row
         work.keep(margin, name)
     caption = (
@@ -149,7 +152,7 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
     where = step.of if step.set is None else f"{step.of} on {step.set}"
     summary = f"Robust performance of {where} under {len(rows)} controllers, the same requirement for all."
     note = "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
-    return Outcome(margins, summary, {"controllers": rows}, facts, status, (note,), text_table(header, table))
+    return Outcome(margins, summary, {"controllers": rows}, facts, status, (note, *remarks), text_table(header, table))
 
 
 def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from robustlab.errors import InputError
@@ -36,7 +37,8 @@ def cover_models(step: CoverModelsStep, work: Workspace) -> Outcome:
     nominal = None if step.nominal is None else _selected(rl.linearise, work.values[step.nominal], step.outputs)
     found = rl.cover(
         models, step.form, nominal=nominal, tolerance=step.tolerance, directions=step.directions, order=step.order,
-        excess=step.excess, loop=loop, gain=step.conservatism, time_limit=step.time_limit,
+        excess=step.excess, loop=loop, gain=step.conservatism,
+        effort=step.effort, time_limit=step.time_limit,
     )  # fmt: skip
     work.keep(found)
     for name, (figure, caption) in cover_figures(found, models).items():
@@ -44,7 +46,8 @@ def cover_models(step: CoverModelsStep, work: Workspace) -> Outcome:
     numbers, facts = _cover_numbers(found)
     notes = [found.reason] if found.reason else []
     if found.conservatism is not None and found.conservatism.reason:
-        notes.append(f"No conservatism: {found.conservatism.reason}.")
+        missing = math.isnan(found.conservatism.ratio)
+        notes.append(f"{'No conservatism' if missing else 'Conservatism'}: {found.conservatism.reason}.")
     summary = f"{step.form} cover of {len(models)} models: {len(found.model.blocks)} blocks."
     return Outcome(found.model, summary, numbers, facts, found.status, tuple(notes), found.summary())
 

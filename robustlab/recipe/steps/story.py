@@ -28,7 +28,7 @@ def data_cover(step: DataCoverStep, work: Workspace) -> Outcome:
     found = rl.data_cover(
         work.values[step.of], [thinned(n) for n in step.records], step.noise,
         held_out=[thinned(n) for n in step.held_out], margin=step.margin, least=step.least, window=step.window,
-        at_rest=step.at_rest, time_limit=step.time_limit,
+        at_rest=step.at_rest, effort=step.effort, time_limit=step.time_limit,
     )  # fmt: skip
     work.keep(found)
     if found.model is None:

@@ -39,6 +39,7 @@ def validate(step: ValidateStep, work: Workspace) -> Outcome:
         period=step.period,
         per_block=step.per_block,
         precision=step.precision,
+        effort=step.effort,
         time_limit=step.time_limit,
     )
     work.keep(found)
@@ -47,7 +48,7 @@ def validate(step: ValidateStep, work: Workspace) -> Outcome:
         work.draw(figure, name, caption)
     numbers = {**found.to_json(series=False), "gamma": found.upper}
     summary = f"{step.record} as a record of {step.of}: {found.verdict}."
-    return Outcome(found, summary, numbers, _facts(found), found.status, (_NOTE,), found.summary())
+    return Outcome(found, summary, numbers, _facts(found), found.status, (_NOTE, *found.notes), found.summary())
 
 
 def _facts(found: Validation) -> tuple[Fact, ...]:
