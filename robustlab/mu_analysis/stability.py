@@ -316,6 +316,7 @@ def _margin(
         notes = (*notes, f"{len(cover.open)} frequency intervals not proved in time: mu_upper holds on the grid only")
     elif found.proof and isinstance(found.proof[0], Region):
         notes = (*notes, f"proved by branch and bound; regions of parameters and frequency: {len(found.proof)}")
+    notes = (*notes, *uncertain.impossible(delta))
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
     pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]

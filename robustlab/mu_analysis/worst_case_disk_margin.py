@@ -290,7 +290,7 @@ class _Search:
     def result(self, accuracy: float) -> WorstCaseDiskMargin:
         """The bounds as a result."""
         met = self.upper <= self.lower * (1 + accuracy) or self.upper == 0
-        notes = []
+        notes: list[str] = []
         if self.upper == 0:
             notes.append("a member of the set has a loop that is not stable")
         elif not met:
@@ -304,6 +304,7 @@ class _Search:
             status = Status.TIMEOUT
         else:
             status = Status.CERTIFIED if self.lower > 0 else Status.INCONCLUSIVE
+        notes += self.uncertain.impossible(self.delta)
         low, high, phase = gain_and_phase(float(self.lower), self.skew)
         physical = self.uncertain.physical(self.delta)
         return WorstCaseDiskMargin(

@@ -417,6 +417,7 @@ def _result(
     proved = np.isfinite(known.upper) or not np.isfinite(known.lower)
     if not proved:
         notes = (*notes, "no upper bound: the set could not be proved stable, or time was up")
+    notes = (*notes, *uncertain.impossible(known.delta))
     nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
     pieces = [(p.low, p.high, min(p.beta, known.upper)) for p in known.cover.pieces]
     return WorstCaseGain(
