@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import moderated
 from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -352,7 +353,7 @@ def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scali
     scaled = scaling.apply(shifted)
     if plant.model.dt:
         n = scaled.A.shape[0]
-        plus = np.eye(n) + scaled.A
+        plus = np.eye(n) + scaled.A  # in balanced states
         if n and np.linalg.cond(plus) > 1e12:
             return  # a pole at z = -1: the Riccati equations and the rebuilt loop will tell
         scaled = replace(scaled, A=np.linalg.solve(plus, scaled.A - np.eye(n)), B2=np.linalg.solve(plus, scaled.B2))
@@ -419,6 +420,7 @@ def _loudest(loop: StateSpaceModel) -> str:
     if not loop.n_inputs or not loop.n_outputs:
         return ""
     try:
+        loop = moderated(loop, "h2").model  # shares do not depend on the scaling
         reach, see = gramians(loop.A, loop.B, loop.C, loop.is_discrete)
     except NoTrustworthyNumber:
         return ""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.magnitude import balancing_exponents, is_moderate
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 
 __all__ = ["Scaling", "equilibrated", "paths_first"]
@@ -41,27 +42,40 @@ class Scaling:
 
     def apply(self, p: PlantMatrices) -> PlantMatrices:
         """The scaled plant."""
-        t, rows = self.states, self.states[:, None] * self.rate
+        k, w, z = _exponent(self.rate), _exponent(self.w), _exponent(self.z)
+        t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
+        rows = -t[:, None] - k
         return PlantMatrices(
-            p.A / rows * t,
-            p.B1 / rows * self.w,
-            p.B2 / rows * self.u,
-            p.C1 * t * self.z,
-            p.C2 * t * self.y[:, None],
-            p.D11 * (self.w * self.z),
-            p.D12 * self.u * self.z,
-            p.D21 * self.w * self.y[:, None],
+            _times(p.A, rows + t),
+            _times(p.B1, rows + w),
+            _times(p.B2, rows + u),
+            _times(p.C1, t + z),
+            _times(p.C2, t + y),
+            _times(p.D11, w + z),
+            _times(p.D12, u + z),
+            _times(p.D21, w + y),
         )
 
     def controller_to_plant(self, K: Realisation) -> Realisation:
         """The controller for the plant that belongs to one for the scaled plant."""
-        u = self.u[:, None]
-        return Realisation(self.rate * K.A, self.rate * K.B * self.y, u * K.C, u * K.D * self.y)
+        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
+        return Realisation(_times(K.A, k), _times(K.B, k + y), _times(K.C, u), _times(K.D, u + y))
 
     def controller_from_plant(self, K: Realisation) -> Realisation:
         """Inverse of `controller_to_plant`."""
-        u = self.u[:, None]
-        return Realisation(K.A / self.rate, K.B / self.rate / self.y, K.C / u, K.D / u / self.y)
+        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
+        return Realisation(_times(K.A, -k), _times(K.B, -k - y), _times(K.C, -u), _times(K.D, -u - y))
+
+
+def _exponent(factor: Array | float) -> Array:
+    """Exponents of factors, which are powers of two."""
+    return np.frexp(factor)[1] - 1
+
+
+def _times(matrix: Array, exponents: Array) -> Array:
+    """``matrix * 2^exponents``; inf and 0 where that is no floating-point number, never on the way there."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.ldexp(matrix, exponents)
 
 
 def _power(x: Array | float) -> Array:
@@ -76,11 +90,35 @@ def _rms(x: Array) -> float:
 
 
 def _start(p: PlantMatrices) -> Scaling:
-    size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
+    n, _, n_u, _, n_y = p.sizes
+    first = Scaling(1.0, np.ones(n), np.ones(n_u), np.ones(n_y))
+    if not is_moderate(p.A, p.B1, p.B2, p.C1, p.C2, p.D11, p.D12, p.D21):
+        first = _ordinary(p)
+    a = first.apply(p).A
+    size = np.abs(np.linalg.eigvals(a)) if a.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
     rate = float(_power(float(np.median(size)))) if len(size) else 1.0
-    n, _, n_u, _, n_y = p.sizes
-    return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
+    return Scaling(rate * first.rate, first.states, first.u, first.y, first.w, first.z)
+
+
+def _ordinary(p: PlantMatrices) -> Scaling:
+    """Every matrix to order one by its exponents, for plants whose squares would overflow or vanish."""
+    t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
+    _, _, n_u, _, n_y = p.sizes
+    k = -_to_one((p.A, -t[:, None] + t))
+    rows = -t[:, None] - k
+    # Each channel of u and y by itself, those of w and z together: the norm is that of all of them.
+    w, z = _to_one((p.B1, rows)), _to_one((p.C1, t))
+    u = [_to_one((p.B2[:, [i]], rows), (p.D12[:, [i]], z)) for i in range(n_u)]
+    y = [_to_one((p.C2[[i]], t), (p.D21[[i]], w)) for i in range(n_y)]
+    rate, states, into, out, w, z = (np.ldexp(1.0, np.clip(e, -1000, 1000)) for e in (k, t, u, y, w, z))
+    return Scaling(float(rate), states, into, out, float(w), float(z))
+
+
+def _to_one(*scaled: tuple[Array, Array | int]) -> int:
+    """Exponent that takes the largest entry of several ``matrix * 2^exponents`` to order one; 0 where all vanish."""
+    found = [int((np.frexp(m)[1] + e)[m != 0].max()) for m, e in scaled if m.any()]
+    return -max(found, default=0)
 
 
 def _osborne(p: PlantMatrices, states: Array, sweeps: int) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import balancing_factors
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.partition import GeneralizedPlant
 
@@ -57,10 +58,8 @@ def rebuilt_loop(
 
 def surely_stable(loop: StateSpaceModel) -> bool:
     """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
-    from scipy.linalg import matrix_balance
-
     if not loop.n_states:
         return True
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        size = float(np.linalg.norm(matrix_balance(loop.A, permute=False)[0], 1))
+    t = balancing_factors(loop.A)
+    size = float(np.linalg.norm(loop.A / t[:, None] * t, 1))
     return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * max(size, 1.0 if loop.is_discrete else 0.0)

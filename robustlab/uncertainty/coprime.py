@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
+from robustlab.magnitude import balancing_factors
 from robustlab.matrix_equations import RiccatiSolution, care
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
@@ -280,18 +281,18 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
 
 
 def _nearness(models: tuple[StateSpaceModel, ...]) -> float:
-    """How large the bilinear map makes a model: the largest condition number of I + A."""
-    return max((float(np.linalg.cond(np.eye(m.n_states) + m.A)) for m in models if m.n_states), default=1.0)
+    """How large the bilinear map makes a model: the largest condition number of I + A in balanced states."""
+    scales = [balancing_factors(m.A) for m in models]
+    balanced = [m.A / t[:, None] * t for m, t in zip(models, scales, strict=True) if m.n_states]
+    return max((float(np.linalg.cond(np.eye(len(a)) + a)) for a in balanced), default=1.0)
 
 
 def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     """The same transfer function of ``s / rate`` with balanced states, the rate in rad/s, and the states' factors."""
-    from scipy.linalg import matrix_balance
-
     if not model.n_states:
         return model, 1.0, np.zeros(0)
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        a, (scale, _) = matrix_balance(model.A, permute=False, separate=True)
+    scale = balancing_factors(model.A)
+    a = model.A / scale[:, None] * scale
     b, c = model.B / scale[:, None], model.C * scale
     size = np.abs(np.linalg.eigvals(a))
     size = size[size > 1e-12 * max(float(size.max()), 1e-300)]
