@@ -17,7 +17,7 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.design import Synthesis
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
-from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
+from robustlab.synthesis.scaling import Scaling, by_magnitude, equilibrated, paths_first
 from robustlab.synthesis.search import Deadline
 from robustlab.synthesis.verified_loop import rebuilt_loop
 
@@ -193,7 +193,9 @@ def _synthesized(
     start = cancelling_gain(matrices, dt, where)
     shifted = _with_gain(matrices, start)
     trials: list[_Trial] = []
-    for scale in (paths_first, equilibrated):
+    for scale in (paths_first, equilibrated, by_magnitude):
+        if scale is by_magnitude and trials:
+            break
         scaling = scale(shifted)
         if dt:  # a step has no other unit of time
             scaling = replace(scaling, rate=1.0)

@@ -12,12 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import balancing_exponents, is_moderate
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 
-__all__ = ["Scaling", "equilibrated", "paths_first"]
+__all__ = ["Scaling", "by_magnitude", "equilibrated", "paths_first"]
 
 Array = NDArray[Any]
+
+# Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
+FASTER, LIMIT = 40, 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,28 +94,43 @@ def _rms(x: Array) -> float:
 
 
 def _start(p: PlantMatrices) -> Scaling:
-    n, _, n_u, _, n_y = p.sizes
-    first = Scaling(1.0, np.ones(n), np.ones(n_u), np.ones(n_y))
     if not is_moderate(p.A, p.B1, p.B2, p.C1, p.C2, p.D11, p.D12, p.D21):
-        first = _ordinary(p)
-    a = first.apply(p).A
-    size = np.abs(np.linalg.eigvals(a)) if a.size else np.zeros(0)
+        return by_magnitude(p)
+    size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
     rate = float(_power(float(np.median(size)))) if len(size) else 1.0
-    return Scaling(rate * first.rate, first.states, first.u, first.y, first.w, first.z)
+    n, _, n_u, _, n_y = p.sizes
+    return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
 
 
-def _ordinary(p: PlantMatrices) -> Scaling:
-    """Every matrix to order one by its exponents, for plants whose squares would overflow or vanish."""
+def by_magnitude(p: PlantMatrices) -> Scaling:
+    """B2 and C2 to order one, then what z and w weigh; by exponents, for plants whose squares overflow or vanish.
+
+    The unit of time is that of A, or of the loops that u and y can close where these are faster by far.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        Factors that no floating-point number is: the controller would have such gains.
+    """
     t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
+    rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
+    if all(m.any() for m in (p.B1, p.B2, p.C1, p.C2, p.D12, p.D21)):
+        control = _to_one((p.D12, 0)) - _to_one((p.B2, rows)) - _to_one((p.C1, t))
+        filtering = _to_one((p.D21, 0)) - _to_one((p.C2, t)) - _to_one((p.B1, rows))
+        pace = min(control, filtering)
+        k = pace if pace > k + FASTER or not p.A.any() else k
+    rows = rows - k
     _, _, n_u, _, n_y = p.sizes
-    k = -_to_one((p.A, -t[:, None] + t))
-    rows = -t[:, None] - k
-    # Each channel of u and y by itself, those of w and z together: the norm is that of all of them.
-    w, z = _to_one((p.B1, rows)), _to_one((p.C1, t))
-    u = [_to_one((p.B2[:, [i]], rows), (p.D12[:, [i]], z)) for i in range(n_u)]
-    y = [_to_one((p.C2[[i]], t), (p.D21[[i]], w)) for i in range(n_y)]
-    rate, states, into, out, w, z = (np.ldexp(1.0, np.clip(e, -1000, 1000)) for e in (k, t, u, y, w, z))
+    acts, shows = p.B2.any(axis=0), p.C2.any(axis=1)
+    u = [_to_one((p.B2[:, [i]], rows) if acts[i] else (p.D12[:, [i]], 0)) for i in range(n_u)]
+    y = [_to_one((p.C2[[i]], t) if shows[i] else (p.D21[[i]], 0)) for i in range(n_y)]
+    w = _to_one((p.B1, rows), (p.D21, np.reshape(y, (-1, 1))))
+    z = _to_one((p.C1, t), (p.D12, np.array(u)))
+    exponents = [np.asarray(e) for e in (k, t, u, y, w, z)]
+    if max(np.abs(e).max(initial=0) for e in exponents) > LIMIT:
+        raise NoTrustworthyNumber("scaling", "gains of the controller overflow", None, "choose other units of u and y")
+    rate, states, into, out, w, z = (np.ldexp(1.0, e) for e in exponents)
     return Scaling(float(rate), states, into, out, float(w), float(z))
 
 
