@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["Moderated", "balancing_factors", "balancing_exponents", "is_moderate", "moderated", "scaled_down"]
+__all__ = ["Moderated", "balancing_factors", "balancing_exponents", "is_moderate", "moderated", "refuse_overflow", "scaled_down"]
 
 Array = NDArray[Any]
 
@@ -106,6 +106,25 @@ class Moderated:
         """
         return scaled_down(size, self.gain - self.rate * rate_power, where)
 
+    def as_given(self, model: StateSpaceModel, where: str) -> StateSpaceModel:
+        """The model ``2^-gain M(2^-rate s)`` that belongs to one of ordinary entries, M.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            Entries of it overflow.
+        """
+        if not (self.rate or self.gain):
+            return model
+        rate = 0 if model.is_discrete else self.rate
+        into = (rate - self.gain) // 2
+        parts = (model.A, model.B, model.C, model.D)
+        shifts = (rate, into, rate - self.gain - into, -self.gain)
+        a, b, c, d = (_shifted(m, e) for m, e in zip(parts, shifts, strict=True))
+        refuse_overflow(where, a, b, c, d)
+        dt = float(np.ldexp(model.dt, -self.rate))
+        return StateSpaceModel(a, b, c, d, dt, model.inputs, model.outputs, model.states, where=where)
+
     def frequency(self, omega: float) -> float:
         """Frequency in rad/s of the model as given; 0 or inf where no floating-point number is."""
         with np.errstate(over="ignore", under="ignore"):
@@ -146,6 +165,19 @@ def moderated(model: StateSpaceModel, where: str) -> Moderated:
         m.inputs, m.outputs, m.states, where=where,
     )  # fmt: skip
     return Moderated(scaled, rate, gain, t)
+
+
+def refuse_overflow(where: str, *arrays: Array) -> None:
+    """Refuse what finite input became by multiplication: NaN and infinite entries.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        There are such entries.
+    """
+    if not all(np.isfinite(array).all() for array in arrays):
+        hint = "choose units in which the model's entries are closer to one another"
+        raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
 
 
 def scaled_down(size: float, exponent: float, where: str) -> float:

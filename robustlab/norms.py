@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.magnitude import Moderated, balancing_factors, moderated
+from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
 from robustlab.matrix_equations import gramians
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["H2Norm", "HinfNorm", "bilinear_to_continuous", "bilinear_to_discrete", "h2_norm", "hinf_norm"]
+__all__ = ["H2Norm", "HinfNorm", "bilinear_to_continuous", "bilinear_to_discrete", "h2_norm", "hinf_norm", "norm_as_given"]
 
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
@@ -113,10 +113,10 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     if not 1e-12 <= rtol < 1:
         raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
     ordinary = moderated(given, "hinf_norm")
-    return _as_given(_bracketed(ordinary, rtol), ordinary)
+    return norm_as_given(_bracketed(ordinary, rtol), ordinary)
 
 
-def _as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
+def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
     """The norm in the units of the model as given; the bracket keeps holding where it is rounded."""
     if not (ordinary.rate or ordinary.gain):
         return norm
@@ -379,11 +379,14 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
     e = np.linalg.inv(plus)
     root = np.sqrt(2 * a)
     A = a * e @ (m - np.eye(model.n_states))
-    D = model.D - c @ e @ b
-    # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
-    D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(c @ e) @ np.abs(b))] = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        D = model.D - c @ e @ b
+        # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
+        D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(c @ e) @ np.abs(b))] = 0.0
+        A, B, C = t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t
+    refuse_overflow("bilinear map", A, B, C, D)
     return StateSpaceModel(
-        t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t, D, 0.0,
+        A, B, C, D, 0.0,
         model.inputs, model.outputs, model.states, where="bilinear map",
     )  # fmt: skip
 
@@ -404,8 +407,12 @@ def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
     e = np.linalg.inv(minus)
     root = np.sqrt(2 * a)
     A = e @ (a * np.eye(model.n_states) + m)
+    with np.errstate(over="ignore", invalid="ignore"):
+        D = model.D + c @ e @ b
+        A, B, C = t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t
+    refuse_overflow("bilinear map", A, B, C, D)
     return StateSpaceModel(
-        t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t, model.D + c @ e @ b, dt,
+        A, B, C, D, dt,
         model.inputs, model.outputs, model.states, where="bilinear map",
     )  # fmt: skip
 

@@ -156,8 +156,9 @@ def _within_reach(
     if not layout.real.all() or not (M.imag.any() or delta.imag.any()):
         return True
     gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
-    along = np.exp(-0.5j * np.angle((gains**2).sum()))
-    size, off = float(np.abs(gains).sum()), float(np.abs((gains * along).imag).sum())
+    size = float(np.abs(gains).sum())
+    along = np.exp(-0.5j * np.angle(((gains / size) ** 2).sum())) if size else complex(1.0)
+    off = float(np.abs((gains * along).imag).sum())
     if off > 1e-6 * size:
         return True
     reach = float(layout.sizes(delta[None]).max())

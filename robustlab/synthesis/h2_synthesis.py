@@ -196,7 +196,7 @@ def _synthesized(
     for scale in (paths_first, equilibrated, by_magnitude):
         if scale is by_magnitude and trials:
             break
-        scaling = scale(shifted)
+        scaling = scale(shifted, dt > 0)
         if dt:  # a step has no other unit of time
             scaling = replace(scaling, rate=1.0)
         if not trials:

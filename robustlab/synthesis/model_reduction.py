@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
+from robustlab.magnitude import Moderated, moderated
+from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm, norm_as_given
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.balancing import Balancing, Projection, gramian_factors, split_stable, triangular_root
@@ -122,8 +123,10 @@ def hankel_singular_values(model: Any) -> Array:
     >>> hankel_singular_values(lag)
     array([1.5])
     """
-    stable = split_stable(as_model(model, "hankel_singular_values")).stable
-    return Balancing.of(*gramian_factors(stable)).values
+    where = "hankel_singular_values"
+    ordinary = moderated(as_model(model, where), where)
+    values = Balancing.of(*gramian_factors(split_stable(ordinary.model).stable)).values
+    return np.array([ordinary.value(value, where) for value in values])
 
 
 def balanced_truncation(model: Any, order: int | None = None, *, tolerance: float | None = None) -> ReducedModel:
@@ -263,11 +266,14 @@ def _balanced_reduction(
     full: StateSpaceModel, method: Projection, weights: tuple[StateSpaceModel | None, StateSpaceModel | None]
 ) -> Candidates:
     """What makes the candidate of a given order, and the least and largest order there are."""
-    split = split_stable(full)
-    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, full.dt)
     weighted = weights != (None, None)
+    unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))  # a weight has the units of the model
+    ordinary = unchanged if weighted else moderated(full, "reduce_model")
+    split = split_stable(ordinary.model)
+    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, ordinary.model.dt)
     balancing = Balancing.of(*(weighted_factors(stable, *weights) if weighted else gramian_factors(stable)))
     apart = split.apart.n_states
+    values = np.array([ordinary.value(value, "reduce_model") for value in balancing.values])
 
     def candidate(order: int) -> ReducedModel:
         small = balancing.reduced(stable, order - apart, method)
@@ -277,10 +283,11 @@ def _balanced_reduction(
                 f"the model of order {small.n_states + apart} is not stable",
                 hint="another order, or one weight instead of two" if weighted else "another order",
             )
-        bound = np.nan if weighted else error_bound(balancing.values, small.n_states)
-        error = hinf_norm(_weighted(_difference(stable, small), *weights))
+        bound = np.nan if weighted else error_bound(values, small.n_states)
+        error = norm_as_given(hinf_norm(_weighted(_difference(stable, small), *weights)), ordinary)
         name = f"weighted {method}" if weighted else method
-        return _checked(full, split.joined(small), name, error, bound, balancing.values, apart, weights)
+        model = ordinary.as_given(split.joined(small), "reduce_model")
+        return _checked(full, model, name, error, bound, values, apart, weights)
 
     return candidate, apart, apart + len(balancing.left)
 
@@ -374,7 +381,7 @@ def _seen_difference(
     if weights[1] is not None:
         gap = frequency_response(weights[1], omega) @ gap
     size_of = np.linalg.norm
-    return float(size_of(gap, 2, axis=(1, 2)).max(initial=0.0)), float(size_of(first, axis=(1, 2)).max(initial=0.0))
+    return float(size_of(gap, 2, axis=(1, 2)).max(initial=0.0)), float(size_of(first, 2, axis=(1, 2)).max(initial=0.0))
 
 
 class CoprimeReduction:

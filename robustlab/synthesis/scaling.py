@@ -93,9 +93,9 @@ def _rms(x: Array) -> float:
     return float(np.linalg.norm(x) / np.sqrt(max(1, min(x.shape)))) if x.size else 0.0
 
 
-def _start(p: PlantMatrices) -> Scaling:
+def _start(p: PlantMatrices, discrete: bool) -> Scaling:
     if not is_moderate(p.A, p.B1, p.B2, p.C1, p.C2, p.D11, p.D12, p.D21):
-        return by_magnitude(p)
+        return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
     rate = float(_power(float(np.median(size)))) if len(size) else 1.0
@@ -103,10 +103,11 @@ def _start(p: PlantMatrices) -> Scaling:
     return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
 
 
-def by_magnitude(p: PlantMatrices) -> Scaling:
+def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
     """B2 and C2 to order one, then what z and w weigh; by exponents, for plants whose squares overflow or vanish.
 
-    The unit of time is that of A, or of the loops that u and y can close where these are faster by far.
+    The unit of time is that of A, or of the loops that u and y can close where these are faster by far; a discrete
+    plant keeps its steps.
 
     Raises
     ------
@@ -115,7 +116,11 @@ def by_magnitude(p: PlantMatrices) -> Scaling:
     """
     t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
     rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
-    if all(m.any() for m in (p.B1, p.B2, p.C1, p.C2, p.D12, p.D21)):
+    if discrete:
+        if k > LIMIT // 2:
+            raise NoTrustworthyNumber("scaling", f"A reaches 2^{k} in one step: its square overflows")
+        k = 0
+    elif all(m.any() for m in (p.B1, p.B2, p.C1, p.C2, p.D12, p.D21)):
         control = _to_one((p.D12, 0)) - _to_one((p.B2, rows)) - _to_one((p.C1, t))
         filtering = _to_one((p.D21, 0)) - _to_one((p.C2, t)) - _to_one((p.B1, rows))
         pace = min(control, filtering)
@@ -165,9 +170,9 @@ def _osborne(p: PlantMatrices, states: Array, sweeps: int) -> Array:
     return t
 
 
-def paths_first(p: PlantMatrices) -> Scaling:
+def paths_first(p: PlantMatrices, discrete: bool = False) -> Scaling:
     """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
-    s = _start(p)
+    s = _start(p, discrete)
     for last in (False, False, True):
         q = s.apply(p)
         if (s.z, s.w) == (1.0, 1.0):
@@ -188,9 +193,9 @@ def _channel(direct: Array, dynamic: Array) -> Array:
     return _power(np.where(direct > 1e-8, direct, dynamic))
 
 
-def equilibrated(p: PlantMatrices) -> Scaling:
+def equilibrated(p: PlantMatrices, discrete: bool = False) -> Scaling:
     """Everything towards rows and columns of size one, until nothing changes or after 30 passes."""
-    s = _start(p)
+    s = _start(p, discrete)
     for _ in range(30):
         before = s
         s = Scaling(s.rate, _osborne(s.apply(p), s.states, 1), s.u, s.y, s.w, s.z)

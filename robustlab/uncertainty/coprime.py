@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.magnitude import balancing_factors
+from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate
 from robustlab.matrix_equations import RiccatiSolution, care
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
@@ -291,6 +291,8 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     """The same transfer function of ``s / rate`` with balanced states, the rate in rad/s, and the states' factors."""
     if not model.n_states:
         return model, 1.0, np.zeros(0)
+    if not is_moderate(model.A, model.B, model.C, model.D):
+        return _scaled_by_exponents(model)
     scale = balancing_factors(model.A)
     a = model.A / scale[:, None] * scale
     b, c = model.B / scale[:, None], model.C * scale
@@ -301,6 +303,31 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
     root = np.sqrt(rate)
     return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate, scale * level / root
+
+
+def _scaled_by_exponents(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
+    """The same for entries whose squares overflow: B and C alike, in the time unit of A or of the loop from y to u.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        That unit overflows, or the direct term does when it is squared.
+    """
+    t = balancing_exponents(model.A, model.B, model.C)
+    (a, b, c, d), exponent = (model.A, model.B, model.C, model.D), {}
+    for name, matrix, shift in (("A", a, t - t[:, None]), ("B", b, -t[:, None]), ("C", c, t), ("D", d, 0)):
+        exponent[name] = int((np.frexp(matrix)[1] + shift)[matrix != 0].max(initial=-(10**4)))
+    level = (exponent["B"] - exponent["C"]) // 2 if b.any() and c.any() else 0
+    rate = max(exponent["A"], exponent["B"] + exponent["C"], -1000)
+    if rate > 1000 or exponent["D"] > 500:
+        found = f"a gain of about 1e{max(rate, exponent['D']) * np.log10(2):.0f}: its square overflows"
+        raise NoTrustworthyNumber("coprime factors", found, None, "choose other units of u and y, or of time")
+    half = -(-rate // 2)  # the root of the rate is a power of two as well
+    states = t + level - half
+    shifts = (states - states[:, None] - 2 * half, -states[:, None] - 2 * half, states, 0)
+    with np.errstate(over="ignore", under="ignore"):
+        scaled = [np.ldexp(m, e) for m, e in zip((a, b, c, d), shifts, strict=True)]
+        return StateSpaceModel(*scaled), float(np.ldexp(1.0, 2 * half)), np.ldexp(1.0, states)
 
 
 def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:
@@ -318,7 +345,8 @@ def _check_inner(m: StateSpaceModel, right: StateSpaceModel, left: StateSpaceMod
     speeds = np.abs(np.concatenate([m.poles(), right.poles(), left.poles()]))
     omega = np.unique(np.concatenate([[0.0], speeds]))
     g, h = frequency_response(right, omega), frequency_response(left, omega)
-    off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
-    off = max(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows or is NaN does not pass
+        off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
+        off = np.maximum(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
     if not off <= INNER:
         raise NoTrustworthyNumber("coprime factors", f"they miss being normalised by {off:.1e}", f"at most {INNER:.0e}")
