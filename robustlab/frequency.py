@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import Moderated, moderated, refuse_overflow
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
@@ -41,6 +41,7 @@ def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> 
     return grid
 
 
+@told_as("frequency_response")
 def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     r"""Frequency response, shape (n_omega, n_y, n_u).
 

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["Moderated", "balancing_factors", "balancing_exponents", "is_moderate", "moderated", "refuse_overflow", "scaled_down"]
+__all__ = [
+    "Moderated",
+    "balancing_factors",
+    "balancing_exponents",
+    "is_moderate",
+    "moderated",
+    "refuse_overflow",
+    "scaled_down",
+]
 
 Array = NDArray[Any]
 
@@ -27,6 +35,7 @@ SMALLEST, LARGEST = 2.0**-166, 2.0**166
 SWEEPS = 100
 # Dynamics this many powers of two below the direct term are nothing beside it, and need not be smaller still.
 NOTHING = 300
+TINY = float(np.finfo(float).tiny)
 
 
 def is_moderate(*matrices: Array) -> bool:
@@ -132,13 +141,7 @@ class Moderated:
 
 
 def moderated(model: StateSpaceModel, where: str) -> Moderated:
-    """The model with ordinary entries; as it is where they are already.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        Rates of A so far apart that floating point cannot hold them in one time unit.
-    """
+    """The model with ordinary entries, none above order one; as it is where they are ordinary already."""
     m = model
     plain_dt = not m.is_discrete or SMALLEST <= m.dt <= LARGEST
     if plain_dt and is_moderate(m.A, m.B, m.C, m.D):
@@ -152,13 +155,8 @@ def moderated(model: StateSpaceModel, where: str) -> Moderated:
         less = min(direct + gain, NOTHING)
         w, z, gain = w - less // 2, z - (less - less // 2), -direct
     a = _shifted(m.A, -t[:, None] + t - k)
-    if (a[m.A != 0] == 0).any() or not np.isfinite(a).all():
-        size = np.abs(m.A[m.A != 0])
-        raise NoTrustworthyNumber(
-            where,
-            f"the entries of A reach from {size.min():.3g} to {size.max():.3g}: they overflow in any one scaling",
-            hint="take out what is too slow or too fast to matter, or look at it in a model of its own",
-        )
+    # An entry that vanishes beside the others keeps its sign, which a pole at 0 would not have.
+    a = np.where((a == 0) & (m.A != 0), np.copysign(TINY, m.A), a)
     rate = k if not m.is_discrete or plain_dt else -int(np.frexp(m.dt)[1])
     scaled = StateSpaceModel(
         a, _shifted(m.B, -t[:, None] + w), _shifted(m.C, t + z), _shifted(m.D, gain), float(np.ldexp(m.dt, rate)),

@@ -8,14 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
 from robustlab.matrix_equations import gramians
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["H2Norm", "HinfNorm", "bilinear_to_continuous", "bilinear_to_discrete", "h2_norm", "hinf_norm", "norm_as_given"]
+__all__ = [
+    "H2Norm",
+    "HinfNorm",
+    "bilinear_to_continuous",
+    "bilinear_to_discrete",
+    "h2_norm",
+    "hinf_norm",
+    "norm_as_given",
+]
 
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
@@ -76,6 +84,7 @@ class H2Norm:
 # --- H-infinity ------------------------------------------------------------------------------------------------------
 
 
+@told_as("hinf_norm")
 def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     r"""H-infinity norm as a bracket: a frequency attains ``lower``, no frequency exceeds ``upper``.
 
@@ -157,7 +166,10 @@ def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
         trusted = False
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
-        trusted, reason = False, f"the peak at {ordinary.frequency(omega):.6g} rad/s is narrower than the spacing of floating-point numbers"
+        trusted, reason = (
+            False,
+            f"the peak at {ordinary.frequency(omega):.6g} rad/s is narrower than the spacing of floating-point numbers",
+        )
     upper = max(upper, attained)
     return HinfNorm(attained, omega, attained, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 
@@ -325,6 +337,7 @@ def _zoom(m: StateSpaceModel, omega: Array, sigma: Array) -> tuple[float, float]
 # --- H2 --------------------------------------------------------------------------------------------------------------
 
 
+@told_as("h2_norm")
 def h2_norm(model: Any) -> H2Norm:
     r"""H2 norm from both Gramians, which must agree.
 

@@ -18,7 +18,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.worst_gain import worst_case_gain
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
@@ -151,6 +151,7 @@ class Cover:
         return {"type": "Cover", **vars(self)}
 
 
+@told_as("cover")
 def cover(
     models: Iterable[Any],
     form: str = "elements",
@@ -285,6 +286,7 @@ def _unstructured(
     )  # fmt: skip
 
 
+@told_as("conservatism")
 def conservatism(
     uncertain: UncertainModel, models: Iterable[Any], *, loop: Loop | None = None, time_limit: float = 60.0
 ) -> Conservatism:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis_model import (
     check_nominal,
@@ -70,6 +70,7 @@ class _Found:
         return 0.0 if self.worst is None else 1 / gauge(self.blocks, block_entries(self.blocks, self.worst.delta))
 
 
+@told_as("robust_stability")
 def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,

@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.disk_margin import (
     DiskMargin,
     Place,
@@ -102,6 +102,7 @@ class WorstCaseDiskMargin:
         return {"type": "WorstCaseDiskMargin", **parts}
 
 
+@told_as("worst_case_disk_margin")
 def worst_case_disk_margin(
     uncertain: UncertainModel,
     K: Any = None,

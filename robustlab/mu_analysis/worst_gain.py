@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis_model import (
     check_nominal,
@@ -105,6 +105,7 @@ class WorstCaseGain:
         return {"type": "WorstCaseGain", **{name: getattr(self, name) for name in names}, "gap": self.gap}
 
 
+@told_as("worst_case_gain")
 def worst_case_gain(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -192,6 +193,7 @@ def _with_blocks(
     return _result(uncertain, nominal, known, known.notes, grid, model, blocks, seed)
 
 
+@told_as("robust_performance")
 def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
     r"""Robust performance margin: the largest k with gain below ``1 / k`` for all Delta of size below k.
 

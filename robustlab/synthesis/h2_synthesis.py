@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import moderated
 from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
@@ -85,6 +85,7 @@ class H2Synthesis(Synthesis):
         }
 
 
+@told_as("synth h2")
 def h2(
     P: Any,
     n_meas: int | None = None,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -29,6 +29,7 @@ __all__ = ["hinf", "synthesize"]
 CALMER = 1.001
 
 
+@told_as("synth hinf")
 def hinf(
     P: Any,
     n_meas: int | None = None,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
@@ -113,6 +113,7 @@ class NcfSynthesis(Synthesis):
         }
 
 
+@told_as("synth ncf")
 def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
     r"""Loop-shaping controller of largest, or nearly largest, coprime stability margin.
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.magnitude import Moderated, moderated
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm, norm_as_given
@@ -110,6 +110,7 @@ class ReducedModel:
         }
 
 
+@told_as("hankel_singular_values")
 def hankel_singular_values(model: Any) -> Array:
     r"""Hankel singular values of the stable part of a model, shape (n_stable,), in decreasing order.
 
@@ -129,6 +130,7 @@ def hankel_singular_values(model: Any) -> Array:
     return np.array([ordinary.value(value, where) for value in values])
 
 
+@told_as("balanced_truncation")
 def balanced_truncation(model: Any, order: int | None = None, *, tolerance: float | None = None) -> ReducedModel:
     r"""Balanced truncation: `reduce_model` with ``method="truncation"``.
 
@@ -144,6 +146,7 @@ def balanced_truncation(model: Any, order: int | None = None, *, tolerance: floa
     return reduce_model(model, order, tolerance=tolerance)
 
 
+@told_as("reduce_model")
 def reduce_model(
     model: Any,
     order: int | None = None,

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate
 from robustlab.matrix_equations import RiccatiSolution, care
@@ -175,6 +175,7 @@ class CoprimeMargin:
         return {"type": "CoprimeMargin", "value": self.value, **vars(self)}
 
 
+@told_as("coprime_margin")
 def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargin:
     r"""Stability margin of the loop of P and C, with the meaning of a distance in the gap and nu-gap metric.
 

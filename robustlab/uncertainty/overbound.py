@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
@@ -102,6 +102,7 @@ class Overbound:
         return {"type": "Overbound", **vars(self)}
 
 
+@told_as("overbound")
 def overbound(
     omega: ArrayLike,
     bound: ArrayLike,

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
@@ -112,6 +112,7 @@ class WorstCase:
         return vars(self).copy()
 
 
+@told_as("worst_case")
 def worst_case(
     uncertain: UncertainModel,
     metric: str | Callable[[StateSpaceModel], float] = "peak-deviation",
