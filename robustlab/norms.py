@@ -31,6 +31,8 @@ EPS = float(np.finfo(float).eps)
 MAX_LEVELS = 60
 # Points of a zoom step and steps of a zoom: the bracket of a peak shrinks by a factor of 6 in each.
 ZOOM_POINTS, ZOOM_STEPS, ZOOM_PEAKS = 13, 8, 6
+# Poles in z beyond this all become s = 2/dt to the last digit.
+OUTSIDE = 1e15
 # A bracket is left where the fall from its top to the points beside it, times this, no longer matters.
 ZOOM_RISE, ZOOM_FLAT = 4.0, 1e-9
 
@@ -382,12 +384,15 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
     Raises
     ------
     NoTrustworthyNumber
-        A pole at z = -1, which the map sends to infinity.
+        A pole at z = -1, which the map sends to infinity, or one so far outside that it comes from there.
     """
     a = 2 / model.dt
     t, m, b, c = _in_balanced_states(model)
     plus = np.eye(model.n_states) + m
-    if model.n_states and np.linalg.cond(plus) > 1e12:
+    if model.n_states and float(np.abs(np.linalg.eigvals(m)).max()) > OUTSIDE:
+        found = f"a pole of modulus above {OUTSIDE:g}: the map cannot tell it from infinity"
+        raise NoTrustworthyNumber("bilinear map", found, None, "a shorter sample time")
+    if _is_singular(plus, 1e12):
         raise NoTrustworthyNumber("bilinear map", "a pole at z = -1 has no place in continuous time")
     e = np.linalg.inv(plus)
     root = np.sqrt(2 * a)
@@ -415,7 +420,7 @@ def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
     a = 2 / dt
     t, m, b, c = _in_balanced_states(model)
     minus = a * np.eye(model.n_states) - m
-    if model.n_states and np.linalg.cond(minus) > 1e14:
+    if _is_singular(minus, 1e14):
         raise NoTrustworthyNumber("bilinear map", f"a pole at s = 2/dt = {a:g} has no place in discrete time")
     e = np.linalg.inv(minus)
     root = np.sqrt(2 * a)
@@ -428,6 +433,14 @@ def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
         A, B, C, D, dt,
         model.inputs, model.outputs, model.states, where="bilinear map",
     )  # fmt: skip
+
+
+def _is_singular(matrix: Array, limit: float) -> bool:
+    """Whether the condition number stays above ``limit`` with every row as long: one fast pole is no singularity."""
+    if not matrix.size or np.linalg.cond(matrix) <= limit:
+        return False
+    length = np.abs(matrix).max(axis=1, keepdims=True)
+    return not length.all() or bool(np.linalg.cond(matrix / length) > limit)
 
 
 def _in_balanced_states(model: StateSpaceModel) -> tuple[Array, Array, Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate
+from robustlab.magnitude import balancing_exponents, balancing_factors
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
@@ -18,8 +18,8 @@ __all__ = ["check_nominal", "continuous", "coupled_blocks", "frequencies", "mode
 
 Array = NDArray[np.floating[Any]]
 
-# Entries below this share of the largest one are lost in any sum with it.
-NOTHING = 2.0**-200
+# Entries of M that are larger than this are refused.
+MOST = 1e100
 
 
 def check_nominal(uncertain: UncertainModel, where: str) -> None:
@@ -49,37 +49,39 @@ def continuous(model: StateSpaceModel) -> StateSpaceModel:
         # z = (1 + s) / (1 - s): s x' = (A + I)^-1 (A - I) x + ...
         plus = np.linalg.inv(A + np.eye(n))
         A, B, C, D = plus @ (A - np.eye(n)), np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
-    if not is_moderate(A, B, C, D):
+    if not _within_bounds((A, B, C, D)):
         return _ordinary(StateSpaceModel(A, B, C, D), "frequency axis")
     scale = balancing_factors(A)
     return StateSpaceModel(A / scale[:, None] * scale, B / scale[:, None], C * scale[None, :], D)
 
 
 def _ordinary(model: StateSpaceModel, where: str) -> StateSpaceModel:
-    """The model with states balanced between inputs and outputs, and without what is nothing beside the rest.
+    """The model, with states balanced between inputs and outputs where its entries are extreme.
 
     Raises
     ------
     NoTrustworthyNumber
-        Entries of M so large or so small that products of them overflow or vanish.
+        Entries of M so large that products of them overflow.
     """
     parts = (model.A, model.B, model.C, model.D)
-    if is_moderate(*parts):
+    if _within_bounds(parts):
         return model
     t = balancing_exponents(model.A, model.B, model.C).astype(float)
     if model.B.any() and model.C.any():  # inputs and outputs alike
         into, out = (np.frexp(m)[1] + e for m, e in ((model.B, -t[:, None]), (model.C, t)))
         t += np.round(0.5 * (into[model.B != 0].max() - out[model.C != 0].max()))
-    shifts = (t - t[:, None], -t[:, None], t, 0)
+    shifts = (t - t[:, None], -t[:, None], t, np.zeros(model.D.shape))
     with np.errstate(over="ignore", under="ignore"):
-        scaled = [np.ldexp(m, np.asarray(e, dtype=int)) for m, e in zip(parts, shifts, strict=True)]
-    largest = max((float(np.abs(m).max(initial=0)) for m in scaled), default=0.0)
-    scaled = [np.where(np.abs(m) < NOTHING * largest, 0.0, m) for m in scaled]
-    if not is_moderate(*scaled):
+        a, b, c, d = scaled = [np.ldexp(m, e.astype(int)) for m, e in zip(parts, shifts, strict=True)]
+    if not _within_bounds(scaled):
         size = np.concatenate([np.abs(m[m != 0]).ravel() for m in scaled])
         found = f"entries of M from {size.min():.3g} to {size.max():.3g} in balanced states: products of them overflow"
         raise NoTrustworthyNumber(where, found, None, "choose other units of time, of signals, or of the parameters")
-    return StateSpaceModel(*scaled, model.dt, model.inputs, model.outputs, model.states, where=where)
+    return StateSpaceModel(a, b, c, d, model.dt, model.inputs, model.outputs, model.states, where=where)
+
+
+def _within_bounds(matrices: Sequence[Array]) -> bool:
+    return all(np.abs(m).max(initial=0.0) <= MOST for m in matrices)
 
 
 def frequencies(omega: ArrayLike | None, where: str) -> Array:

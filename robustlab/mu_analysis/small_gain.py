@@ -130,7 +130,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     if not np.isfinite(norm.upper):
         raise NoTrustworthyNumber(
             "small_gain",
-            f"nominal closed loop unstable ({norm.reason})",
+            f"nominal closed loop {'unstable' if norm.lower else 'not surely stable'} ({norm.reason})",
             "a stable nominal loop",
             "check the sign of the feedback: sign=, or --feedback negative | positive",
         )

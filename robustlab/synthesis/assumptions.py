@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.magnitude import is_moderate
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
 
 __all__ = ["broken_assumptions", "require_stabilisable"]
@@ -45,6 +47,9 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
     """
     if not p.A.size:
         return
+    ordinary = 1.0 if is_moderate(p.A) else float(np.ldexp(1.0, np.clip(np.frexp(np.abs(p.A).max())[1], -1000, 1000)))
+    if ordinary != 1.0:  # modes are told apart in their own unit of time
+        p, rate = replace(p, A=p.A / ordinary), rate * ordinary
     poles = np.linalg.eigvals(p.A)
     size = max(float(np.abs(poles).max()), 1e-300)
     # How strong a control or a measurement is depends on its unit: each counts as if it were as large as A.

@@ -134,9 +134,11 @@ def _exponential(block: Array, method: str, m: StateSpaceModel, dt: float) -> Ar
         moved = expm(block)
     if not np.isfinite(moved).all():
         fastest = m.spectral_abscissa()
-        raise NoTrustworthyNumber(
-            f"discretise ({method})", f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
-        )
+        found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
+        if fastest < 0:
+            rate = float(np.abs(m.poles()).max())
+            found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
+        raise NoTrustworthyNumber(f"discretise ({method})", found)
     return moved
 
 

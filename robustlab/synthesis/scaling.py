@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.magnitude import balancing_exponents, is_moderate
+from robustlab.magnitude import TINY, balancing_exponents, is_moderate
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 
 __all__ = ["Scaling", "by_magnitude", "equilibrated", "paths_first"]
@@ -50,7 +50,7 @@ class Scaling:
         t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
         rows = -t[:, None] - k
         return PlantMatrices(
-            _times(p.A, rows + t),
+            _signed(p.A, rows + t),
             _times(p.B1, rows + w),
             _times(p.B2, rows + u),
             _times(p.C1, t + z),
@@ -82,6 +82,12 @@ def _times(matrix: Array, exponents: Array) -> Array:
         return np.ldexp(matrix, exponents)
 
 
+def _signed(matrix: Array, exponents: Array) -> Array:
+    """The same, without entries that vanish: a pole keeps its side of the axis."""
+    scaled = _times(matrix, exponents)
+    return np.where((scaled == 0) & (matrix != 0), np.copysign(TINY, matrix), scaled)
+
+
 def _power(x: Array | float) -> Array:
     """Nearest powers of two; 1 where x is zero."""
     x = np.asarray(x, dtype=float)
@@ -94,7 +100,11 @@ def _rms(x: Array) -> float:
 
 
 def _start(p: PlantMatrices, discrete: bool) -> Scaling:
-    if not is_moderate(p.A, p.B1, p.B2, p.C1, p.C2, p.D11, p.D12, p.D21):
+    # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
+    columns, rows = (np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12)), (p.C2, p.D21)
+    sizes = [*columns, *(np.abs(m).max(axis=1, initial=0.0) for m in rows)]
+    sizes += [np.abs(m).max(initial=0.0, keepdims=True) for m in (p.A, p.B1, p.C1, p.D11)]
+    if not is_moderate(*sizes):
         return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
@@ -117,8 +127,9 @@ def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
     t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
     rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
     if discrete:
-        if k > LIMIT // 2:
-            raise NoTrustworthyNumber("scaling", f"A reaches 2^{k} in one step: its square overflows")
+        if k > FASTER:
+            found = f"A grows by 2^{k} in one step: digits of everything else are lost beside it"
+            raise NoTrustworthyNumber("scaling", found, None, "a shorter sample time")
         k = 0
     elif all(m.any() for m in (p.B1, p.B2, p.C1, p.C2, p.D12, p.D21)):
         control = _to_one((p.D12, 0)) - _to_one((p.B2, rows)) - _to_one((p.C1, t))
@@ -127,7 +138,7 @@ def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
         k = pace if pace > k + FASTER or not p.A.any() else k
     rows = rows - k
     _, _, n_u, _, n_y = p.sizes
-    acts, shows = p.B2.any(axis=0), p.C2.any(axis=1)
+    acts, shows = [column.any() for column in p.B2.T], [row.any() for row in p.C2]
     u = [_to_one((p.B2[:, [i]], rows) if acts[i] else (p.D12[:, [i]], 0)) for i in range(n_u)]
     y = [_to_one((p.C2[[i]], t) if shows[i] else (p.D21[[i]], 0)) for i in range(n_y)]
     w = _to_one((p.B1, rows), (p.D21, np.reshape(y, (-1, 1))))

@@ -327,8 +327,8 @@ def _scaled_by_exponents(model: StateSpaceModel) -> tuple[StateSpaceModel, float
     states = t + level - half
     shifts = (states - states[:, None] - 2 * half, -states[:, None] - 2 * half, states, 0)
     with np.errstate(over="ignore", under="ignore"):
-        scaled = [np.ldexp(m, e) for m, e in zip((a, b, c, d), shifts, strict=True)]
-        return StateSpaceModel(*scaled), float(np.ldexp(1.0, 2 * half)), np.ldexp(1.0, states)
+        a, b, c, d = (np.ldexp(m, e) for m, e in zip((a, b, c, d), shifts, strict=True))
+        return StateSpaceModel(a, b, c, d), float(np.ldexp(1.0, 2 * half)), np.ldexp(1.0, states)
 
 
 def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:
