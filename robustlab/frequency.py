@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.magnitude import Moderated, moderated, refuse_overflow
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 __all__ = ["default_grid", "frequency_response"]
@@ -40,6 +41,7 @@ def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> 
     return grid
 
 
+@told_as("frequency_response")
 def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     r"""Frequency response, shape (n_omega, n_y, n_u).
 
@@ -55,18 +57,23 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     Raises
     ------
     NoTrustworthyNumber
-        A frequency hits a pole exactly.
+        A frequency hits a pole exactly, or the response overflows.
     """
-    model = as_model(model, "frequency_response")
+    given = moderated(as_model(model, "frequency_response"), "frequency_response")
+    model = given.model
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     finite = np.isfinite(w)
     real_array("omega", w[finite], 1, "frequency_response")
     if not finite.all() and (model.is_discrete or np.isnan(w).any() or (w[~finite] < 0).any()):
         raise InputError("frequency_response", "omega is not finite", "finite frequencies in rad/s")
+    if given.rate:
+        with np.errstate(over="ignore", under="ignore"):
+            w = np.ldexp(w, -given.rate)
+        finite = np.isfinite(w)
     response = np.broadcast_to(model.D.astype(complex), (len(w), *model.D.shape)).copy()
     n = model.n_states
     if n == 0:
-        return response
+        return _as_given(response, given)
     point = np.exp(1j * w[finite] * model.dt) if model.is_discrete else 1j * w[finite]
     where = np.flatnonzero(finite)
     eye = np.eye(n)
@@ -80,4 +87,14 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
                 "frequency_response", "a frequency hits a pole exactly", None, "leave that frequency out"
             ) from None
         response[where[first : first + step]] += model.C @ x
-    return response
+    return _as_given(response, given)
+
+
+def _as_given(response: ComplexArray, given: Moderated) -> ComplexArray:
+    """The response in the units of the model as given."""
+    if not given.gain:
+        return response
+    with np.errstate(over="ignore", under="ignore"):
+        parts = np.ldexp(response.view(np.float64), -given.gain)
+    refuse_overflow("frequency_response", parts)
+    return parts.view(np.complex128)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import refuse_overflow
 from robustlab.statespace import real_array
 
 __all__ = [
@@ -111,6 +112,8 @@ def care(
         if best is not None and best.residual <= tolerance:
             return best
     if best is None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            refuse_overflow("care", b @ b.T, q @ q, s @ s.T)
         raise NoTrustworthyNumber(
             "care", "no stabilising solution: the Hamiltonian has eigenvalues on the imaginary axis"
         )
@@ -182,10 +185,11 @@ def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6
 
 def _hamiltonian_residual(A: Array, G: Array, Q: Array, X: Array) -> tuple[float, Array]:
     """Relative residual of the equation with the quadratic term given whole, and its left-hand side."""
-    linear, quadratic = A.T @ X, X @ G @ X
-    size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
-    left = linear + linear.T - quadratic + Q
-    return (float(np.linalg.norm(left) / size) if size else 0.0), left
+    with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
+        linear, quadratic = A.T @ X, X @ G @ X
+        size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
+        left = linear + linear.T - quadratic + Q
+        return (float(np.linalg.norm(left) / size) if size else 0.0), left
 
 
 def balanced_eigenvalues(matrix: Array) -> Array | None:
@@ -224,8 +228,9 @@ def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | 
     n = a.shape[0]
     try:
         ri = np.linalg.inv(r)
-        a1 = a - b @ ri @ s.T
-        hamiltonian = np.block([[a1, -b @ ri @ b.T], [-(q - s @ ri @ s.T), -a1.T]])
+        with np.errstate(over="ignore", invalid="ignore"):
+            a1 = a - b @ ri @ s.T
+            hamiltonian = np.block([[a1, -b @ ri @ b.T], [-(q - s @ ri @ s.T), -a1.T]])
         if not np.isfinite(hamiltonian).all():
             return None
         with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
@@ -243,16 +248,18 @@ def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | 
 def _checked_care(equation: tuple[Array, Array, Array, Array, Array], X: Array) -> RiccatiSolution | None:
     """Residual and gain of a candidate; None where it does not stabilise."""
     a, b, q, r, s = equation
-    try:
-        gain = -np.linalg.solve(r, b.T @ X + s.T)
-    except np.linalg.LinAlgError:
-        return None
-    if not np.isfinite(gain).all() or np.linalg.eigvals(a + b @ gain).real.max() >= 0:
-        return None
-    quadratic = (X @ b + s) @ gain
-    size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
-    residual = np.linalg.norm(a.T @ X + X @ a + q + quadratic) / size if size else 0.0
-    return RiccatiSolution(X, gain, float(residual))
+    with np.errstate(over="ignore", invalid="ignore"):
+        try:
+            gain = -np.linalg.solve(r, b.T @ X + s.T)
+        except np.linalg.LinAlgError:
+            return None
+        closed = a + b @ gain
+        if not np.isfinite(closed).all() or np.linalg.eigvals(closed).real.max() >= 0:
+            return None
+        quadratic = (X @ b + s) @ gain
+        size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
+        residual = np.linalg.norm(a.T @ X + X @ a + q + quadratic) / size if size else 0.0
+    return RiccatiSolution(X, gain, float(residual)) if np.isfinite(residual) else None
 
 
 def _refined_care(

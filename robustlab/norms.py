@@ -8,13 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
+from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
 from robustlab.matrix_equations import gramians
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["H2Norm", "HinfNorm", "bilinear_to_continuous", "bilinear_to_discrete", "h2_norm", "hinf_norm"]
+__all__ = [
+    "H2Norm",
+    "HinfNorm",
+    "bilinear_to_continuous",
+    "bilinear_to_discrete",
+    "h2_norm",
+    "hinf_norm",
+    "norm_as_given",
+]
 
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
@@ -22,6 +31,8 @@ EPS = float(np.finfo(float).eps)
 MAX_LEVELS = 60
 # Points of a zoom step and steps of a zoom: the bracket of a peak shrinks by a factor of 6 in each.
 ZOOM_POINTS, ZOOM_STEPS, ZOOM_PEAKS = 13, 8, 6
+# Poles in z beyond this all become s = 2/dt to the last digit.
+OUTSIDE = 1e15
 # A bracket is left where the fall from its top to the points beside it, times this, no longer matters.
 ZOOM_RISE, ZOOM_FLAT = 4.0, 1e-9
 
@@ -75,6 +86,7 @@ class H2Norm:
 # --- H-infinity ------------------------------------------------------------------------------------------------------
 
 
+@told_as("hinf_norm")
 def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     r"""H-infinity norm as a bracket: a frequency attains ``lower``, no frequency exceeds ``upper``.
 
@@ -108,15 +120,36 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     >>> norm.value, norm.frequency, norm.status.value
     (3.0, 0.0, 'certified')
     """
-    m = as_model(model, "hinf_norm")
+    given = as_model(model, "hinf_norm")
     if not 1e-12 <= rtol < 1:
         raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
+    ordinary = moderated(given, "hinf_norm")
+    return norm_as_given(_bracketed(ordinary, rtol), ordinary)
+
+
+def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
+    """The norm in the units of the model as given; the bracket keeps holding where it is rounded."""
+    if not (ordinary.rate or ordinary.gain):
+        return norm
+    lower, upper = (ordinary.value(x, "hinf_norm") for x in (norm.lower, norm.upper))
+    with np.errstate(over="ignore", under="ignore"):
+        if np.ldexp(lower, ordinary.gain) > norm.lower:
+            lower = float(np.nextafter(lower, 0))
+        if np.ldexp(upper, ordinary.gain) < norm.upper:
+            upper = float(np.nextafter(upper, np.inf))
+    value = np.inf if np.isinf(norm.value) else lower
+    return HinfNorm(value, ordinary.frequency(norm.frequency), lower, upper, norm.status, norm.reason)
+
+
+def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
+    """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given."""
+    m = ordinary.model
     if not m.n_inputs or not m.n_outputs:
         return HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
     if not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
         return HinfNorm(gain, 0.0, gain, gain, Status.CERTIFIED)
-    unstable = _unstable(m)
+    unstable = _unstable(m, ordinary.rate)
     if unstable is not None:
         return unstable
     try:
@@ -135,13 +168,16 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
         trusted = False
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
-        trusted, reason = False, f"the peak at {omega:.6g} rad/s is narrower than the spacing of floating-point numbers"
+        trusted, reason = (
+            False,
+            f"the peak at {ordinary.frequency(omega):.6g} rad/s is narrower than the spacing of floating-point numbers",
+        )
     upper = max(upper, attained)
     return HinfNorm(attained, omega, attained, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 
 
-def _unstable(m: StateSpaceModel) -> HinfNorm | None:
-    """The infinite norm of a model that is not stable, or None."""
+def _unstable(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
+    """The infinite norm of a model that is not stable, or None; poles are told times ``2^rate``."""
     abscissa = m.spectral_abscissa()
     # Eigenvalues are known to about eps times the norm of the balanced A; a pole closer to the boundary has no sign.
     blur = 10 * EPS * max(float(np.linalg.norm(_balanced(m.A), 1)), 1.0 if m.is_discrete else 0.0)
@@ -149,6 +185,8 @@ def _unstable(m: StateSpaceModel) -> HinfNorm | None:
         return None
     poles = m.poles()
     worst = poles[np.argmax(np.abs(poles) if m.is_discrete else poles.real)]
+    if not m.is_discrete:
+        worst = complex(np.ldexp(worst.real, rate), np.ldexp(worst.imag, rate))
     if abscissa < 0:
         text = f"pole {_text(worst)} cannot be told from the stability boundary"
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, text)
@@ -157,10 +195,8 @@ def _unstable(m: StateSpaceModel) -> HinfNorm | None:
 
 
 def _balanced(matrix: Array) -> Array:
-    from scipy.linalg import matrix_balance
-
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        return np.asarray(matrix_balance(matrix, permute=False)[0])
+    t = balancing_factors(matrix)
+    return matrix / t[:, None] * t
 
 
 def _text(pole: complex) -> str:
@@ -303,6 +339,7 @@ def _zoom(m: StateSpaceModel, omega: Array, sigma: Array) -> tuple[float, float]
 # --- H2 --------------------------------------------------------------------------------------------------------------
 
 
+@told_as("h2_norm")
 def h2_norm(model: Any) -> H2Norm:
     r"""H2 norm from both Gramians, which must agree.
 
@@ -313,14 +350,15 @@ def h2_norm(model: Any) -> H2Norm:
     Infinite for an unstable model, and for a continuous one with D != 0.
     INACCURATE where the two Gramians differ by more than 1e-6.
     """
-    m = as_model(model, "h2_norm")
+    ordinary = moderated(as_model(model, "h2_norm"), "h2_norm")
+    m = ordinary.model
     if not m.is_stable():
         return H2Norm(np.inf, Status.CERTIFIED, "the model is not stable")
     if not m.is_discrete and m.D.any():
         return H2Norm(np.inf, Status.CERTIFIED, "the model has a direct term")
     direct = float((m.D**2).sum())
     if not m.n_states:
-        return H2Norm(float(np.sqrt(direct)), Status.CERTIFIED)
+        return H2Norm(ordinary.value(float(np.sqrt(direct)), "h2_norm"), Status.CERTIFIED)
     # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
     s, rate = (m, 1.0) if m.is_discrete else _well_scaled(m)
     try:
@@ -328,7 +366,9 @@ def h2_norm(model: Any) -> H2Norm:
     except NoTrustworthyNumber as error:
         return H2Norm(np.inf, Status.FAILED, error.line)
     squares = [max(float(np.trace(s.C @ reach @ s.C.T)), 0.0), max(float(np.trace(s.B.T @ see @ s.B)), 0.0)]
-    one, two = (np.sqrt(rate * x + direct) for x in squares)
+    # A discrete sum has no time unit; a continuous integral has that of the ordinary model.
+    power = 0.0 if m.is_discrete else 0.5
+    one, two = (ordinary.value(float(np.sqrt(rate * x + direct)), "h2_norm", power) for x in squares)
     agree = abs(one - two) <= 1e-6 * max(one, two)
     reason = "" if agree else f"the two Gramians give {one:.9g} and {two:.9g}"
     return H2Norm(float(max(one, two)), Status.CONVERGED if agree else Status.INACCURATE, reason)
@@ -344,20 +384,27 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
     Raises
     ------
     NoTrustworthyNumber
-        A pole at z = -1, which the map sends to infinity.
+        A pole at z = -1, which the map sends to infinity, or one so far outside that it comes from there.
     """
     a = 2 / model.dt
-    plus = np.eye(model.n_states) + model.A
-    if model.n_states and np.linalg.cond(plus) > 1e12:
+    t, m, b, c = _in_balanced_states(model)
+    plus = np.eye(model.n_states) + m
+    if model.n_states and float(np.abs(np.linalg.eigvals(m)).max()) > OUTSIDE:
+        found = f"a pole of modulus above {OUTSIDE:g}: the map cannot tell it from infinity"
+        raise NoTrustworthyNumber("bilinear map", found, None, "a shorter sample time")
+    if _is_singular(plus, 1e12):
         raise NoTrustworthyNumber("bilinear map", "a pole at z = -1 has no place in continuous time")
     e = np.linalg.inv(plus)
     root = np.sqrt(2 * a)
-    A = a * e @ (model.A - np.eye(model.n_states))
-    D = model.D - model.C @ e @ model.B
-    # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
-    D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(model.C @ e) @ np.abs(model.B))] = 0.0
+    A = a * e @ (m - np.eye(model.n_states))
+    with np.errstate(over="ignore", invalid="ignore"):
+        D = model.D - c @ e @ b
+        # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
+        D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(c @ e) @ np.abs(b))] = 0.0
+        A, B, C = t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t
+    refuse_overflow("bilinear map", A, B, C, D)
     return StateSpaceModel(
-        A, root * e @ model.B, root * model.C @ e, D, 0.0,
+        A, B, C, D, 0.0,
         model.inputs, model.outputs, model.states, where="bilinear map",
     )  # fmt: skip
 
@@ -371,13 +418,32 @@ def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
         A pole at s = 2 / dt, which the map sends to infinity.
     """
     a = 2 / dt
-    minus = a * np.eye(model.n_states) - model.A
-    if model.n_states and np.linalg.cond(minus) > 1e14:
+    t, m, b, c = _in_balanced_states(model)
+    minus = a * np.eye(model.n_states) - m
+    if _is_singular(minus, 1e14):
         raise NoTrustworthyNumber("bilinear map", f"a pole at s = 2/dt = {a:g} has no place in discrete time")
     e = np.linalg.inv(minus)
     root = np.sqrt(2 * a)
-    A = e @ (a * np.eye(model.n_states) + model.A)
+    A = e @ (a * np.eye(model.n_states) + m)
+    with np.errstate(over="ignore", invalid="ignore"):
+        D = model.D + c @ e @ b
+        A, B, C = t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t
+    refuse_overflow("bilinear map", A, B, C, D)
     return StateSpaceModel(
-        A, root * e @ model.B, root * model.C @ e, model.D + model.C @ e @ model.B, dt,
+        A, B, C, D, dt,
         model.inputs, model.outputs, model.states, where="bilinear map",
     )  # fmt: skip
+
+
+def _is_singular(matrix: Array, limit: float) -> bool:
+    """Whether the condition number stays above ``limit`` with every row as long: one fast pole is no singularity."""
+    if not matrix.size or np.linalg.cond(matrix) <= limit:
+        return False
+    length = np.abs(matrix).max(axis=1, keepdims=True)
+    return not length.all() or bool(np.linalg.cond(matrix / length) > limit)
+
+
+def _in_balanced_states(model: StateSpaceModel) -> tuple[Array, Array, Array, Array]:
+    """Factors t, and A, B, C in the states ``x / t``: a condition number says something about poles there only."""
+    t = balancing_factors(model.A)
+    return t, model.A / t[:, None] * t, model.B / t[:, None], model.C * t

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean
 
 if TYPE_CHECKING:
     import control
@@ -463,6 +463,8 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
     ------
     InputError
         K is larger than P, other sample times, or I - D22 D_K is singular (the loop is not well posed).
+    NoTrustworthyNumber
+        A product of their entries overflows.
 
     References
     ----------
@@ -482,14 +484,18 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
     e = np.eye(n_u) - K.D @ d22
     if n_u and np.linalg.cond(e) > 1e12:
         raise InputError("lower_lft", "I - D_K D22 is singular: the loop is not well posed", "a well-posed loop")
-    f = np.linalg.solve(e, np.hstack([K.D @ c2, K.C, K.D @ d21]))
-    n, nk = P.n_states, K.n_states
-    u_x, u_k, u_w = f[:, :n], f[:, n : n + nk], f[:, n + nk :]
-    y_x, y_k, y_w = c2 + d22 @ u_x, d22 @ u_k, d21 + d22 @ u_w
-    a = np.block([[P.A + b2 @ u_x, b2 @ u_k], [K.B @ y_x, K.A + K.B @ y_k]])
-    b = np.vstack([b1 + b2 @ u_w, K.B @ y_w])
-    c = np.hstack([c1 + d12 @ u_x, d12 @ u_k])
-    return StateSpaceModel(a, b, c, d11 + d12 @ u_w, dt, P.inputs[:n_w], P.outputs[:n_z], where="lower_lft")
+    with np.errstate(over="ignore", invalid="ignore"):
+        f = np.linalg.solve(e, np.hstack([K.D @ c2, K.C, K.D @ d21]))
+        n, nk = P.n_states, K.n_states
+        u_x, u_k, u_w = f[:, :n], f[:, n : n + nk], f[:, n + nk :]
+        y_x, y_k, y_w = c2 + d22 @ u_x, d22 @ u_k, d21 + d22 @ u_w
+        a = np.block([[P.A + b2 @ u_x, b2 @ u_k], [K.B @ y_x, K.A + K.B @ y_k]])
+        b = np.vstack([b1 + b2 @ u_w, K.B @ y_w])
+        c = np.hstack([c1 + d12 @ u_x, d12 @ u_k])
+        d = d11 + d12 @ u_w
+    if not all(np.isfinite(part).all() for part in (a, b, c, d)):
+        raise NoTrustworthyNumber("lower_lft", "a product of entries of P and K overflows", "numbers below 1e308")
+    return StateSpaceModel(a, b, c, d, dt, P.inputs[:n_w], P.outputs[:n_z], where="lower_lft")
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

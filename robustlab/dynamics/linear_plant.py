@@ -207,7 +207,7 @@ class LinearPlant(Plant):
                 low, high = given[name]
                 for end in (low, high):
                     replace(p, value=end, tolerance=0.0)  # says what physics forbids
-                ranges[name] = ParameterRange.between(low, high, p.value, p.unit)
+                ranges[name] = replace(ParameterRange.between(low, high, p.value, p.unit), sign=p.sign)
             elif p.radius:
                 ranges[name] = p.range
         return ranges

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.uncertainty.blocks import ParameterRange
+from robustlab.uncertainty.blocks import ParameterRange, Sign
 
 __all__ = ["Parameter", "Role", "Sign", "overridden"]
 
-Sign = Literal["any", "nonnegative", "positive"]
 Role = Literal[
     "", "inertia", "viscous-friction", "torque-constant", "resistance", "inductance", "stiffness", "input-gain"
 ]
@@ -95,8 +94,8 @@ class Parameter:
 
     @property
     def range(self) -> ParameterRange:
-        """Centre and half width, as an uncertain block carries them."""
-        return ParameterRange(self.value, self.radius, self.unit)
+        """Centre and half width, as an uncertain block carries them, with the sign that physics allows."""
+        return ParameterRange(self.value, self.radius, self.unit, sign=self.sign)
 
     def to_json(self) -> dict[str, object]:
         """All attributes as plain types."""

@@ -198,7 +198,12 @@ def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:
     block[:n, :n] = balanced * h
     block[:n, n : n + n_u] = b / column * h
     block[n : n + n_u, n + n_u :] = np.eye(n_u)
-    e = np.asarray(expm(block)[:n], dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable model may grow beyond every number
+        e = np.asarray(expm(block)[:n], dtype=np.float64)
+    if not np.isfinite(e).all() and model.is_stable():
+        fastest = float(np.abs(model.poles()).max())
+        found = f"rates up to {fastest:.3g} 1/s in a step of {h:.3g} s: the exponential overflows on its way"
+        raise NoTrustworthyNumber("simulate", found, None, "shorter steps, or a model without its fastest states")
     phi = scale[:, None] * e[:, :n] / scale
     gamma, gamma1 = scale[:, None] * e[:, n : n + n_u] * column, scale[:, None] * e[:, n + n_u :] * column
     return phi, gamma, gamma1

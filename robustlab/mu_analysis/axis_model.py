@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import balancing_exponents, balancing_factors
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
@@ -17,11 +18,15 @@ __all__ = ["check_nominal", "continuous", "coupled_blocks", "frequencies", "mode
 
 Array = NDArray[np.floating[Any]]
 
+# Entries of M that are larger than this are refused.
+MOST = 1e100
+
 
 def check_nominal(uncertain: UncertainModel, where: str) -> None:
     """Refuse what is no uncertain model, and one whose nominal member is not stable."""
     if not isinstance(uncertain, UncertainModel):
         raise InputError(where, type(uncertain).__name__, "an UncertainModel")
+    _ordinary(uncertain.M, where)
     poles = uncertain.M.poles()
     if not len(poles) or uncertain.M.is_stable():
         return
@@ -36,8 +41,6 @@ def check_nominal(uncertain: UncertainModel, where: str) -> None:
 
 def continuous(model: StateSpaceModel) -> StateSpaceModel:
     """The model balanced by powers of two; a discrete one mapped by ``s = (z - 1) / (z + 1)``."""
-    from scipy.linalg import matrix_balance
-
     A, B, C, D = model.A, model.B, model.C, model.D
     n = model.n_states
     if not n:
@@ -46,8 +49,39 @@ def continuous(model: StateSpaceModel) -> StateSpaceModel:
         # z = (1 + s) / (1 - s): s x' = (A + I)^-1 (A - I) x + ...
         plus = np.linalg.inv(A + np.eye(n))
         A, B, C, D = plus @ (A - np.eye(n)), np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    return StateSpaceModel(A, B / scale[:, None], C * scale[None, :], D)
+    if not _within_bounds((A, B, C, D)):
+        return _ordinary(StateSpaceModel(A, B, C, D), "frequency axis")
+    scale = balancing_factors(A)
+    return StateSpaceModel(A / scale[:, None] * scale, B / scale[:, None], C * scale[None, :], D)
+
+
+def _ordinary(model: StateSpaceModel, where: str) -> StateSpaceModel:
+    """The model, with states balanced between inputs and outputs where its entries are extreme.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        Entries of M so large that products of them overflow.
+    """
+    parts = (model.A, model.B, model.C, model.D)
+    if _within_bounds(parts):
+        return model
+    t = balancing_exponents(model.A, model.B, model.C).astype(float)
+    if model.B.any() and model.C.any():  # inputs and outputs alike
+        into, out = (np.frexp(m)[1] + e for m, e in ((model.B, -t[:, None]), (model.C, t)))
+        t += np.round(0.5 * (into[model.B != 0].max() - out[model.C != 0].max()))
+    shifts = (t - t[:, None], -t[:, None], t, np.zeros(model.D.shape))
+    with np.errstate(over="ignore", under="ignore"):
+        a, b, c, d = scaled = [np.ldexp(m, e.astype(int)) for m, e in zip(parts, shifts, strict=True)]
+    if not _within_bounds(scaled):
+        size = np.concatenate([np.abs(m[m != 0]).ravel() for m in scaled])
+        found = f"entries of M from {size.min():.3g} to {size.max():.3g} in balanced states: products of them overflow"
+        raise NoTrustworthyNumber(where, found, None, "choose other units of time, of signals, or of the parameters")
+    return StateSpaceModel(a, b, c, d, model.dt, model.inputs, model.outputs, model.states, where=where)
+
+
+def _within_bounds(matrices: Sequence[Array]) -> bool:
+    return all(np.abs(m).max(initial=0.0) <= MOST for m in matrices)
 
 
 def frequencies(omega: ArrayLike | None, where: str) -> Array:

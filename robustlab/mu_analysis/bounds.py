@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.certificate import has_structure
 from robustlab.mu_analysis.decomposition import components
 from robustlab.mu_analysis.lower import lower_bounds
@@ -78,6 +78,7 @@ class MuBounds:
         return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
 
 
+@told_as("mu")
 def mu(
     M: ArrayLike,
     blocks: Any,

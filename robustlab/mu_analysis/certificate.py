@@ -139,10 +139,11 @@ class _Inequality:
 
     def allowance(self, beta: Array) -> Array:
         """About how much larger than its level beta^2 has to be for a proof."""
-        traces = np.einsum("kii->k", beta[:, None, None] ** 2 * self.Dw - self.supply).real
-        needed = self.error(beta) + 4 * (self.Dw.shape[1] + 2) * EPS * np.maximum(traces, 0.0)
         smallest = np.linalg.eigvalsh(self.Dw)[:, 0]
-        return 2 * needed / np.where(smallest > 0, smallest, np.nan) + 1e-300
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN proves nothing
+            traces = np.einsum("kii->k", beta[:, None, None] ** 2 * self.Dw - self.supply).real
+            needed = self.error(beta) + 4 * (self.Dw.shape[1] + 2) * EPS * np.maximum(traces, 0.0)
+            return 2 * needed / np.where(smallest > 0, smallest, np.nan) + 1e-300
 
     def proves(self, beta: Array, which: Any = slice(None)) -> NDArray[np.bool_]:
         """Whether D > 0 and N(beta) >= 0 hold in spite of all rounding errors, for each matrix."""

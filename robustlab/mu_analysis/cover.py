@@ -19,7 +19,7 @@ from typing import Any, cast, get_args
 import numpy as np
 
 from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.worst_gain import worst_case_gain
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
@@ -153,6 +153,7 @@ class Cover:
         return {"type": "Cover", **vars(self)}
 
 
+@told_as("cover")
 @one_thread()
 def cover(
     models: Iterable[Any],
@@ -291,6 +292,7 @@ def _unstructured(
     )  # fmt: skip
 
 
+@told_as("conservatism")
 def conservatism(
     uncertain: UncertainModel,
     models: Iterable[Any],

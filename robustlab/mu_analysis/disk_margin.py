@@ -23,7 +23,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.budget import Budget, one_thread, search_budget
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.bounds import mu
 from robustlab.mu_analysis.certificate import singularity
@@ -154,6 +154,7 @@ class DiskMargins:
         }
 
 
+@told_as("disk_margin")
 def disk_margin(
     plant: Any,
     K: Any = None,

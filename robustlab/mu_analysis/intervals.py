@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from robustlab.budget import Budget
 from robustlab.frequency import frequency_response
+from robustlab.magnitude import balancing_factors
 from robustlab.mu_analysis.scalings import hermitian
 from robustlab.mu_analysis.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
@@ -247,8 +248,6 @@ def _speed(model: StateSpaceModel) -> float:
 
 def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array | None:
     """Moduli of the imaginary parts of all eigenvalues of H, or None where H cannot be formed with confidence."""
-    from scipy.linalg import matrix_balance
-
     A, B, C, D = model.A, model.B, model.C, model.D
     Dz, X = bound.Dz, -1j * hermitian(bound.G)
     R = hermitian(D) @ Dz @ D + hermitian(D) @ X + hermitian(X) @ D - beta**2 * bound.Dw
@@ -267,7 +266,8 @@ def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array
     )
     if not np.isfinite(H).all():
         return None
-    return np.abs(np.linalg.eigvals(matrix_balance(H, permute=False)[0]).imag)
+    t = balancing_factors(H)
+    return np.abs(np.linalg.eigvals(H / t[:, None] * t).imag)
 
 
 def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> NDArray[np.bool_]:

@@ -82,7 +82,7 @@ def lower_bounds(
         for component in components(m, blocks):
             if component.matrix.any():
                 # The steps are sized for a matrix of order one.
-                size = float(np.exp2(np.rint(np.log2(np.abs(component.matrix).max()))))
+                size = float(np.exp2(max(np.rint(np.log2(np.abs(component.matrix).max())), -1000.0)))
                 jobs.setdefault(component.members, []).append((k, component, size))
     for members, group in jobs.items():
         part = [blocks[i] for i in members]
@@ -95,7 +95,9 @@ def lower_bounds(
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
             for (k, component, size), found in zip(some, candidates, strict=True):
-                best[k] = _verified(stack[k], blocks, component, [c / size for c in found], best[k])
+                with np.errstate(over="ignore", invalid="ignore"):  # a Delta that overflows does not verify
+                    back = [c for c in (c / size for c in found) if np.isfinite(c).all()]
+                best[k] = _verified(stack[k], blocks, component, back, best[k])
     return best
 
 
@@ -156,8 +158,9 @@ def _within_reach(
     if not layout.real.all() or not (M.imag.any() or delta.imag.any()):
         return True
     gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
-    along = np.exp(-0.5j * np.angle((gains**2).sum()))
-    size, off = float(np.abs(gains).sum()), float(np.abs((gains * along).imag).sum())
+    size = float(np.abs(gains).sum())
+    along = np.exp(-0.5j * np.angle(((gains / size) ** 2).sum())) if size else complex(1.0)
+    off = float(np.abs((gains * along).imag).sum())
     if off > 1e-6 * size:
         return True
     reach = float(layout.sizes(delta[None]).max())

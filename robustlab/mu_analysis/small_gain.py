@@ -31,7 +31,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.certificate import singularity
 from robustlab.norms import HinfNorm, hinf_norm
@@ -91,6 +91,7 @@ class SmallGain:
         return {"type": "SmallGain", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
 
 
+@told_as("small_gain")
 def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1] = -1) -> SmallGain:
     r"""Small-gain test of an uncertain model with one full block, closed by a controller.
 
@@ -129,7 +130,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     if not np.isfinite(norm.upper):
         raise NoTrustworthyNumber(
             "small_gain",
-            f"nominal closed loop unstable ({norm.reason})",
+            f"nominal closed loop {'unstable' if norm.lower else 'not surely stable'} ({norm.reason})",
             "a stable nominal loop",
             "check the sign of the feedback: sign=, or --feedback negative | positive",
         )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis_model import (
     check_nominal,
@@ -72,6 +72,7 @@ class _Found:
         return 0.0 if self.worst is None else 1 / gauge(self.blocks, block_entries(self.blocks, self.worst.delta))
 
 
+@told_as("robust_stability")
 def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -341,6 +342,7 @@ def _margin(
         notes = (*notes, f"proved by branch and bound; regions of parameters and frequency: {len(found.proof)}")
     if budget.remark:
         notes = (*notes, budget.remark)
+    notes = (*notes, *uncertain.impossible(delta))
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
     pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]

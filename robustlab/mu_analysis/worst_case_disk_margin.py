@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.disk_margin import (
     DiskMargin,
     Place,
@@ -106,6 +106,7 @@ class WorstCaseDiskMargin:
         return {"type": "WorstCaseDiskMargin", **parts}
 
 
+@told_as("worst_case_disk_margin")
 def worst_case_disk_margin(
     uncertain: UncertainModel,
     K: Any = None,
@@ -289,7 +290,7 @@ class _Search:
     def result(self, accuracy: float) -> WorstCaseDiskMargin:
         """The bounds as a result."""
         met = self.upper <= self.lower * (1 + accuracy) or self.upper == 0
-        notes = []
+        notes: list[str] = []
         if self.upper == 0:
             notes.append("a member of the set has a loop that is not stable")
         elif not met:
@@ -305,6 +306,7 @@ class _Search:
             status = Status.TIMEOUT
         else:
             status = Status.CERTIFIED if self.lower > 0 else Status.INCONCLUSIVE
+        notes += self.uncertain.impossible(self.delta)
         low, high, phase = gain_and_phase(float(self.lower), self.skew)
         physical = self.uncertain.physical(self.delta)
         return WorstCaseDiskMargin(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis_model import (
     check_nominal,
@@ -109,6 +109,7 @@ class WorstCaseGain:
         return {"type": "WorstCaseGain", **{name: getattr(self, name) for name in names}, "gap": self.gap}
 
 
+@told_as("worst_case_gain")
 def worst_case_gain(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -208,6 +209,7 @@ def _with_blocks(
     return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
 
 
+@told_as("robust_performance")
 def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
     r"""Robust performance margin: the largest k with gain below ``1 / k`` for all Delta of size below k.
 
@@ -445,6 +447,7 @@ def _result(
         notes = (*notes, budget.remark)
     if not proved:
         notes = (*notes, "no upper bound: the set was not proved stable")
+    notes = (*notes, *uncertain.impossible(known.delta))
     nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
     pieces = [(p.low, p.high, min(p.beta, known.upper)) for p in known.cover.pieces]
     return WorstCaseGain(

@@ -18,7 +18,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["decode_controller", "decode_uncertain", "encode_controller", "encode_uncertain"]
 
-FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin")
+FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin", "sign")
 KIND_OF = {RealScalar: "real", ComplexScalar: "complex", FullBlock: "full"}
 
 
@@ -26,7 +26,7 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     """Group ``M`` as a state-space model, group ``blocks`` with one entry per block in each dataset.
 
     The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric,
-    ``origin`` only if some block says where it comes from.
+    ``origin`` only if some block says where it comes from, ``sign`` only if physics limits some parameter's sign.
     """
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:
@@ -44,6 +44,9 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     if any(p and p.below is not None for p in parameters):
         widths = [np.nan if p is None or p.below is None else p.below for p in parameters]
         columns["below"] = np.array(widths, dtype=np.float64)
+    signs = [p.sign if p else "any" for p in parameters]
+    if any(sign != "any" for sign in signs):
+        columns["sign"] = np.array(signs, dtype=np.str_)
     if any(b.origin for b in model.blocks):
         columns["origin"] = np.array([b.origin for b in model.blocks], dtype=np.str_)
     for name, values in columns.items():
@@ -77,7 +80,7 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
         if name not in group.datasets:
             continue
         values = group.datasets[name].values
-        kinds = "U" if name in ("name", "kind", "unit", "origin") else "fi"
+        kinds = "U" if name in ("name", "kind", "unit", "origin", "sign") else "fi"
         if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
             wanted = "texts" if kinds == "U" else "real numbers"
             problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
@@ -131,7 +134,8 @@ def _parameter(i: int, columns: dict[str, list[Any]], path: str, problems: Probl
         )
         return None
     below = columns["below"][i] if "below" in columns and not np.isnan(columns["below"][i]) else None
-    return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "", below)
+    sign = columns["sign"][i] if "sign" in columns else "any"
+    return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "", below, sign=sign)
 
 
 def encode_controller(tree: Tree, controller: Controller) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.magnitude import is_moderate
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
 
 __all__ = ["broken_assumptions", "require_stabilisable"]
@@ -15,6 +17,8 @@ __all__ = ["broken_assumptions", "require_stabilisable"]
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
 # order one).
 PBH_TOLERANCE = 1e-11
+# Channels weaker than this share of the fastest pole are made as strong before they are judged.
+WEAK = 1e-6
 # Real parts within this share of the largest modulus count as "on the axis".
 AXIS = 1e-10
 # A singular value of D12 or D21 below this (plant scaled to order one) is regularised.
@@ -43,14 +47,19 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
     """
     if not p.A.size:
         return
+    ordinary = 1.0 if is_moderate(p.A) else float(np.ldexp(1.0, np.clip(np.frexp(np.abs(p.A).max())[1], -1000, 1000)))
+    if ordinary != 1.0:  # modes are told apart in their own unit of time
+        p, rate = replace(p, A=p.A / ordinary), rate * ordinary
     poles = np.linalg.eigvals(p.A)
     size = max(float(np.abs(poles).max()), 1e-300)
+    # How strong a control or a measurement is depends on its unit: each counts as if it were as large as A.
+    into, out = _like(p.B2, 0, size), _like(p.C2, 1, size)
     faults: list[str] = []
     for pole in poles[(poles.real >= -AXIS * size) & (poles.imag >= 0)]:
         shifted = p.A - pole * np.eye(p.A.shape[0])
         for matrix, text in (
-            (np.hstack([shifted, p.B2]).conj().T, "cannot be moved by the controls"),
-            (np.vstack([shifted, p.C2]), "does not show in the measurements"),
+            (np.hstack([shifted, into]).conj().T, "cannot be moved by the controls"),
+            (np.vstack([shifted, out]), "does not show in the measurements"),
         ):
             state = _null_state(matrix)
             if state is not None:
@@ -63,6 +72,13 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
             hint="add an actuator or a sensor for it, or take it out (robustlab.structural.drop_unconnected)",
             more=tuple(dict.fromkeys(faults[1:])),
         )
+
+
+def _like(matrix: NDArray[Any], axis: int, size: float) -> NDArray[Any]:
+    """Columns (axis 0) or rows (axis 1) that are too weak beside ``size`` to be told from rounding, made as large."""
+    norms = np.linalg.norm(matrix, axis=axis, keepdims=True)
+    weak = (norms > 0) & (norms < WEAK * size)
+    return matrix * np.where(weak, size / np.where(weak, norms, 1.0), 1.0)
 
 
 def _null_state(matrix: NDArray[Any]) -> int | None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.magnitude import balancing_factors
 from robustlab.matrix_equations import lyapunov_factor
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel
@@ -70,7 +71,7 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
             np.zeros((0, 0)), np.zeros((0, model.n_inputs)), np.zeros((model.n_outputs, 0)), 0 * model.D, dt
         )
         return SplitModel(model, nothing)
-    scale = _balancing(model.A)
+    scale = balancing_factors(model.A)
     a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
     try:
         form = schur(a, output="real", sort=lambda x, y: bool(_is_stable(np.array([complex(x, y)]), dt)[0]))
@@ -78,8 +79,10 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
         x = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
     except LinAlgError:
         raise NoTrustworthyNumber("stable part", "its poles cannot be told from the others") from None
-    residual = np.linalg.norm(t[:k, :k] @ x - x @ t[k:, k:] + t[:k, k:])
-    if not np.isfinite(x).all() or residual > 1e-8 * (1 + np.linalg.norm(x)) * np.linalg.norm(t):
+    with np.errstate(over="ignore", invalid="ignore"):
+        residual = np.linalg.norm(t[:k, :k] @ x - x @ t[k:, k:] + t[:k, k:])
+        size = np.linalg.norm(t)
+    if not np.isfinite(x).all() or not residual <= 1e-8 * (1 + np.linalg.norm(x)) * size < np.inf:
         raise NoTrustworthyNumber("stable part", f"its poles cannot be told from the others (residual {residual:.1e})")
     b, c = q.T @ b, c @ q
     top, right = b[:k] - x @ b[k:], c[:, :k] @ x + c[:, k:]
@@ -93,7 +96,7 @@ def gramian_factors(model: StateSpaceModel) -> tuple[Array, Array]:
     The map with the scaling of `robustlab.norms.bilinear_to_continuous` leaves both Gramians as they are.
     """
     m = bilinear_to_continuous(model) if model.is_discrete else model
-    scale = _balancing(m.A)
+    scale = balancing_factors(m.A)
     a = m.A / scale[:, None] * scale
     reach = lyapunov_factor(a, m.B / scale[:, None])
     see = lyapunov_factor(a.T, (m.C * scale).T)
@@ -166,12 +169,3 @@ def _is_stable(poles: Array, dt: float) -> Array:
     if dt:
         return np.abs(poles) < 1 - STABLE_MARGIN
     return np.real(poles) < -STABLE_MARGIN * np.abs(poles)
-
-
-def _balancing(a: Array) -> Array:
-    from scipy.linalg import matrix_balance
-
-    if not a.size:
-        return np.ones(len(a))
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        return np.asarray(matrix_balance(a, permute=False, separate=True)[1][0])

@@ -84,7 +84,8 @@ def _steepest(gradient: Array, length: float) -> Array:
 
 def _updated(inverse: Array, s: Array, y: Array, fresh: bool) -> tuple[Array, bool]:
     sy = float(s @ y)
-    if not sy > 1e-14 * float(np.linalg.norm(s) * np.linalg.norm(y)):
+    # y^T y vanishes where the entries of y are smaller than the root of the smallest number.
+    if not sy > 1e-14 * float(np.linalg.norm(s) * np.linalg.norm(y)) or not y @ y > 0:
         return inverse, fresh
     if fresh:
         inverse = np.eye(len(s)) * (sy / float(y @ y))

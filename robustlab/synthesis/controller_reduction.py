@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, dense, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller_candidates import CandidateFamily, candidate_families
@@ -125,6 +125,7 @@ class ReducedController(Synthesis):
         }
 
 
+@told_as("reduce_controller")
 def reduce_controller(
     design_or_plant: Any,
     K: Any = None,

@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
@@ -41,6 +41,7 @@ INFINITE_ZERO = 1e7
 MATCHED = 1e-6
 
 
+@told_as("discretise")
 def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: float | None = None) -> StateSpaceModel:
     r"""Discrete model with sample time ``dt`` of a continuous one, with the same signals.
 
@@ -133,9 +134,11 @@ def _exponential(block: Array, method: str, m: StateSpaceModel, dt: float) -> Ar
         moved = expm(block)
     if not np.isfinite(moved).all():
         fastest = m.spectral_abscissa()
-        raise NoTrustworthyNumber(
-            f"discretise ({method})", f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
-        )
+        found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
+        if fastest < 0:
+            rate = float(np.abs(m.poles()).max())
+            found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
+        raise NoTrustworthyNumber(f"discretise ({method})", found)
     return moved
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid
 from robustlab.mu_analysis.axis_model import continuous
 from robustlab.mu_analysis.certificate import project
@@ -56,6 +56,7 @@ FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS
 PROOF_ACCURACY = 1e-3
 
 
+@told_as("synth dk")
 def dk(
     P: Any,
     blocks: Any = None,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_continuous, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.synthesis.assumptions import require_stabilisable
@@ -37,6 +37,7 @@ VERIFIED = 4
 KEPT = 1e-9
 
 
+@told_as("synth fixed")
 def fixed_structure(
     P: Any,
     structure: Any = "static",

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.magnitude import LARGEST, is_moderate
 from robustlab.synthesis.partition import PlantMatrices
 from robustlab.synthesis.scaling import Scaling
 
@@ -192,7 +193,7 @@ def _bounds(p: PlantMatrices, s: Array) -> Array:
             P = C @ np.linalg.solve(s[:, None, None] * np.eye(n) - p.A, B[None].astype(complex)) + D
         except np.linalg.LinAlgError:
             return np.zeros(len(s))
-    usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
+    usable = np.asarray((np.abs(P) < LARGEST).all(axis=(1, 2)))  # and no NaN
     P = np.where(usable[:, None, None], P, 0.0)
     # Close to a pole P11 and P12 Q P21 are large and nearly cancel: such a point proves nothing in floating point.
     calm = np.linalg.norm(P, axis=(1, 2)) < 1e8
@@ -212,6 +213,8 @@ def _unreached(M: Array) -> Array:
     rows, columns = M.shape[1:]
     if rows <= columns:
         return np.zeros((len(M), rows, 0), complex)
+    if not is_moderate(M):  # what the columns span does not depend on their length
+        M = M / np.maximum(np.abs(M).max(axis=1, keepdims=True), np.finfo(float).tiny)
     size = np.linalg.norm(M, axis=1, keepdims=True)
     u, sigma, _ = np.linalg.svd(M / np.where(size > 0, size, 1.0))
     # A column that is zero leaves more room than is counted here: the bound stays valid.

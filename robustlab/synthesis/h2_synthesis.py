@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.magnitude import moderated
 from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.design import Synthesis, design_budget, told
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
-from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
+from robustlab.synthesis.scaling import Scaling, by_magnitude, equilibrated, paths_first
 from robustlab.synthesis.verified_loop import rebuilt_loop
 
 __all__ = ["WORK", "H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
@@ -85,6 +86,7 @@ class H2Synthesis(Synthesis):
         }
 
 
+@told_as("synth h2")
 def h2(
     P: Any,
     n_meas: int | None = None,
@@ -191,8 +193,10 @@ def _synthesized(
     start = cancelling_gain(matrices, dt, where)
     shifted = _with_gain(matrices, start)
     trials: list[_Trial] = []
-    for scale in (paths_first, equilibrated):
-        scaling = scale(shifted)
+    for scale in (paths_first, equilibrated, by_magnitude):
+        if scale is by_magnitude and trials:
+            break
+        scaling = scale(shifted, dt > 0)
         if dt:  # a step has no other unit of time
             scaling = replace(scaling, rate=1.0)
         if not trials:
@@ -352,7 +356,7 @@ def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scali
     scaled = scaling.apply(shifted)
     if plant.model.dt:
         n = scaled.A.shape[0]
-        plus = np.eye(n) + scaled.A
+        plus = np.eye(n) + scaled.A  # in balanced states
         if n and np.linalg.cond(plus) > 1e12:
             return  # a pole at z = -1: the Riccati equations and the rebuilt loop will tell
         scaled = replace(scaled, A=np.linalg.solve(plus, scaled.A - np.eye(n)), B2=np.linalg.solve(plus, scaled.B2))
@@ -418,6 +422,7 @@ def _loudest(loop: StateSpaceModel) -> str:
     if not loop.n_inputs or not loop.n_outputs:
         return ""
     try:
+        loop = moderated(loop, "h2").model  # shares do not depend on the scaling
         reach, see = gramians(loop.A, loop.B, loop.C, loop.is_discrete)
     except NoTrustworthyNumber:
         return ""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -32,6 +32,7 @@ WORK = 60 * MILLION
 CALMER = 1.001
 
 
+@told_as("synth hinf")
 def hinf(
     P: Any,
     n_meas: int | None = None,

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import drop_unconnected
@@ -85,6 +85,7 @@ class LoopFunctions:
         return self.S.is_stable()
 
 
+@told_as("loop_functions")
 def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunctions:
     r"""S, T, K S and S G of plant G and controller K.
 
@@ -149,6 +150,7 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunction
     )
 
 
+@told_as("loop_functions_of")
 def loop_functions_of(design: Synthesis) -> LoopFunctions:
     """S, T, K S and S G of a finished design, at the outputs that its controller measures.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
@@ -114,6 +114,7 @@ class NcfSynthesis(Synthesis):
         }
 
 
+@told_as("synth ncf")
 def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
     r"""Loop-shaping controller of largest, or nearly largest, coprime stability margin.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import MILLION, Budget, dense, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
@@ -89,6 +89,7 @@ class MixedSynthesis(Synthesis):
         }
 
 
+@told_as("synth h2-hinf")
 def h2_hinf(
     P: Any,
     n_meas: int | None = None,

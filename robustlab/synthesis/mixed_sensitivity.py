@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
 from robustlab.synthesis.design import HinfSynthesis, design_budget
 from robustlab.synthesis.hinf_synthesis import WORK, synthesize
@@ -16,6 +16,7 @@ from robustlab.synthesis.partition import GeneralizedPlant
 __all__ = ["mixed_sensitivity_plant", "mixsyn"]
 
 
+@told_as("synth mixsyn")
 def mixsyn(
     G: Any,
     W1: Any = None,

@@ -9,9 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
+from robustlab.magnitude import Moderated, moderated
+from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm, norm_as_given
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.balancing import Balancing, Projection, gramian_factors, split_stable, triangular_root
@@ -109,6 +110,7 @@ class ReducedModel:
         }
 
 
+@told_as("hankel_singular_values")
 def hankel_singular_values(model: Any) -> Array:
     r"""Hankel singular values of the stable part of a model, shape (n_stable,), in decreasing order.
 
@@ -122,10 +124,13 @@ def hankel_singular_values(model: Any) -> Array:
     >>> hankel_singular_values(lag)
     array([1.5])
     """
-    stable = split_stable(as_model(model, "hankel_singular_values")).stable
-    return Balancing.of(*gramian_factors(stable)).values
+    where = "hankel_singular_values"
+    ordinary = moderated(as_model(model, where), where)
+    values = Balancing.of(*gramian_factors(split_stable(ordinary.model).stable)).values
+    return np.array([ordinary.value(value, where) for value in values])
 
 
+@told_as("balanced_truncation")
 def balanced_truncation(model: Any, order: int | None = None, *, tolerance: float | None = None) -> ReducedModel:
     r"""Balanced truncation: `reduce_model` with ``method="truncation"``.
 
@@ -141,6 +146,7 @@ def balanced_truncation(model: Any, order: int | None = None, *, tolerance: floa
     return reduce_model(model, order, tolerance=tolerance)
 
 
+@told_as("reduce_model")
 def reduce_model(
     model: Any,
     order: int | None = None,
@@ -263,11 +269,14 @@ def _balanced_reduction(
     full: StateSpaceModel, method: Projection, weights: tuple[StateSpaceModel | None, StateSpaceModel | None]
 ) -> Candidates:
     """What makes the candidate of a given order, and the least and largest order there are."""
-    split = split_stable(full)
-    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, full.dt)
     weighted = weights != (None, None)
+    unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))  # a weight has the units of the model
+    ordinary = unchanged if weighted else moderated(full, "reduce_model")
+    split = split_stable(ordinary.model)
+    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, ordinary.model.dt)
     balancing = Balancing.of(*(weighted_factors(stable, *weights) if weighted else gramian_factors(stable)))
     apart = split.apart.n_states
+    values = np.array([ordinary.value(value, "reduce_model") for value in balancing.values])
 
     def candidate(order: int) -> ReducedModel:
         small = balancing.reduced(stable, order - apart, method)
@@ -277,10 +286,11 @@ def _balanced_reduction(
                 f"the model of order {small.n_states + apart} is not stable",
                 hint="another order, or one weight instead of two" if weighted else "another order",
             )
-        bound = np.nan if weighted else error_bound(balancing.values, small.n_states)
-        error = hinf_norm(_weighted(_difference(stable, small), *weights))
+        bound = np.nan if weighted else error_bound(values, small.n_states)
+        error = norm_as_given(hinf_norm(_weighted(_difference(stable, small), *weights)), ordinary)
         name = f"weighted {method}" if weighted else method
-        return _checked(full, split.joined(small), name, error, bound, balancing.values, apart, weights)
+        model = ordinary.as_given(split.joined(small), "reduce_model")
+        return _checked(full, model, name, error, bound, values, apart, weights)
 
     return candidate, apart, apart + len(balancing.left)
 
@@ -374,7 +384,7 @@ def _seen_difference(
     if weights[1] is not None:
         gap = frequency_response(weights[1], omega) @ gap
     size_of = np.linalg.norm
-    return float(size_of(gap, 2, axis=(1, 2)).max(initial=0.0)), float(size_of(first, axis=(1, 2)).max(initial=0.0))
+    return float(size_of(gap, 2, axis=(1, 2)).max(initial=0.0)), float(size_of(first, 2, axis=(1, 2)).max(initial=0.0))
 
 
 class CoprimeReduction:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.matrix_equations import lyapunov
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, as_model
@@ -191,6 +191,7 @@ class PerformanceLimits:
         return {"type": "PerformanceLimits", **vars(self), **modes}
 
 
+@told_as("performance_limits")
 def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
     r"""Limits that the plant's unstable zeros, unstable poles and delay put on every stabilising controller.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from robustlab.budget import Budget
 from robustlab.synthesis.partition import PlantMatrices
-from robustlab.synthesis.scaling import Scaling
+from robustlab.synthesis.scaling import Scaling, by_magnitude
 from robustlab.synthesis.search import IMPROVEMENT, SHARES, Candidate, Search, smallest
 
 __all__ = ["Portfolio", "portfolio"]
@@ -79,6 +79,9 @@ def portfolio(
         for search in (one, two):
             search.take_care()
             search.ladder()
+    if one.best is None and two.best is None:  # a control or a measurement of quite another size than its cost
+        one = Search(matrices, by_magnitude(matrices), budget, floor, D22)
+        one.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.polish(leader.best)

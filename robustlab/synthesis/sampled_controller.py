@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import MILLION, Budget, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
@@ -154,6 +154,7 @@ class SampledController(Synthesis):
         }
 
 
+@told_as("discretise_controller")
 def discretise_controller(
     design_or_plant: Any,
     dt: float,

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.budget import dense, one_thread
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series
@@ -90,6 +90,7 @@ class SampledDataNorm:
         return {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "loop"}
 
 
+@told_as("sampled_data_norm")
 def sampled_data_norm(
     plant: Any,
     K: Any,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, dense, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.margin import Margin
 from robustlab.mu_analysis.stability import margin_within
 from robustlab.mu_analysis.upper import compile_kernels
@@ -138,6 +138,7 @@ class SampledRobustness:
         return {"type": "SampledRobustness", **data, "margin": self.margin, "mu_upper": self.mu_upper}
 
 
+@told_as("sampled_robustness")
 def sampled_robustness(
     plant: Any,
     K: Any,

@@ -12,11 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.magnitude import TINY, balancing_exponents, is_moderate
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 
-__all__ = ["Scaling", "equilibrated", "paths_first"]
+__all__ = ["Scaling", "by_magnitude", "equilibrated", "paths_first"]
 
 Array = NDArray[Any]
+
+# Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
+FASTER, LIMIT = 40, 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,27 +46,46 @@ class Scaling:
 
     def apply(self, p: PlantMatrices) -> PlantMatrices:
         """The scaled plant."""
-        t, rows = self.states, self.states[:, None] * self.rate
+        k, w, z = _exponent(self.rate), _exponent(self.w), _exponent(self.z)
+        t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
+        rows = -t[:, None] - k
         return PlantMatrices(
-            p.A / rows * t,
-            p.B1 / rows * self.w,
-            p.B2 / rows * self.u,
-            p.C1 * t * self.z,
-            p.C2 * t * self.y[:, None],
-            p.D11 * (self.w * self.z),
-            p.D12 * self.u * self.z,
-            p.D21 * self.w * self.y[:, None],
+            _signed(p.A, rows + t),
+            _times(p.B1, rows + w),
+            _times(p.B2, rows + u),
+            _times(p.C1, t + z),
+            _times(p.C2, t + y),
+            _times(p.D11, w + z),
+            _times(p.D12, u + z),
+            _times(p.D21, w + y),
         )
 
     def controller_to_plant(self, K: Realisation) -> Realisation:
         """The controller for the plant that belongs to one for the scaled plant."""
-        u = self.u[:, None]
-        return Realisation(self.rate * K.A, self.rate * K.B * self.y, u * K.C, u * K.D * self.y)
+        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
+        return Realisation(_times(K.A, k), _times(K.B, k + y), _times(K.C, u), _times(K.D, u + y))
 
     def controller_from_plant(self, K: Realisation) -> Realisation:
         """Inverse of `controller_to_plant`."""
-        u = self.u[:, None]
-        return Realisation(K.A / self.rate, K.B / self.rate / self.y, K.C / u, K.D / u / self.y)
+        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
+        return Realisation(_times(K.A, -k), _times(K.B, -k - y), _times(K.C, -u), _times(K.D, -u - y))
+
+
+def _exponent(factor: Array | float) -> Array:
+    """Exponents of factors, which are powers of two."""
+    return np.frexp(factor)[1] - 1
+
+
+def _times(matrix: Array, exponents: Array) -> Array:
+    """``matrix * 2^exponents``; inf and 0 where that is no floating-point number, never on the way there."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.ldexp(matrix, exponents)
+
+
+def _signed(matrix: Array, exponents: Array) -> Array:
+    """The same, without entries that vanish: a pole keeps its side of the axis."""
+    scaled = _times(matrix, exponents)
+    return np.where((scaled == 0) & (matrix != 0), np.copysign(TINY, matrix), scaled)
 
 
 def _power(x: Array | float) -> Array:
@@ -75,12 +99,61 @@ def _rms(x: Array) -> float:
     return float(np.linalg.norm(x) / np.sqrt(max(1, min(x.shape)))) if x.size else 0.0
 
 
-def _start(p: PlantMatrices) -> Scaling:
+def _start(p: PlantMatrices, discrete: bool) -> Scaling:
+    # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
+    columns, rows = (np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12)), (p.C2, p.D21)
+    sizes = [*columns, *(np.abs(m).max(axis=1, initial=0.0) for m in rows)]
+    sizes += [np.abs(m).max(initial=0.0, keepdims=True) for m in (p.A, p.B1, p.C1, p.D11)]
+    if not is_moderate(*sizes):
+        return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
     rate = float(_power(float(np.median(size)))) if len(size) else 1.0
     n, _, n_u, _, n_y = p.sizes
     return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
+
+
+def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
+    """B2 and C2 to order one, then what z and w weigh; by exponents, for plants whose squares overflow or vanish.
+
+    The unit of time is that of A, or of the loops that u and y can close where these are faster by far; a discrete
+    plant keeps its steps.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        Factors that no floating-point number is: the controller would have such gains.
+    """
+    t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
+    rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
+    if discrete:
+        if k > FASTER:
+            found = f"A grows by 2^{k} in one step: digits of everything else are lost beside it"
+            raise NoTrustworthyNumber("scaling", found, None, "a shorter sample time")
+        k = 0
+    elif all(m.any() for m in (p.B1, p.B2, p.C1, p.C2, p.D12, p.D21)):
+        control = _to_one((p.D12, 0)) - _to_one((p.B2, rows)) - _to_one((p.C1, t))
+        filtering = _to_one((p.D21, 0)) - _to_one((p.C2, t)) - _to_one((p.B1, rows))
+        pace = min(control, filtering)
+        k = pace if pace > k + FASTER or not p.A.any() else k
+    rows = rows - k
+    _, _, n_u, _, n_y = p.sizes
+    acts, shows = [column.any() for column in p.B2.T], [row.any() for row in p.C2]
+    u = [_to_one((p.B2[:, [i]], rows) if acts[i] else (p.D12[:, [i]], 0)) for i in range(n_u)]
+    y = [_to_one((p.C2[[i]], t) if shows[i] else (p.D21[[i]], 0)) for i in range(n_y)]
+    w = _to_one((p.B1, rows), (p.D21, np.reshape(y, (-1, 1))))
+    z = _to_one((p.C1, t), (p.D12, np.array(u)))
+    exponents = [np.asarray(e) for e in (k, t, u, y, w, z)]
+    if max(np.abs(e).max(initial=0) for e in exponents) > LIMIT:
+        raise NoTrustworthyNumber("scaling", "gains of the controller overflow", None, "choose other units of u and y")
+    rate, states, into, out, w, z = (np.ldexp(1.0, e) for e in exponents)
+    return Scaling(float(rate), states, into, out, float(w), float(z))
+
+
+def _to_one(*scaled: tuple[Array, Array | int]) -> int:
+    """Exponent that takes the largest entry of several ``matrix * 2^exponents`` to order one; 0 where all vanish."""
+    found = [int((np.frexp(m)[1] + e)[m != 0].max()) for m, e in scaled if m.any()]
+    return -max(found, default=0)
 
 
 def _osborne(p: PlantMatrices, states: Array, sweeps: int) -> Array:
@@ -108,9 +181,9 @@ def _osborne(p: PlantMatrices, states: Array, sweeps: int) -> Array:
     return t
 
 
-def paths_first(p: PlantMatrices) -> Scaling:
+def paths_first(p: PlantMatrices, discrete: bool = False) -> Scaling:
     """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
-    s = _start(p)
+    s = _start(p, discrete)
     for last in (False, False, True):
         q = s.apply(p)
         if (s.z, s.w) == (1.0, 1.0):
@@ -131,9 +204,9 @@ def _channel(direct: Array, dynamic: Array) -> Array:
     return _power(np.where(direct > 1e-8, direct, dynamic))
 
 
-def equilibrated(p: PlantMatrices) -> Scaling:
+def equilibrated(p: PlantMatrices, discrete: bool = False) -> Scaling:
     """Everything towards rows and columns of size one, until nothing changes or after 30 passes."""
-    s = _start(p)
+    s = _start(p, discrete)
     for _ in range(30):
         before = s
         s = Scaling(s.rate, _osborne(s.apply(p), s.states, 1), s.u, s.y, s.w, s.z)

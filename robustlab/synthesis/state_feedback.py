@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.magnitude import balancing_exponents, is_moderate, refuse_overflow
 from robustlab.matrix_equations import RiccatiSolution, care, dare
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
@@ -59,6 +60,7 @@ class StateFeedback:
         return {"type": "StateFeedback", **vars(self)}
 
 
+@told_as("lqr")
 def lqr(G: Any, Q: ArrayLike, R: ArrayLike, N: ArrayLike | None = None) -> StateFeedback:
     r"""Linear-quadratic regulator ``u = -K x``, as in python-control and MATLAB.
 
@@ -107,6 +109,7 @@ def lqr(G: Any, Q: ArrayLike, R: ArrayLike, N: ArrayLike | None = None) -> State
     return StateFeedback(K, loop.poles(), Status.CONVERGED, f"stable; Riccati residual {found.residual:.1e}", found.X)
 
 
+@told_as("place")
 def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     r"""State feedback ``u = -K x`` that puts the eigenvalues of ``A - B K`` where they are wanted.
 
@@ -145,7 +148,8 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     if not test.complete:
         modes = "; ".join(mode.meaning for mode in test.modes)
         raise InputError("place", f"the inputs do not move every mode: {modes}", "a controllable model")
-    independent = int(np.linalg.matrix_rank(g.B))
+    a, b, back = _ordinary(g)
+    independent = int(np.linalg.matrix_rank(b))
     values, counts = np.unique(wanted, return_counts=True)
     if counts.max() > independent:
         raise InputError(
@@ -157,12 +161,12 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # slow convergence: the poles that came out are compared below
         try:
-            placed: Any = place_poles(g.A, g.B, wanted)
+            placed: Any = place_poles(a, b, wanted)
         except (ValueError, np.linalg.LinAlgError) as error:
             raise NoTrustworthyNumber("place", f"the method broke down: {error}") from None
-    K = np.ascontiguousarray(np.real(placed.gain_matrix))
-    if not np.isfinite(K).all():
-        raise NoTrustworthyNumber("place", "the gain is not finite")
+    with np.errstate(over="ignore", under="ignore"):
+        K = np.ascontiguousarray(np.ldexp(np.real(placed.gain_matrix), back))
+    refuse_overflow("place", K)
     reached = _closed(g, K).poles()
     miss = _largest_distance(reached, wanted)
     size = max(float(np.abs(wanted).max()), 1e-300)
@@ -170,6 +174,7 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     return StateFeedback(K, reached, status, f"poles miss their places by {miss / size:.1e} of the largest at most")
 
 
+@told_as("synth lqg")
 def lqg(
     G: Any,
     Q: ArrayLike,
@@ -282,7 +287,22 @@ def _closed(g: StateSpaceModel, K: Array) -> StateSpaceModel:
     return StateSpaceModel(g.A - g.B @ K, g.B, np.eye(g.n_states), np.zeros((g.n_states, g.n_inputs)), g.dt)
 
 
+def _ordinary(g: StateSpaceModel) -> tuple[Array, Array, NDArray[np.int64]]:
+    """A and B in states and controls of order one where their entries are extreme, and the exponents of K that undo it.
+
+    ``K = 2^w K' T^-1`` for ``x = T x'``, ``u = 2^w u'``.
+    """
+    if is_moderate(g.A, g.B):
+        return g.A, g.B, np.zeros((g.n_inputs, g.n_states), dtype=int)
+    t = balancing_exponents(g.A, g.B, np.zeros((0, g.n_states)))
+    w = -int((np.frexp(g.B)[1] - t[:, None])[g.B != 0].max()) if g.B.any() else 0
+    with np.errstate(over="ignore", under="ignore"):
+        return np.ldexp(g.A, t - t[:, None]), np.ldexp(g.B, w - t[:, None]), np.tile(w - t, (g.n_inputs, 1))
+
+
 def _unsolvable(g: StateSpaceModel, error: NoTrustworthyNumber) -> tuple[str, str]:
+    with np.errstate(over="ignore", invalid="ignore"):
+        refuse_overflow("lqr", g.B @ g.B.T)
     modes = controllability(g).unstable_modes
     if modes:
         return f"no stabilising gain exists: {modes[0].meaning}", "a stabilisable model"

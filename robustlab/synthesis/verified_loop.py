@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import balancing_factors, refuse_overflow
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.partition import GeneralizedPlant
 
@@ -31,7 +32,10 @@ def with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpace
     if np.linalg.cond(loop) > ILL_POSED:
         raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
     C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
-    return StateSpaceModel(K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D, C, D, K.dt)
+    with np.errstate(over="ignore", invalid="ignore"):
+        A, B = K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D
+    refuse_overflow("controller", A, B, C, D)
+    return StateSpaceModel(A, B, C, D, K.dt)
 
 
 def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
@@ -57,10 +61,8 @@ def rebuilt_loop(
 
 def surely_stable(loop: StateSpaceModel) -> bool:
     """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
-    from scipy.linalg import matrix_balance
-
     if not loop.n_states:
         return True
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        size = float(np.linalg.norm(matrix_balance(loop.A, permute=False)[0], 1))
+    t = balancing_factors(loop.A)
+    size = float(np.linalg.norm(loop.A / t[:, None] * t, 1))
     return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * max(size, 1.0 if loop.is_discrete else 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +17,16 @@ __all__ = [
     "FullBlock",
     "ParameterRange",
     "RealScalar",
+    "Sign",
     "as_blocks",
     "block_slices",
     "delta_matrix",
     "delta_values",
     "structure_size",
 ]
+
+
+Sign = Literal["any", "nonnegative", "positive"]
 
 
 @dataclass(frozen=True)
@@ -41,11 +45,14 @@ class ParameterRange:
     below
         Width of the range beneath the nominal value; None where it is the same (a width given equal to ``radius``
         becomes None).
+    sign
+        What physics allows beyond the range too: a mass is ``"positive"``, a friction ``"nonnegative"``. It limits
+        nothing; results that name a value outside say so (`impossible`). Ranges that differ in nothing else are equal.
 
     Raises
     ------
     InputError
-        ``below`` is given, and it or ``radius`` is not a positive finite number.
+        ``below`` is given, and it or ``radius`` is not a positive finite number; an unknown ``sign``.
 
     Examples
     --------
@@ -58,8 +65,11 @@ class ParameterRange:
     radius: float
     unit: str = ""
     below: float | None = None
+    sign: Sign = field(default="any", repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
+        if self.sign not in get_args(Sign):
+            raise InputError("ParameterRange: sign", f"{self.sign!r}", f"one of {', '.join(get_args(Sign))}")
         if self.below is None:
             return
         for word, width in (("above (radius)", self.radius), ("below", self.below)):
@@ -121,10 +131,24 @@ class ParameterRange:
         width = self.radius if self.below is None or value >= self.nominal else self.below
         return (value - self.nominal) / width
 
+    def impossible(self, value: float) -> str:
+        """What physics asks of the parameter that this value does not meet; empty where it may exist.
+
+        Examples
+        --------
+        >>> ParameterRange(4.8e-05, 1.68e-05, "N m s", sign="nonnegative").impossible(-1e-4)
+        'it is never negative'
+        """
+        if self.sign == "positive" and value <= 0:
+            return "it is always positive"
+        return "it is never negative" if self.sign == "nonnegative" and value < 0 else ""
+
     def to_json(self) -> dict[str, object]:
-        """The attributes; ``below`` only where it differs from ``radius``."""
+        """The attributes; ``below`` only where it differs from ``radius``, ``sign`` only where there is one."""
         data: dict[str, object] = {"nominal": self.nominal, "radius": self.radius, "unit": self.unit}
-        return data if self.below is None else {**data, "below": self.below}
+        if self.below is not None:
+            data["below"] = self.below
+        return data if self.sign == "any" else {**data, "sign": self.sign}
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:
         scale[w, w] = half * np.eye(block.repeats)
         span = block.parameter
         if span is not None:
-            span = ParameterRange(span.nominal + span.radius * middle, span.radius * half, span.unit)
+            span = ParameterRange(span.nominal + span.radius * middle, span.radius * half, span.unit, sign=span.sign)
         blocks.append(dataclasses.replace(block, parameter=span))
     # [z'; w] = [0 I; R C] [w'; z]: Delta' on the outside, the set's channels on the inside
     change = np.block([[np.zeros((p, q)), np.eye(p)], [scale, centre]])

@@ -17,8 +17,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
+from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate
 from robustlab.matrix_equations import RiccatiSolution, care
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
@@ -174,6 +175,7 @@ class CoprimeMargin:
         return {"type": "CoprimeMargin", "value": self.value, **vars(self)}
 
 
+@told_as("coprime_margin")
 def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargin:
     r"""Stability margin of the loop of P and C, with the meaning of a distance in the gap and nu-gap metric.
 
@@ -280,18 +282,20 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
 
 
 def _nearness(models: tuple[StateSpaceModel, ...]) -> float:
-    """How large the bilinear map makes a model: the largest condition number of I + A."""
-    return max((float(np.linalg.cond(np.eye(m.n_states) + m.A)) for m in models if m.n_states), default=1.0)
+    """How large the bilinear map makes a model: the largest condition number of I + A in balanced states."""
+    scales = [balancing_factors(m.A) for m in models]
+    balanced = [m.A / t[:, None] * t for m, t in zip(models, scales, strict=True) if m.n_states]
+    return max((float(np.linalg.cond(np.eye(len(a)) + a)) for a in balanced), default=1.0)
 
 
 def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     """The same transfer function of ``s / rate`` with balanced states, the rate in rad/s, and the states' factors."""
-    from scipy.linalg import matrix_balance
-
     if not model.n_states:
         return model, 1.0, np.zeros(0)
-    with np.errstate(invalid="ignore"):  # scipy casts scale factors to int as if they were a permutation
-        a, (scale, _) = matrix_balance(model.A, permute=False, separate=True)
+    if not is_moderate(model.A, model.B, model.C, model.D):
+        return _scaled_by_exponents(model)
+    scale = balancing_factors(model.A)
+    a = model.A / scale[:, None] * scale
     b, c = model.B / scale[:, None], model.C * scale
     size = np.abs(np.linalg.eigvals(a))
     size = size[size > 1e-12 * max(float(size.max()), 1e-300)]
@@ -300,6 +304,31 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
     root = np.sqrt(rate)
     return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate, scale * level / root
+
+
+def _scaled_by_exponents(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
+    """The same for entries whose squares overflow: B and C alike, in the time unit of A or of the loop from y to u.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        That unit overflows, or the direct term does when it is squared.
+    """
+    t = balancing_exponents(model.A, model.B, model.C)
+    (a, b, c, d), exponent = (model.A, model.B, model.C, model.D), {}
+    for name, matrix, shift in (("A", a, t - t[:, None]), ("B", b, -t[:, None]), ("C", c, t), ("D", d, 0)):
+        exponent[name] = int((np.frexp(matrix)[1] + shift)[matrix != 0].max(initial=-(10**4)))
+    level = (exponent["B"] - exponent["C"]) // 2 if b.any() and c.any() else 0
+    rate = max(exponent["A"], exponent["B"] + exponent["C"], -1000)
+    if rate > 1000 or exponent["D"] > 500:
+        found = f"a gain of about 1e{max(rate, exponent['D']) * np.log10(2):.0f}: its square overflows"
+        raise NoTrustworthyNumber("coprime factors", found, None, "choose other units of u and y, or of time")
+    half = -(-rate // 2)  # the root of the rate is a power of two as well
+    states = t + level - half
+    shifts = (states - states[:, None] - 2 * half, -states[:, None] - 2 * half, states, 0)
+    with np.errstate(over="ignore", under="ignore"):
+        a, b, c, d = (np.ldexp(m, e) for m, e in zip((a, b, c, d), shifts, strict=True))
+        return StateSpaceModel(a, b, c, d), float(np.ldexp(1.0, 2 * half)), np.ldexp(1.0, states)
 
 
 def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:
@@ -317,7 +346,8 @@ def _check_inner(m: StateSpaceModel, right: StateSpaceModel, left: StateSpaceMod
     speeds = np.abs(np.concatenate([m.poles(), right.poles(), left.poles()]))
     omega = np.unique(np.concatenate([[0.0], speeds]))
     g, h = frequency_response(right, omega), frequency_response(left, omega)
-    off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
-    off = max(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows or is NaN does not pass
+        off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
+        off = np.maximum(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
     if not off <= INNER:
         raise NoTrustworthyNumber("coprime factors", f"they miss being normalised by {off:.1e}", f"at most {INNER:.0e}")

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
 from robustlab.statespace import MAX_NAME, MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -48,6 +48,7 @@ Stage = tuple[slice, slice, slice, slice]
 _EVERYWHERE: Stage = (slice(None), slice(None), slice(None), slice(None))
 
 
+@told_as("elementwise")
 def elementwise(
     nominal: Any, perturbed: Any, structure: str = "elements", tolerance: float | None = None
 ) -> UncertainModel:
@@ -110,6 +111,7 @@ def elementwise(
     return _assemble(first, parts)
 
 
+@told_as("by_cause")
 def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None = None) -> UncertainModel:
     r"""One real parameter for each physical cause, from one perturbed model of each.
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.matrix_equations import care, lyapunov
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
@@ -121,6 +121,7 @@ class GapMetric:
         return {"type": "GapMetric", "value": self.value, **vars(self)}
 
 
+@told_as("nu_gap")
 def nu_gap(P1: Any, P2: Any) -> NuGap:
     r"""Nu-gap metric between two models of equal size.
 
@@ -161,6 +162,7 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
     return _nu_gap(one, two, mapped)
 
 
+@told_as("gap")
 def gap(P1: Any, P2: Any) -> GapMetric:
     r"""Gap metric between two models of equal size.
 

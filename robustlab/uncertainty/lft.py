@@ -331,6 +331,17 @@ class UncertainModel:
             if isinstance(b, RealScalar) and b.parameter is not None
         }
 
+    def impossible(self, delta: Mapping[str, Any]) -> tuple[str, ...]:
+        """One remark for each parameter value of a Delta that no real plant has (see `ParameterRange.impossible`)."""
+        found = []
+        for b in self.blocks:
+            if isinstance(b, RealScalar) and b.parameter is not None and b.name in delta:
+                value = b.parameter.value(float(np.real(delta[b.name])))
+                if why := b.parameter.impossible(value):
+                    text = f"{b.name} = {value:.6g} {b.parameter.unit}".rstrip()
+                    found.append(f"{text} is physically impossible ({why}): no real plant is this one")
+        return tuple(found)
+
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
         """The same set with the named inputs and outputs only."""
         q, p = self.delta_shape

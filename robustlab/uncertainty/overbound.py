@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
@@ -103,6 +103,7 @@ class Overbound:
         return {"type": "Overbound", **vars(self)}
 
 
+@told_as("overbound")
 @one_thread()
 def overbound(
     omega: ArrayLike,

@@ -160,6 +160,7 @@ def _refuted(
     residual = float(smallest / (1.0 + np.linalg.norm(product_, 2)))
     sure = residual <= SINGULAR
     text = f"{'ill-posed at' if sure else 'open: nearly singular at'} {uncertain.named(values)}"
+    text = "; ".join([text, *uncertain.impossible(values)])
     status, answer = (Status.CONVERGED, False) if sure else (Status.INACCURATE, None)
     return WellPosedness(status, answer, level, values, uncertain.physical(values), residual, bound, count, text)
 

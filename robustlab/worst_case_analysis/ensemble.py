@@ -12,6 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
@@ -273,13 +275,24 @@ def _gains(ensemble: Ensemble, index: NDArray[np.intp], omega: Array) -> Array:
     point = np.exp(1j * omega * ensemble.dt) if ensemble.dt else 1j * omega
     n = a.shape[-1]
     lhs = point[..., None, None] * np.eye(n) - a
-    x = np.linalg.solve(lhs, np.broadcast_to(b.astype(complex), (*omega.shape, *b.shape[2:])))
-    return _largest_singular_value(c @ x + d)
+    try:
+        x = np.linalg.solve(lhs, np.broadcast_to(b.astype(complex), (*omega.shape, *b.shape[2:])))
+    except np.linalg.LinAlgError:
+        found = "a member has a pole so close to the stability boundary that its gain overflows"
+        raise NoTrustworthyNumber("worst_case", found) from None
+    with np.errstate(over="ignore", invalid="ignore"):
+        response = c @ x + d
+    refuse_overflow("worst_case", response)
+    return _largest_singular_value(response)
 
 
 def _largest_singular_value(g: NDArray[Any]) -> Array:
     if 0 in g.shape[-2:]:
         return np.zeros(g.shape[:-2])
     if 1 in g.shape[-2:]:
-        return np.sqrt((np.abs(g) ** 2).sum(axis=(-2, -1)))
+        size = np.abs(g)
+        if is_moderate(size):
+            return np.sqrt((size**2).sum(axis=(-2, -1)))
+        top = np.maximum(size.max(axis=(-2, -1), keepdims=True), np.finfo(float).tiny)
+        return np.sqrt(((size / top) ** 2).sum(axis=(-2, -1))) * top[..., 0, 0]
     return np.linalg.norm(g, 2, axis=(-2, -1))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import default_grid
+from robustlab.magnitude import refuse_overflow
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
@@ -87,10 +88,15 @@ class HinfGain(Metric):
             return value, slope
         point = np.exp(1j * omega * ensemble.dt) if ensemble.dt else 1j * omega
         inverse = np.linalg.inv(point * np.eye(n) - a)
-        u, _, vh = np.linalg.svd(c @ inverse @ b + d)
-        left = u[:, 0].conj() @ np.hstack([c @ inverse, np.eye(n_y)])
-        right = np.vstack([inverse @ b, np.eye(n_u)]) @ vh[0].conj()
-        return value, np.real(np.outer(left, right))
+        with np.errstate(over="ignore", invalid="ignore"):
+            response = c @ inverse @ b + d
+            refuse_overflow("worst_case", response)
+            u, _, vh = np.linalg.svd(response)
+            left = u[:, 0].conj() @ np.hstack([c @ inverse, np.eye(n_y)])
+            right = np.vstack([inverse @ b, np.eye(n_u)]) @ vh[0].conj()
+            slope = np.real(np.outer(left, right))
+        refuse_overflow("worst_case", slope)
+        return value, slope
 
 
 class H2Gain(Metric):

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import RealScalar
@@ -191,6 +191,7 @@ class Responses:
         return {**data, "peak_deviation": self.peak_deviation}
 
 
+@told_as("sample")
 def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> Samples:
     """Draw members of an uncertain model.
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
-from robustlab.errors import InputError
+from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
@@ -116,6 +116,7 @@ class WorstCase:
         return vars(self).copy()
 
 
+@told_as("worst_case")
 def worst_case(
     uncertain: UncertainModel,
     metric: str | Callable[[StateSpaceModel], float] = "peak-deviation",

@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.magnitude import refuse_overflow
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, transitions
 from robustlab.worst_case_analysis.excitation import Excitation
@@ -38,7 +39,10 @@ def delta_slope(uncertain: UncertainModel, delta: Array, slope: Array) -> Array:
     if d11.any():
         left = np.linalg.solve((np.eye(q) - delta @ d11).T, left.T).T
         right = np.linalg.solve(np.eye(p) - d11 @ delta, right)
-    return left.T @ slope @ right.T
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = left.T @ slope @ right.T
+    refuse_overflow("worst_case", found)
+    return found
 
 
 def response_slope(ensemble: Ensemble, drive: Excitation, hold: Hold, weights: Array) -> Array:

@@ -126,3 +126,13 @@ def test_ball_arithmetic_confirms_the_scalings(model_file, capsys):
 def test_options_that_do_not_go_together(model_file, capsys, arguments, found):
     assert call(model_file, *arguments) == 2
     assert found in capsys.readouterr().err
+
+
+def test_a_destabilising_friction_below_zero_is_called_impossible(tmp_path, capsys):
+    path = tmp_path / "motor.h5"
+    rl.save(path, rl.plant("dc-motor", Kf=(4.8e-5, 0.35)).uncertain(outputs=["omega"]))
+    assert call(str(path)) == 0
+    assert "note: Kf = -0.00130" in (text := capsys.readouterr().out)
+    assert "physically impossible (it is never negative)" in text
+    assert call(str(path), "--json") == 0
+    assert any("physically impossible" in note for note in json.loads(capsys.readouterr().out)["notes"])

@@ -314,3 +314,26 @@ print(rl.robust_stability(loop, time_limit=15.0).status.value)
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "certified", done.stderr
+
+
+# --- values that no plant has ----------------------------------------------------------------------------------------
+
+
+def test_a_critical_parameter_that_no_motor_has_is_called_impossible_and_a_file_keeps_the_remark(tmp_path):
+    # J w' = Km i - Kf w, L i' = u - R i - Kb w: the slowest pole reaches 0 where Kf R + Km Kb = 0, at Kf < 0.
+    plant = rl.plant("dc-motor", Kf=(4.8e-5, 0.35)).uncertain(outputs=["omega"])
+    rl.save(tmp_path / "motor.h5", plant)
+    for uncertain in (plant, rl.load(tmp_path / "motor.h5")):
+        margin = rl.robust_stability(uncertain)
+        assert margin.physical["Kf"][0] == pytest.approx(-(0.052**2) / 2.07, rel=1e-4)
+        assert any("Kf = -0.00130" in note and "physically impossible" in note for note in margin.notes)
+        assert uncertain.blocks[0].parameter.to_json()["sign"] == "nonnegative"
+
+
+def test_a_critical_parameter_that_may_exist_has_no_such_remark():
+    # x' = (k - 1) x with k = 0.5 (1 + 0.2 delta): critical at k = 1, which is positive.
+    k = rl.ParameterRange(0.5, 0.1, sign="positive")
+    m = rl.StateSpaceModel([[-0.5]], [[1.0, 1.0]], [[0.1], [1.0]], np.zeros((2, 2)))
+    margin = rl.robust_stability(rl.UncertainModel(m, [rl.RealScalar("k", 1, k)]))
+    assert margin.physical["k"][0] == pytest.approx(1.0, rel=1e-4)
+    assert not any("impossible" in note for note in margin.notes)

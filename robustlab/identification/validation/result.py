@@ -34,6 +34,8 @@ class BlockSize(Evidence):
         one is given by its signals w and z, which exist by the theorem.
     physical
         Value and unit of the parameter that a constant stands for.
+    impossible
+        What physics asks of that parameter and the value does not meet; empty where it may exist.
     """
 
     name: str
@@ -43,6 +45,7 @@ class BlockSize(Evidence):
     upper: float
     value: Any = None
     physical: tuple[float, str] | None = None
+    impossible: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +153,8 @@ class Validation(Evidence):
                 text += f": size {block.size:.4g} in the explanation"
             if block.physical is not None:
                 text += f", {block.physical[0]:.6g} {block.physical[1]}".rstrip()
+            if block.impossible:
+                text += f", physically impossible ({block.impossible})"
             if not np.isnan(block.lower):
                 text += f"; alone, the others within 1: {block.lower:.4g} to {block.upper:.4g}"
             lines.append(text)

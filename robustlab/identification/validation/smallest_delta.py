@@ -481,11 +481,12 @@ def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]]
     lower, upper = alone.get(block.name, (np.nan, np.nan))
     if isinstance(block, RealScalar) and (not found.problem or block.name not in found.problem.names):
         value = found.values.get(block.name)
-        physical = None
+        physical, impossible = None, ""
         if block.parameter is not None and value is not None:
             physical = block.parameter.value(value), block.parameter.unit
+            impossible = block.parameter.impossible(physical[0])
         size = abs(value) if value is not None else np.nan
-        return BlockSize(block.name, "constant", size, lower, upper, value, physical)
+        return BlockSize(block.name, "constant", size, lower, upper, value, physical, impossible)
     pulse = None
     if found.problem is not None and found.pulses:
         pulse = found.pulses[found.problem.names.index(block.name)]

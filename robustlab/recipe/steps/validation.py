@@ -64,6 +64,8 @@ def _facts(found: Validation) -> tuple[Fact, ...]:
         told = [f"size {quantity(block.size, digits=4)} in the explanation"] if np.isfinite(block.size) else []
         if block.physical is not None:
             told.append(quantity(*block.physical))
+        if block.impossible:
+            told.append(f"physically impossible: {block.impossible}")
         if not np.isnan(block.lower):
             told.append(f"alone, the others within 1: {block.lower:.4g} to {block.upper:.4g}")
         if told:
