@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
 
-from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, UsageError, plain_text
+from robustlab.cli.ending import main_guard
+from robustlab.errors import UsageError, plain_text
 
 __all__ = [
     "JsonOption",
@@ -35,9 +33,6 @@ SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numb
 OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
 
 SCHEMA = "robustlab.result/1"
-
-# Errors of the machine that any write can meet: the disk is full, the folder is read-only, a quota is used up.
-_MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE}
 
 
 def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> None:
@@ -144,59 +139,3 @@ def status_line(description: str, verbose: bool = False) -> Iterator[Callable[[s
 
     with Console(stderr=True).status(escape(description)) as line:
         yield lambda text: line.update(escape(plain_text(f"{description}: {text}")))
-
-
-def main_guard(run: Callable[[], int | None]) -> int:
-    """Run a command and turn every way it can end into its exit code; see `robustlab.errors`."""
-    try:
-        code = int(run() or 0)
-        sys.stdout.flush()
-        if code == EXIT_INTERRUPTED:  # the parser has caught Ctrl-C already
-            print("interrupted", file=sys.stderr)
-        return code
-    except RobustlabError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    except typer.Exit as stop:
-        return stop.exit_code
-    except (KeyboardInterrupt, typer.Abort):
-        print("interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # The reader went away (``| head``): not an error of ours. Python would complain again when it flushes at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        if error.errno not in _MACHINE_FAULTS:
-            return _bug(error)
-        where = plain_text(str(error.filename or "robustlab"))
-        print(f"error: {where}: {error.strerror}; what was there before is kept", file=sys.stderr)
-        return EnvironmentFault.exit_code
-    except Exception as error:  # noqa: BLE001  the outermost handler: a bug of ours becomes exit code 70 and a report file
-        show, code = getattr(error, "show", None), getattr(error, "exit_code", None)
-        if callable(show) and code is not None:
-            show(sys.stderr)  # a usage error of the parser (its class is click's, or typer's own copy of it)
-            return int(code)
-        return _bug(error)
-
-
-def _bug(error: Exception) -> int:
-    print(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}", file=sys.stderr)
-    return EXIT_BUG
-
-
-def _bug_report() -> str:
-    """Write traceback, versions and command to a file; say where."""
-    import traceback
-
-    from robustlab.provenance import library_versions
-
-    text = f"command: {sys.argv}\nversions: {library_versions()}\n\n{traceback.format_exc()}"
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", prefix="robustlab-bug-", suffix=".txt", delete=False, encoding="utf-8"
-        ) as file:
-            file.write(text)
-        return f"please report it with {file.name}"
-    except OSError:
-        return f"please report it:\n{text}"
