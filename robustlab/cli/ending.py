@@ -152,7 +152,9 @@ def _machine_fault(error: BaseException) -> EnvironmentFault | None:
     if told and isinstance(error, (ImportError, OSError, RuntimeError)):
         return EnvironmentFault("robustlab", f"not enough memory ({told})", _MORE)
     if isinstance(error, ImportError) and error.name and error.name.split(".")[0] != "robustlab":
-        return EnvironmentFault("robustlab", f"{error.name} cannot be loaded ({words})", "a sound installation (robustlab doctor)")
+        return EnvironmentFault(
+            "robustlab", f"{error.name} cannot be loaded ({words})", "a sound installation (robustlab doctor)"
+        )
     if not isinstance(error, OSError):
         return None
     if error.errno == errno.ENOENT and _no_folder():
