@@ -19,6 +19,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
@@ -187,10 +188,8 @@ def _folder_fault() -> EnvironmentFault:
 
 
 def _say(text: str) -> None:
-    try:
+    with suppress(OSError):  # where stderr is closed or full as well, the exit code has to do
         print(text, file=sys.stderr, flush=True)
-    except OSError:
-        pass  # stderr is closed or full as well: the exit code has to do
 
 
 def _silence() -> None:
