@@ -1,4 +1,4 @@
-"""Write ``robustlab/__init__.pyi``, what type checkers read, from the table of public names in ``__init__.py`` beside it.
+"""Write ``robustlab/__init__.pyi``, what type checkers read, from the table of public names in ``__init__.py``.
 
 python benchmarks/stub.py
 """

@@ -9,6 +9,7 @@ import typer
 from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note, plant_settings, table
 from robustlab.cli.data_validation import validate
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
+from robustlab.units import same_unit
 
 if TYPE_CHECKING:
     from robustlab.identification import Comparison
@@ -31,7 +32,7 @@ ClockOption = Annotated[
     str | None, typer.Option("--clock", help="Signal with the times; t or time if left out.", show_default=False)
 ]
 UnitOption = Annotated[
-    list[str] | None, typer.Option("--unit", help="Unit of a signal: NAME=UNIT.", show_default=False)
+    list[str] | None, typer.Option("--unit", help="Unit of a signal's numbers: NAME=UNIT (phi=deg); becomes SI.", show_default=False)
 ]
 DelimiterOption = Annotated[
     str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
@@ -382,7 +383,12 @@ def record_of(file: str, *, group: str | None, dt: float | None, **texts: Any) -
     from robustlab.record import Record
 
     inputs, outputs = _names(texts.pop("inputs")), _names(texts.pop("outputs"))
-    return Record.read(file, group, inputs, outputs, dt, units=_units(texts.pop("unit") or []), **texts)
+    units = _units(texts.pop("unit") or [])
+    record = Record.read(file, group, inputs, outputs, dt, units=units, **texts)
+    for name in record.units:
+        if name in units and not same_unit(units[name], record.unit(name)):
+            note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
+    return record
 
 
 def _names(text: str | None) -> list[str] | None:

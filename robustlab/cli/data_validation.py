@@ -67,7 +67,7 @@ def validate(
     dt: Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)] = None,
     clock: Annotated[str | None, typer.Option("--clock", help="Signal with the times.", show_default=False)] = None,
     unit: Annotated[
-        list[str] | None, typer.Option("--unit", help="Unit of a signal: NAME=UNIT.", show_default=False)
+        list[str] | None, typer.Option("--unit", help="Unit of a signal's numbers: NAME=UNIT (phi=deg); becomes SI.", show_default=False)
     ] = None,
     delimiter: Annotated[
         str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)

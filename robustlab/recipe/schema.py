@@ -327,7 +327,9 @@ class RecordStep(StepBase):
     outputs: list[str] | None = None
     dt: Positive | None = None
     clock: str | None = Field(None, description="Signal with the times, where it is not called t or time.")
-    units: dict[str, str] = Field({})
+    units: dict[str, str] = Field(
+        {}, description='Unit that the numbers in the file are in: { phi = "deg" }; they are converted to SI.'
+    )
     about: Text = Field(
         "", description="What the record is, who published it, how to get it; shown where the file is absent."
     )
