@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from robustlab.cli.ending import main_guard
-from robustlab.errors import UsageError, plain_text
+from robustlab.errors import InputError, UsageError, plain_text
+from robustlab.units import amount, share
 
 __all__ = [
     "JsonOption",
@@ -24,6 +25,7 @@ __all__ = [
     "note",
     "plant_settings",
     "progress",
+    "shares",
     "status_line",
     "table",
 ]
@@ -51,33 +53,51 @@ def note(text: str) -> None:
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
 
 
-def assignments(option: str, texts: list[str] | None) -> dict[str, float]:
-    """``["u=42"]`` as ``{"u": 42.0}``."""
+def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] | None = None) -> dict[str, float]:
+    """``["u=42"]`` as ``{"u": 42.0}``; also ``["u=42V"]`` where ``units`` has the names' units."""
     values: dict[str, float] = {}
     for text in texts or []:
         name, _, value = text.rpartition("=")
-        try:
-            values[name] = float(value)
-        except ValueError:
-            raise UsageError(f"{option} {text}", "no number after =", "NAME=VALUE") from None
         if not name:
             raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+        values[name] = _number(option, text, value, (units or {}).get(name, ""))
     return values
 
 
-def ends(option: str, texts: list[str] | None) -> dict[str, tuple[float, float]]:
-    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``."""
+def shares(option: str, texts: list[str] | None) -> dict[str, float]:
+    """``["Km=5%"]`` or ``["Km=0.05"]`` as ``{"Km": 0.05}``."""
+    values: dict[str, float] = {}
+    for text in texts or []:
+        name, _, value = text.rpartition("=")
+        if not name:
+            raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+        try:
+            values[name] = share(f"{option} {text}", value)
+        except InputError as error:
+            raise UsageError(error.where, error.found, error.expected) from None
+    return values
+
+
+def ends(
+    option: str, texts: list[str] | None, units: Mapping[str, str] | None = None
+) -> dict[str, tuple[float, float]]:
+    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``; each end may carry its unit as in `assignments`."""
     found: dict[str, tuple[float, float]] = {}
     for text in texts or []:
         name, _, value = text.rpartition("=")
         low, colon, high = value.partition(":")
-        try:
-            found[name] = float(low), float(high)
-        except ValueError:
-            raise UsageError(f"{option} {text}", "no two numbers after =", "NAME=LOW:HIGH") from None
         if not (name and colon):
-            raise UsageError(f"{option} {text}", "no name", "NAME=LOW:HIGH")
+            raise UsageError(f"{option} {text}", "no name and two numbers", "NAME=LOW:HIGH")
+        unit = (units or {}).get(name, "")
+        found[name] = _number(option, text, low, unit), _number(option, text, high, unit)
     return found
+
+
+def _number(option: str, text: str, value: str, unit: str) -> float:
+    try:
+        return amount(f"{option} {text}", value, unit)
+    except InputError as error:
+        raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
 
 
 def plant_settings(texts: list[str] | None) -> dict[str, Any]:

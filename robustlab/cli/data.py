@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note, plant_settings, table
+from robustlab.cli.console import JsonOption, OutOption, emit, note, plant_settings, shares, table
 from robustlab.cli.data_validation import validate
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
 from robustlab.units import same_unit
@@ -32,7 +32,8 @@ ClockOption = Annotated[
     str | None, typer.Option("--clock", help="Signal with the times; t or time if left out.", show_default=False)
 ]
 UnitOption = Annotated[
-    list[str] | None, typer.Option("--unit", help="Unit of a signal's numbers: NAME=UNIT (phi=deg); becomes SI.", show_default=False)
+    list[str] | None,
+    typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
 ]
 DelimiterOption = Annotated[
     str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
@@ -231,7 +232,7 @@ def discover(
     ] = None,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option("--tolerance", help="Relative tolerance of a parameter: NAME=VALUE.", show_default=False),
+        typer.Option("--tolerance", help="Relative tolerance of a parameter: Km=0.05 or Km=5%.", show_default=False),
     ] = None,
     exclude: Annotated[
         list[str] | None, typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False)
@@ -310,7 +311,7 @@ def discover(
         system,
         records(data),
         records(held_out) or None,
-        tolerances=assignments("--tolerance", tolerance),
+        tolerances=shares("--tolerance", tolerance),
         window=window,
         period=period,
         repeats=records(repeat),

@@ -250,7 +250,7 @@ def _choose(
         raise _no_signals(source, "no signals here")
     arrays = {name: _numbers(source, name) for name in dict.fromkeys([*ins, *outs])}
     n = _common_length(source, arrays)
-    if clock in units and clock not in arrays:
+    if clock is not None and clock in units and clock not in arrays:
         _agree(source.where, clock, source.channels[clock].unit, units[clock])
         source.channels[clock].unit = units[clock]
         units = {name: unit for name, unit in units.items() if name != clock}
