@@ -114,6 +114,15 @@ def test_tolerances_and_units_in_a_recipe(call, tmp_path):
     assert "'0.6 mm', expected a number in H" in call("run", "r.toml", code=3)
 
 
+def test_tolerances_of_a_discovery_may_be_per_cent():
+    from robustlab.identification.nuisances import stated_tolerances
+
+    found = stated_tolerances(rl.plant("dc-motor"), {"Km": "5%", "Kf": 2.0})
+    assert (found["Km"], found["Kf"]) == ((0.05, False), (2.0, False))
+    with pytest.raises(rl.InputError, match="expected a share"):
+        stated_tolerances(rl.plant("dc-motor"), {"Km": "5 V"})
+
+
 # --- units of records -------------------------------------------------------------------------------------------------
 
 T = np.arange(40) * 0.01
