@@ -12,7 +12,7 @@
         └── DependencyMissing               5    an optional package is not installed
 
 Exit code 0 means done and all requirements met, 1 done but a stated requirement is not met, 70 a bug of ours,
-130 Ctrl-C.
+130 Ctrl-C or SIGTERM, 141 the reader of stdout went away before the result was told (``| head -1``).
 
 Every message says WHERE, what was FOUND and what was EXPECTED on one line; the hint says what to do next.
 """

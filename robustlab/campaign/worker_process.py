@@ -38,7 +38,8 @@ def write_frame(stream: BinaryIO, content: bytes) -> None:
 
 def main() -> int:
     """Serve until stdin ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    for number in (signal.SIGINT, signal.SIGTERM):  # they may be sent to the whole group: the parent's to handle
+        signal.signal(number, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a native library prints must not get between the frames
     frames: queue.SimpleQueue[bytes] = queue.SimpleQueue()

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from robustlab.cli.console import JsonOption, SeedOption, assignments, emit, note, progress, table
-from robustlab.cli.uncertain import EndOption, InputOption, PointsOption, UncertainArgument, load_uncertain
+from robustlab.cli.uncertain import EndOption, InputOption, PointsOption, UncertainArgument, load_uncertain, unit_of
 from robustlab.errors import EXIT_INTERRUPTED, UsageError
 
 app = typer.Typer(help="Run samples and searches of any size, stored one by one.", no_args_is_help=True)
@@ -71,6 +71,7 @@ def run(
 
     if restart and fork:
         raise UsageError("campaign run", "--restart and --fork", "one of them")
+    model = load_uncertain(file)
     settings = CampaignSettings(
         metric,
         n,
@@ -78,13 +79,12 @@ def run(
         seed,
         output,
         from_input,
-        assignments("--input", inputs) or None,
+        assignments("--input", inputs, unit_of(model.inputs)) or None,
         t_end,
         points,
         starts=starts,
         band=band,
     )
-    model = load_uncertain(file)
     with _guarded(store, n) as advance:
         result = run_campaign(
             model,

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
 
-from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, UsageError, plain_text
+from robustlab.cli.ending import main_guard
+from robustlab.errors import InputError, UsageError, plain_text
+from robustlab.units import amount, share
 
 __all__ = [
     "EffortOption",
@@ -28,6 +27,7 @@ __all__ = [
     "note",
     "plant_settings",
     "progress",
+    "shares",
     "status_line",
     "table",
 ]
@@ -51,9 +51,6 @@ OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to writ
 
 SCHEMA = "robustlab.result/1"
 
-# Errors of the machine that any write can meet: the disk is full, the folder is read-only, a quota is used up.
-_MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE}
-
 
 def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> None:
     """Print the result, and nothing but the result, on stdout: ``text``, or one JSON object with ``--json``."""
@@ -71,33 +68,51 @@ def note(text: str) -> None:
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
 
 
-def assignments(option: str, texts: list[str] | None) -> dict[str, float]:
-    """``["u=42"]`` as ``{"u": 42.0}``."""
+def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] | None = None) -> dict[str, float]:
+    """``["u=42"]`` as ``{"u": 42.0}``; also ``["u=42V"]`` where ``units`` has the names' units."""
     values: dict[str, float] = {}
     for text in texts or []:
         name, _, value = text.rpartition("=")
-        try:
-            values[name] = float(value)
-        except ValueError:
-            raise UsageError(f"{option} {text}", "no number after =", "NAME=VALUE") from None
         if not name:
             raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+        values[name] = _number(option, text, value, (units or {}).get(name, ""))
     return values
 
 
-def ends(option: str, texts: list[str] | None) -> dict[str, tuple[float, float]]:
-    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``."""
+def shares(option: str, texts: list[str] | None) -> dict[str, float]:
+    """``["Km=5%"]`` or ``["Km=0.05"]`` as ``{"Km": 0.05}``."""
+    values: dict[str, float] = {}
+    for text in texts or []:
+        name, _, value = text.rpartition("=")
+        if not name:
+            raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+        try:
+            values[name] = share(f"{option} {text}", value)
+        except InputError as error:
+            raise UsageError(error.where, error.found, error.expected) from None
+    return values
+
+
+def ends(
+    option: str, texts: list[str] | None, units: Mapping[str, str] | None = None
+) -> dict[str, tuple[float, float]]:
+    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``; each end may carry its unit as in `assignments`."""
     found: dict[str, tuple[float, float]] = {}
     for text in texts or []:
         name, _, value = text.rpartition("=")
         low, colon, high = value.partition(":")
-        try:
-            found[name] = float(low), float(high)
-        except ValueError:
-            raise UsageError(f"{option} {text}", "no two numbers after =", "NAME=LOW:HIGH") from None
         if not (name and colon):
-            raise UsageError(f"{option} {text}", "no name", "NAME=LOW:HIGH")
+            raise UsageError(f"{option} {text}", "no name and two numbers", "NAME=LOW:HIGH")
+        unit = (units or {}).get(name, "")
+        found[name] = _number(option, text, low, unit), _number(option, text, high, unit)
     return found
+
+
+def _number(option: str, text: str, value: str, unit: str) -> float:
+    try:
+        return amount(f"{option} {text}", value, unit)
+    except InputError as error:
+        raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
 
 
 def plant_settings(texts: list[str] | None) -> dict[str, Any]:
@@ -159,59 +174,3 @@ def status_line(description: str, verbose: bool = False) -> Iterator[Callable[[s
 
     with Console(stderr=True).status(escape(description)) as line:
         yield lambda text: line.update(escape(plain_text(f"{description}: {text}")))
-
-
-def main_guard(run: Callable[[], int | None]) -> int:
-    """Run a command and turn every way it can end into its exit code; see `robustlab.errors`."""
-    try:
-        code = int(run() or 0)
-        sys.stdout.flush()
-        if code == EXIT_INTERRUPTED:  # the parser has caught Ctrl-C already
-            print("interrupted", file=sys.stderr)
-        return code
-    except RobustlabError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    except typer.Exit as stop:
-        return stop.exit_code
-    except (KeyboardInterrupt, typer.Abort):
-        print("interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # The reader went away (``| head``): not an error of ours. Python would complain again when it flushes at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        if error.errno not in _MACHINE_FAULTS:
-            return _bug(error)
-        where = plain_text(str(error.filename or "robustlab"))
-        print(f"error: {where}: {error.strerror}; what was there before is kept", file=sys.stderr)
-        return EnvironmentFault.exit_code
-    except Exception as error:  # noqa: BLE001  the outermost handler: a bug of ours becomes exit code 70 and a report file
-        show, code = getattr(error, "show", None), getattr(error, "exit_code", None)
-        if callable(show) and code is not None:
-            show(sys.stderr)  # a usage error of the parser (its class is click's, or typer's own copy of it)
-            return int(code)
-        return _bug(error)
-
-
-def _bug(error: Exception) -> int:
-    print(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}", file=sys.stderr)
-    return EXIT_BUG
-
-
-def _bug_report() -> str:
-    """Write traceback, versions and command to a file; say where."""
-    import traceback
-
-    from robustlab.provenance import library_versions
-
-    text = f"command: {sys.argv}\nversions: {library_versions()}\n\n{traceback.format_exc()}"
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", prefix="robustlab-bug-", suffix=".txt", delete=False, encoding="utf-8"
-        ) as file:
-            file.write(text)
-        return f"please report it with {file.name}"
-    except OSError:
-        return f"please report it:\n{text}"

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, OutOption, assignments, emit, note, plant_settings, table
+from robustlab.cli.console import JsonOption, OutOption, emit, note, plant_settings, shares, table
 from robustlab.cli.data_validation import validate
 from robustlab.errors import NoTrustworthyNumber, UsageError, did_you_mean
+from robustlab.units import same_unit
 
 if TYPE_CHECKING:
     from robustlab.identification import Comparison
@@ -31,7 +32,8 @@ ClockOption = Annotated[
     str | None, typer.Option("--clock", help="Signal with the times; t or time if left out.", show_default=False)
 ]
 UnitOption = Annotated[
-    list[str] | None, typer.Option("--unit", help="Unit of a signal: NAME=UNIT.", show_default=False)
+    list[str] | None,
+    typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
 ]
 DelimiterOption = Annotated[
     str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
@@ -230,7 +232,7 @@ def discover(
     ] = None,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option("--tolerance", help="Relative tolerance of a parameter: NAME=VALUE.", show_default=False),
+        typer.Option("--tolerance", help="Relative tolerance of a parameter: Km=0.05 or Km=5%.", show_default=False),
     ] = None,
     exclude: Annotated[
         list[str] | None, typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False)
@@ -309,7 +311,7 @@ def discover(
         system,
         records(data),
         records(held_out) or None,
-        tolerances=assignments("--tolerance", tolerance),
+        tolerances=shares("--tolerance", tolerance),
         window=window,
         period=period,
         repeats=records(repeat),
@@ -382,7 +384,12 @@ def record_of(file: str, *, group: str | None, dt: float | None, **texts: Any) -
     from robustlab.record import Record
 
     inputs, outputs = _names(texts.pop("inputs")), _names(texts.pop("outputs"))
-    return Record.read(file, group, inputs, outputs, dt, units=_units(texts.pop("unit") or []), **texts)
+    units = _units(texts.pop("unit") or [])
+    record = Record.read(file, group, inputs, outputs, dt, units=units, **texts)
+    for name in record.units:
+        if name in units and not same_unit(units[name], record.unit(name)):
+            note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
+    return record
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -68,7 +68,8 @@ def validate(
     dt: Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)] = None,
     clock: Annotated[str | None, typer.Option("--clock", help="Signal with the times.", show_default=False)] = None,
     unit: Annotated[
-        list[str] | None, typer.Option("--unit", help="Unit of a signal: NAME=UNIT.", show_default=False)
+        list[str] | None,
+        typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
     ] = None,
     delimiter: Annotated[
         str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
@@ -116,7 +117,7 @@ def validate(
     found = validate_with(
         model,
         record,
-        assignments("--noise", noise) if noise else None,
+        assignments("--noise", noise, {s.name: s.unit for s in model.outputs}) if noise else None,
         domain=domains.get(domain, domain),  # pyright: ignore[reportArgumentType] refused there by name
         period=period,
         noise_norm=norms.get(noise_norm, noise_norm) if noise_norm else None,  # pyright: ignore[reportArgumentType]

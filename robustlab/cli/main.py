@@ -53,7 +53,7 @@ Exit codes:
   0 done and all requirements met   1 a stated requirement is not met
   2 usage                           3 bad input
   4 no trustworthy number           5 environment
-  70 a bug of ours                  130 interrupted
+  70 a bug of ours                  130 interrupted (Ctrl-C, SIGTERM)
 """
 
 
@@ -81,22 +81,30 @@ def run(arguments: Sequence[str]) -> int:
         kind = "option" if name.startswith("-") else "command"
         hint = did_you_mean(name, list(GROUPS)) or "robustlab --help lists the commands"
         raise UsageError("robustlab", f"no such {kind} {name!r}", f"one of {', '.join(GROUPS)}", hint)
+    from robustlab.cli.ending import require_surroundings
+
+    require_surroundings()
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     app = import_module(GROUPS[name][0]).app
     app.rich_markup_mode = None  # help as plain text: it is also what the documentation shows
-    app.pretty_exceptions_enable = False
-    return app(args=rest, prog_name=f"robustlab {name}", standalone_mode=False)
+    from typer.main import get_command
+
+    # Not app(): the parser's own frame turns a reader of stdout that went away into exit code 1.
+    command = get_command(app)
+    with command.make_context(f"robustlab {name}", rest) as context:
+        return command.invoke(context)
 
 
 def main() -> None:
     """Entry point of the ``robustlab`` script."""
-    arguments = sys.argv[1:]
-    if arguments == ["--help"]:
-        sys.exit(run(arguments))
-    from robustlab.cli.console import main_guard
+    from robustlab.cli.ending import main_guard, ready_streams
 
-    sys.exit(main_guard(lambda: run(arguments)))
+    def command() -> int:
+        ready_streams()
+        return run(sys.argv[1:])
+
+    sys.exit(main_guard(command))
 
 
 if __name__ == "__main__":

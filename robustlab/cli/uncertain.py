@@ -16,12 +16,16 @@ from robustlab.cli.console import (
     emit,
     ends,
     note,
+    shares,
     table,
 )
 from robustlab.errors import InputError, RobustlabError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from robustlab.provenance import Provenance
+    from robustlab.statespace import Signal
     from robustlab.uncertainty.blocks import ParameterRange
     from robustlab.uncertainty.elementwise import EndpointResidual
     from robustlab.uncertainty.lft import UncertainModel
@@ -32,7 +36,7 @@ app = typer.Typer(help="Build, show and sample uncertain models.", no_args_is_he
 UncertainArgument = Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.", metavar="FILE")]
 InputOption = Annotated[
     list[str] | None,
-    typer.Option("--input", help="Constant input, NAME=VALUE; may be repeated. A unit step where left out."),
+    typer.Option("--input", help="Constant input, u=42 or u=42V; may be repeated. A unit step where left out."),
 ]
 EndOption = Annotated[float | None, typer.Option("--t-end", help="End time in s; from the nominal poles if left out.")]
 PointsOption = Annotated[int, typer.Option("--points", help="Number of times, where --t-end is given.")]
@@ -64,7 +68,7 @@ def build(
     ] = None,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option("--tolerance", help="Relative tolerance of a parameter of the plant, NAME=VALUE; repeatable."),
+        typer.Option("--tolerance", help="Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable."),
     ] = None,
     ranges: Annotated[
         list[str] | None,
@@ -143,9 +147,7 @@ def build(
         model, residual, origin = _from_expressions(expressions)
     elif plant is not None:
         kept = outputs.split(",") if outputs else None
-        model, residual, origin = _from_plant(
-            plant, assignments("--tolerance", tolerance), kept, ends("--range", ranges)
-        )
+        model, residual, origin = _from_plant(plant, shares("--tolerance", tolerance), kept, ranges or [])
     else:
         assert nominal is not None
         if outputs or ranges:
@@ -257,7 +259,7 @@ def sample(
     model = load_uncertain(file)
     clock = default_clock(model.nominal, "uncertain sample") if t_end is None else times(model.dt, t_end, points)
     members = draw(model, n, seed, _vertex_count(vertices))
-    responses = members.respond(clock, assignments("--input", inputs) or None)
+    responses = members.respond(clock, assignments("--input", inputs, unit_of(model.inputs)) or None)
     if responses.unstable:
         note(f"{len(responses.unstable)} of {len(members)} samples are unstable: {_listed(responses.unstable)}")
     result: dict[str, Any] = {"file": file, "seed": seed, "vertices": members.vertices, **responses.to_json()}
@@ -284,6 +286,11 @@ def load_uncertain(file: str) -> UncertainModel:
             file, f"holds a {type(model).__name__}", "an uncertain model", "make one with: robustlab uncertain build"
         )
     return model
+
+
+def unit_of(signals: Iterable[Signal]) -> dict[str, str]:
+    """Name -> unit."""
+    return {s.name: s.unit for s in signals}
 
 
 def times(dt: float, t_end: float, points: int) -> Any:
@@ -314,7 +321,7 @@ def _from_models(
 
 
 def _from_plant(
-    name: str, tolerances: dict[str, float], outputs: list[str] | None, ranges: dict[str, tuple[float, float]]
+    name: str, tolerances: dict[str, float], outputs: list[str] | None, range_texts: list[str]
 ) -> tuple[UncertainModel, None, Provenance]:
     from robustlab.dynamics import plant
     from robustlab.provenance import Provenance, file_sha256
@@ -325,6 +332,7 @@ def _from_plant(
     if not hasattr(made, "uncertain"):
         raise InputError(name, f"{made.name} is not linear", "a linear plant, with or without effects")
     nominal = made.values
+    ranges = ends("--range", range_texts, {p.name: p.unit for p in made.parameters.values()})
     unknown = [key for key in tolerances if key not in nominal]
     if unknown:
         raise UsageError(f"--tolerance {unknown[0]}", f"no such parameter of {name}", f"one of {', '.join(nominal)}")

@@ -24,6 +24,7 @@ from robustlab.cli.uncertain import (
     UncertainArgument,
     load_uncertain,
     times,
+    unit_of,
 )
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
 
@@ -91,7 +92,7 @@ def worst_case(
         "output": output,
         "input": from_input,
         "t": None if t_end is None else times(model.dt, t_end, points),
-        "u": assignments("--input", inputs) or None,
+        "u": assignments("--input", inputs, unit_of(model.inputs)) or None,
         "band": band,
         "seed": seed,
         "workers": workers,

@@ -26,8 +26,8 @@ _COVER = f"{_SHEET}; tolerance: section 10.1.1"
 PARAMETERS = (
     Parameter("R", 2.07, "ohm", 0.0, _SHEET, "terminal resistance", "positive", role="resistance"),
     Parameter("L", 0.62e-3, "H", 0.0, _SHEET, "terminal inductance", "positive", role="inductance"),
-    Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", role="torque-constant"),
-    Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", role="torque-constant"),
+    Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", "either", role="torque-constant"),
+    Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", "either", role="torque-constant"),
     Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, _COVER, "viscous friction", "nonnegative", role="viscous-friction"),
     Parameter("J", 7.2e-6, "kg m2", 0.0, _SHEET, "rotor inertia", "positive", role="inertia"),
 )

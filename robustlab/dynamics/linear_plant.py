@@ -28,6 +28,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.units import amount
 
 __all__ = ["Descriptor", "LinearPlant"]
 
@@ -154,7 +155,8 @@ class LinearPlant(Plant):
             Names of the outputs to keep; states that then neither show nor act are left out (a motor's angle, where
             only its speed is looked at). All outputs and states where left out.
         ranges
-            Name -> (low, high) around the parameter's value, instead of its tolerance: a range need not be symmetric.
+            Name -> (low, high), numbers or texts with a unit, around the parameter's value, instead of its tolerance: a
+            range need not be symmetric.
 
         Returns
         -------
@@ -204,9 +206,8 @@ class LinearPlant(Plant):
             if name in given:
                 if len(given[name]) != 2:
                     raise InputError(f"{self.name}: uncertain: {name!r}", f"{given[name]!r}", "(low, high)")
-                low, high = given[name]
-                for end in (low, high):
-                    replace(p, value=end, tolerance=0.0)  # says what physics forbids
+                low, high = (amount(f"{self.name}: uncertain: {name!r}", end, p.unit) for end in given[name])
+                p.check_ends(low, high)
                 ranges[name] = replace(ParameterRange.between(low, high, p.value, p.unit), sign=p.sign)
             elif p.radius:
                 ranges[name] = p.range

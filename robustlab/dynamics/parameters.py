@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.uncertainty.blocks import ParameterRange, Sign
+from robustlab.units import amount, share
 
 __all__ = ["Parameter", "Role", "Sign", "overridden"]
 
@@ -37,7 +38,8 @@ class Parameter:
     meaning
         What it is, in words.
     sign
-        What physics allows: a mass is ``"positive"``, a friction coefficient ``"nonnegative"``, a gain ``"any"``.
+        What physics allows: a mass is ``"positive"``, a friction coefficient ``"nonnegative"``, a coordinate ``"any"``.
+        ``"either"``: a torque constant is positive or negative as the machine is wired, and its range holds no zero.
     role
         What it is to the equations of motion, where an effect may act on it: all parameters with the role ``"inertia"``
         are what an "inertia wrong" scales. Empty: no effect acts on it.
@@ -79,12 +81,14 @@ class Parameter:
             raise InputError(
                 where, f"relative tolerance {self.tolerance:g}", "0 (exact) or a positive share, 0.1 for 10 %"
             )
-        if (self.sign == "positive" and self.tolerance >= 1) or (self.sign == "nonnegative" and self.tolerance > 1):
+        limited = self.sign in ("positive", "either")
+        if (limited and self.tolerance >= 1) or (self.sign == "nonnegative" and self.tolerance > 1):
             raise InputError(
                 where,
-                f"relative tolerance {self.tolerance:g}",
+                f"relative tolerance {self.tolerance:g}, a range from {self.value - self.radius:g} to"
+                f" {self.value + self.radius:g} {self.unit}".rstrip(),
                 "less than 1: the range must keep the sign that physics asks for",
-                "the tolerance is a share, not a percentage: 0.1 stands for 10 %",
+                f"did you mean {self.tolerance:g}% = {self.tolerance / 100:g}?",
             )
 
     @property
@@ -96,6 +100,23 @@ class Parameter:
     def range(self) -> ParameterRange:
         """Centre and half width, as an uncertain block carries them, with the sign that physics allows."""
         return ParameterRange(self.value, self.radius, self.unit, sign=self.sign)
+
+    def check_ends(self, low: float, high: float) -> None:
+        """Refuse a range that leaves the sign that physics asks for.
+
+        Raises
+        ------
+        InputError
+            An end that is no value of the parameter, or zero within a range that must not hold it.
+        """
+        for end in (low, high):
+            replace(self, value=end, tolerance=0.0)
+        if self.sign == "either" and low <= 0 <= high:
+            raise InputError(
+                f"parameter {self.name!r}",
+                f"a range from {low:g} to {high:g} {self.unit}".rstrip(),
+                f"one that does not hold 0 ({self.meaning or 'by physics'})",
+            )
 
     def to_json(self) -> dict[str, object]:
         """All attributes as plain types."""
@@ -115,7 +136,8 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
     Parameters
     ----------
     given
-        Name -> value (the default's tolerance stays), or name -> ``(value, relative tolerance)``.
+        Name -> value (the default's tolerance stays), or name -> ``(value, relative tolerance)``. Either may be a text:
+        a number with the parameter's unit, or one that measures the same, and a share per cent.
     where
         What messages call the plant.
 
@@ -128,6 +150,8 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
     --------
     >>> overridden([Parameter("R", 2.07, "ohm")], {"R": (2.1, 0.05)}, "dc-motor")["R"].radius
     0.10500000000000001
+    >>> overridden([Parameter("L", 6e-4, "H")], {"L": ("0.5 mH", "10%")}, "dc-motor")["L"].range
+    ParameterRange(nominal=0.0005, radius=5e-05, unit='H', below=None)
     """
     known = {p.name: p for p in defaults}
     for name, value in given.items():
@@ -136,14 +160,16 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
             raise InputError(
                 f"{where}: {name!r}", "no such parameter", f"one of {', '.join(names)}", did_you_mean(name, names)
             )
+        place, unit = f"{where}: {name}", known[name].unit
         if isinstance(value, (tuple, list)):
             if len(value) != 2:
-                raise InputError(f"{where}: {name}", f"{len(value)} entries", "a value or (value, relative tolerance)")
-            nominal, tolerance = (_number(f"{where}: {name}", v) for v in value)
+                raise InputError(place, f"{len(value)} entries", "a value or (value, relative tolerance)")
+            nominal = _number(place, amount(place, value[0], unit))
+            tolerance = _number(place, share(place, value[1]))
             if nominal == 0 and tolerance:
-                raise InputError(f"{where}: {name}", "a relative tolerance of the value 0", "a value other than 0")
+                raise InputError(place, "a relative tolerance of the value 0", "a value other than 0")
         else:
-            nominal, tolerance = _number(f"{where}: {name}", value), known[name].tolerance
+            nominal, tolerance = _number(place, amount(place, value, unit)), known[name].tolerance
         known[name] = replace(known[name], value=nominal, tolerance=tolerance, source=GIVEN)
     return known
 

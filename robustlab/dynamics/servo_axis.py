@@ -26,7 +26,7 @@ _EMPS = "Janot, Gautier, Brunot 2019 (EMPS)"
 PARAMETERS = (
     Parameter("M", 95.1089, "kg", 0.0, _EMPS, "moving mass seen at the carriage", "positive", role="inertia"),
     Parameter("Fv", 203.5034, "N s/m", 0.0, _EMPS, "viscous friction", "nonnegative", role="viscous-friction"),
-    Parameter("gain", 35.15065, "N/V", 0.0, _EMPS, "force at the carriage per volt", role="input-gain"),
+    Parameter("gain", 35.15065, "N/V", 0.0, _EMPS, "force at the carriage per volt", "either", role="input-gain"),
 )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.header import check_header, is_stamped
 from robustlab.files.limits import Limits
@@ -18,6 +18,7 @@ from robustlab.files.record_layout import decode_record
 from robustlab.files.signature import content_of
 from robustlab.files.text_table import read_table
 from robustlab.files.tree import Tree, Unread
+from robustlab.units import factor_to_si, same_unit
 
 __all__ = ["read_record"]
 
@@ -82,7 +83,9 @@ def read_record(
     clock
         Name of the signal with the times; ``t`` or ``time`` where left out. A unit of ms, us or min is converted to s.
     units
-        Name -> unit, for files that state none; they win over the file.
+        Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
+        rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
+        not named keep the numbers and the unit of the file.
     delimiter, decimal
         For text files; see `robustlab.files.text_table.read_table`.
     allow_gaps
@@ -97,7 +100,7 @@ def read_record(
     ------
     InputError
         Signals that are missing (all of them, with the nearest names), are not columns of numbers, differ in length; no
-        clock; missing samples.
+        clock; missing samples; a unit for no signal, or another one than the file states.
     """
     if content_of(path, limits) == "text":
         source = _from_text(path, group, delimiter, decimal, limits)
@@ -213,7 +216,7 @@ def _stored(
     taken = {*keywords["inputs"], *keywords["outputs"]}
     for key in ("units", "meaning"):
         keywords[key] = {name: text for name, text in keywords[key].items() if name in taken}
-    keywords["units"].update(units or {})
+    _convert(where, keywords["inputs"], keywords["outputs"], keywords["units"], units or {})
     return keywords
 
 
@@ -247,24 +250,54 @@ def _choose(
         raise _no_signals(source, "no signals here")
     arrays = {name: _numbers(source, name) for name in dict.fromkeys([*ins, *outs])}
     n = _common_length(source, arrays)
+    if clock is not None and clock in units and clock not in arrays:
+        _agree(source.where, clock, source.channels[clock].unit, units[clock])
+        source.channels[clock].unit = units[clock]
+        units = {name: unit for name, unit in units.items() if name != clock}
     t = _times(source, list(arrays), n, dt, clock)
     if not allow_gaps:
         _refuse_gaps(source.where, t)
     meanings = {name: source.channels[name].meaning for name in arrays if source.channels[name].meaning}
     stated = {name: source.channels[name].unit for name in arrays}
-    for name in units:
-        if name not in arrays:
-            raise InputError(
-                source.where, f"a unit for {name!r}", _list("one of", list(arrays)), _nearest(name, list(arrays))
-            )
+    taken = {name: arrays[name] for name in ins}, {name: arrays[name] for name in outs}
+    _convert(source.where, *taken, stated, units)
     return {
         "t": t,
-        "inputs": {name: arrays[name] for name in ins},
-        "outputs": {name: arrays[name] for name in outs},
-        "units": {**stated, **units},
+        "inputs": taken[0],
+        "outputs": taken[1],
+        "units": stated,
         "name": source.name,
         "meaning": meanings,
     }
+
+
+def _convert(
+    where: str,
+    inputs: dict[str, NDArray[np.float64]],
+    outputs: dict[str, NDArray[np.float64]],
+    stated: dict[str, str],
+    given: Mapping[str, str],
+) -> None:
+    """Bring the named signals from the unit given for their numbers to SI; changes the first three tables."""
+    for name, unit in given.items():
+        side = inputs if name in inputs else outputs
+        if name not in side:
+            known = [*inputs, *outputs]
+            raise InputError(where, f"a unit for {name!r}", _list("one of", known), _nearest(name, known))
+        _agree(where, name, stated.get(name, ""), unit)
+        factor, stated[name] = factor_to_si(unit)
+        if factor != 1.0:
+            side[name] = side[name] * factor
+
+
+def _agree(where: str, name: str, stated: str, given: str) -> None:
+    if stated and not same_unit(stated, given):
+        raise UnitMismatch(
+            f"{where}: {name}",
+            f"the file states {stated}, the unit given is {given}",
+            "the unit that the numbers in the file are in",
+            f"--unit {name}={stated} converts from it; where the file is wrong, correct it there",
+        )
 
 
 def _no_signals(source: _Source, found: str) -> InputError:

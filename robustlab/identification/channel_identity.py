@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from robustlab.identification.windowed_response import ResponseWindows, explained
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
+from robustlab.units import unit_family
 
 __all__ = [
     "Contradiction",
@@ -42,18 +43,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Fits = Sequence[ResponseWindows]
 
-# Sizes of units in the first unit of each family: what people record in, and mistake for one another.
-UNIT_SIZES: tuple[dict[str, float], ...] = (
-    {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "mrad": 1e-3},
-    {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "turns/s": 2 * math.pi, "mrad/s": 1e-3},
-    {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6},
-    {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "m/min": 1 / 60},
-    {"V": 1.0, "mV": 1e-3, "kV": 1e3},
-    {"A": 1.0, "mA": 1e-3, "kA": 1e3},
-    {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665},
-    {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2, "N mm": 1e-3, "kgf m": 9.80665},
-)
-ALIASES = {"1/min": "rpm", "Hz": "turns/s", "N*m": "N m", "Nm": "N m", "°": "deg", "rev": "turns"}
 # Of a channel in no known unit: thousands, hundreds, degrees, turns, turns a minute.
 ANY_FACTORS = (
     1e3,
@@ -117,11 +106,11 @@ def unit_factors(unit: str) -> dict[float, str]:
     >>> {round(f, 3): name for f, name in unit_factors("rad/s").items()}
     {57.296: 'deg/s', 9.549: 'rpm', 0.159: 'turns/s', 1000.0: 'mrad/s'}
     """
-    unit = ALIASES.get(unit, unit)
-    for family in UNIT_SIZES:
-        if unit in family:
-            return {family[unit] / size: other for other, size in family.items() if size != family[unit]}
-    return dict.fromkeys(ANY_FACTORS, "")
+    found = unit_family(unit)
+    if found is None:
+        return dict.fromkeys(ANY_FACTORS, "")
+    family, own = found
+    return {own / size: other for other, size in family.items() if size != own}
 
 
 def contradictions(

@@ -9,6 +9,7 @@ from robustlab.dynamics.effects.port_model import parameter_groups
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.effect_fit import Nuisance
+from robustlab.units import share
 
 __all__ = ["nuisance_parameters", "stated_tolerances"]
 
@@ -31,14 +32,14 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
     Parameters
     ----------
     given
-        Name -> tolerance that overrides the plant's own; 0 holds the parameter.
+        Name -> tolerance, 0.05 or ``"5%"``, that overrides the plant's own; 0 holds the parameter.
 
     Raises
     ------
     InputError
         An unknown name, a negative tolerance.
     """
-    given = given or {}
+    given = {name: share(f"tolerances: {name}", value) for name, value in (given or {}).items()}
     for name, tolerance in given.items():
         if name not in plant.parameters:
             known = tuple(plant.parameters)

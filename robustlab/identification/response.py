@@ -13,6 +13,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model
+from robustlab.units import factor_to_si, same_unit
 
 __all__ = ["Response", "Stretch", "response_of"]
 
@@ -182,12 +183,13 @@ def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) 
     warnings: list[str] = []
     for name, unit in model_signals:
         measured = record.unit(name)
-        if unit and measured and _spelled(unit) != _spelled(measured):
+        if unit and measured and not same_unit(unit, measured):
+            converts = same_unit(factor_to_si(measured)[1], unit)
             raise UnitMismatch(
                 f"{where}: {name}",
                 f"recorded in {measured}",
                 f"{unit} as in the model",
-                "convert the record, or correct its unit",
+                f"--unit {name}={measured} converts it" if converts else "convert the record, or correct its unit",
             )
         if not measured or not unit:
             who = (
@@ -199,8 +201,3 @@ def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) 
                 f"{name}: {who} a unit; {'taken as ' + (measured or unit) if measured or unit else 'taken as equal'}"
             )
     return warnings
-
-
-def _spelled(unit: str) -> str:
-    """A unit without the ways to write a product: ``N m``, ``N*m`` and ``N·m`` are one unit."""
-    return "".join(ch for ch in unit if ch not in " *·⋅.")

@@ -12,15 +12,20 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import shutil
+import stat
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock
 
 from robustlab.errors import (
     EXIT_OK,
@@ -46,6 +51,8 @@ from robustlab.result import Status, plain
 __all__ = ["RunResult", "read_result", "run_recipe", "write_report"]
 
 DONE, NOT_RUN = "done", "not run"
+LOCK = ".running"  # held by the run that writes the folder
+STRAY_AGE = 3600.0  # s
 
 
 @dataclass(frozen=True)
@@ -69,14 +76,42 @@ class RunResult:
         return int(self.data["exit_code"])
 
 
-def _workplace(target: Path, out: str | Path) -> Path:
-    """A hidden folder beside ``target``, where the results lie until the run is through."""
+@contextmanager
+def _workplace(target: Path, out: str | Path) -> Iterator[Path]:
+    """A hidden folder beside ``target``, where the results lie until the run is through; it vanishes with the run.
+
+    What a killed run left there more than an hour ago is removed.
+    """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
+        _sweep(target)
+        folder = Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
+    lock = FileLock(folder / LOCK, timeout=0)  # of the operating system: a dead process cannot keep it
+    try:
+        with suppress(OSError, NotImplementedError):  # a file system without locks: then nobody can take it either
+            lock.acquire()
+        yield folder
+    finally:
+        lock.release()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _sweep(target: Path) -> None:
+    """Remove the hidden folders of runs into ``target`` that were killed; never a link, nor one that is locked."""
+    for stray in target.parent.glob(f".{glob.escape(target.name)}-running-*"):
+        try:
+            found = stray.lstat()
+            if not stat.S_ISDIR(found.st_mode) or time.time() - found.st_mtime < STRAY_AGE:
+                continue
+            if (stray / LOCK).is_file() and not (stray / LOCK).is_symlink():
+                with FileLock(stray / LOCK, timeout=0):
+                    pass
+            shutil.rmtree(stray)  # removes links in it, not what they point to
+        except (OSError, NotImplementedError):
+            continue  # in use, or not ours to remove: a stray folder does no harm
 
 
 def run_recipe(
@@ -105,8 +140,7 @@ def run_recipe(
     target = Path(out).resolve()
     if target.exists() and not target.is_dir():
         raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
-    folder = _workplace(target, out)
-    try:
+    with _workplace(target, out) as folder:
         unfinished = target.with_name(f".{target.name}-unfinished")
         workspace = Workspace(folder, sources, loaded.recipe.seed, unfinished)
         workspace.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in sources.items()}
@@ -115,8 +149,6 @@ def run_recipe(
         _write(folder / "result.json", json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False))
         write_report(data, folder)
         _publish(folder, target)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     return RunResult(data, target)
 
 
@@ -244,7 +276,7 @@ def _write(path: Path, text: str) -> None:
 
 def _publish(folder: Path, target: Path) -> None:
     """Move the files of a finished run to their place, ``result.json`` last; remove what only the previous run had."""
-    fresh = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    fresh = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file() and path.name != LOCK)
     fresh.sort(key=lambda path: path.name == "result.json")
     stale = _files_of_previous_run(target)
     for path in fresh:

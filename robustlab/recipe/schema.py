@@ -39,7 +39,9 @@ from robustlab.recipe.vocabulary import (
     PerformanceWeight,
     Points,
     Positive,
+    PriorTolerance,
     ReferenceLine,
+    RelativeTolerance,
     StepBase,
     StepName,
     Strict,
@@ -70,7 +72,9 @@ class PlantStep(StepBase):
     gives: ClassVar[str] = "plant"
     do: Literal["plant"]
     plant: str = Field(description='Name of the plant, for example "dc-motor".')
-    parameters: dict[str, NumberOrPair] = Field({}, description="Values in SI units, or [value, relative tolerance].")
+    parameters: dict[str, NumberOrPair] = Field(
+        {}, description='Values in SI units, [value, relative tolerance], or texts: "0.5 mH", "10%".'
+    )
     choices: dict[str, str | bool | list[float]] = Field(
         {}, description='What is no single number: preset = "physical", motors = true, m = [1.0, 2.0] for a chain.'
     )
@@ -136,12 +140,12 @@ class SteadyStateStep(StepBase):
 
 
 class UncertainStep(StepBase):
-    """An uncertain model of a plant: each parameter in `tolerances` varies by that share of its value."""
+    """An uncertain model of a plant: each parameter in `tolerances` varies by that share of its value, 0.05 or "5%"."""
 
     gives: ClassVar[str] = "uncertain"
     do: Literal["uncertain"]
     of: ToPlant
-    tolerances: Annotated[dict[str, Tolerance], Field(min_length=1)]
+    tolerances: Annotated[dict[str, RelativeTolerance], Field(min_length=1)]
     outputs: list[str] | None = None
 
 
@@ -334,7 +338,9 @@ class RecordStep(StepBase):
     outputs: list[str] | None = None
     dt: Positive | None = None
     clock: str | None = Field(None, description="Signal with the times, where it is not called t or time.")
-    units: dict[str, str] = Field({})
+    units: dict[str, str] = Field(
+        {}, description='Unit that the numbers in the file are in: { phi = "deg" }; they are converted to SI.'
+    )
     about: Text = Field(
         "", description="What the record is, who published it, how to get it; shown where the file is absent."
     )
@@ -378,7 +384,7 @@ class DiscoverStep(StepBase):
         [], description="Records that no fit sees; every fourth window of the others where left out."
     )
     repeats: list[ToRecord] = Field([], description="Further records with the same input, for the noise floor.")
-    tolerances: dict[str, Positive] = Field(
+    tolerances: dict[str, PriorTolerance] = Field(
         {}, description="Relative tolerance of a parameter, over the one that the plant states."
     )
     exclude: list[str] = Field([], description="Ids of effects that are not tried.")

@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 
-Sign = Literal["any", "nonnegative", "positive"]
+Sign = Literal["any", "either", "nonnegative", "positive"]
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class ParameterRange:
         Width of the range beneath the nominal value; None where it is the same (a width given equal to ``radius``
         becomes None).
     sign
-        What physics allows beyond the range too: a mass is ``"positive"``, a friction ``"nonnegative"``. It limits
-        nothing; results that name a value outside say so (`impossible`). Ranges that differ in nothing else are equal.
+        What physics allows beyond the range too: a mass is ``"positive"``, a friction ``"nonnegative"``, a torque
+        constant ``"either"``, but never zero and never both in one machine. It limits nothing; results that name a value outside say so (`impossible`). Ranges that differ in nothing else are equal.
 
     Raises
     ------
@@ -141,6 +141,8 @@ class ParameterRange:
         """
         if self.sign == "positive" and value <= 0:
             return "it is always positive"
+        if self.sign == "either" and value * self.nominal <= 0:
+            return "it never changes its sign"
         return "it is never negative" if self.sign == "nonnegative" and value < 0 else ""
 
     def to_json(self) -> dict[str, object]:

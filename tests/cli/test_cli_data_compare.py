@@ -92,7 +92,7 @@ def test_noise_floor_from_a_stated_period_and_from_a_repeated_file(run, tmp_path
         (("servo-axs", "--set", "M=1"), 2, "did you mean servo-axis"),
         (("servo-axis", "--set", "M"), 2, "NAME=VALUE"),
         (("servo-axis", "--set", "Mass=1"), 3, "Mass"),
-        (("servo-axis", "--unit", "u=A"), 3, "recorded in A, expected V"),
+        (("servo-axis", "--unit", "u=A"), 3, "the file states V, the unit given is A"),
         (("servo-axis", "--inputs", "q", "--outputs", "u"), 3, "no input 'u'"),
         (("servo-axis", "--window", "1000"), 3, "window"),
         (("dc-motor",), 3, "phi"),

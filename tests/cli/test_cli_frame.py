@@ -90,7 +90,7 @@ def test_version(capsys):
         (OSError(28, "No space left on device", "out/r.h5"), 5),
         (OSError(30, "Read-only file system", "out/r.h5"), 5),
         (KeyboardInterrupt(), 130),
-        (BrokenPipeError(), 0),
+        (BrokenPipeError(), 141),
         (ZeroDivisionError("a bug"), 70),
         (OSError(2, "No such file or directory", "x"), 70),
     ],

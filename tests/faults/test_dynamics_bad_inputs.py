@@ -23,12 +23,23 @@ ONES = np.ones(5)
         ("dc-motor", {"Kf": -1e-6}, "no negative value"),
         ("dc-motor", {"L": float("nan")}, "L: nan, expected a finite"),
         ("dc-motor", {"L": float("inf")}, "finite"),
-        ("dc-motor", {"L": "small"}, "'small', expected a real number"),
+        ("dc-motor", {"L": "small"}, "'small', expected a number in H"),
         ("dc-motor", {"L": True}, "a real number"),
         ("dc-motor", {"L": 1 + 0j}, "a real number"),
         ("dc-motor", {"L": [1.0, 0.1, 3.0]}, "3 entries"),
         ("dc-motor", {"L": np.array([1.0, 2.0])}, "a real number"),
-        ("dc-motor", {"R": (2.07, 10)}, "0.1 stands for 10 %"),
+        ("dc-motor", {"R": (2.07, 10)}, "did you mean 10% = 0.1?"),
+        ("dc-motor", {"Km": (0.052, 5.0)}, "from -0.208 to 0.312 N m/A.*did you mean 5% = 0.05?"),
+        ("dc-motor", {"Kb": (-0.052, 1.0)}, "keep the sign"),
+        ("servo-axis", {"gain": (35.0, 5)}, "did you mean 5% = 0.05?"),
+        ("linear-actuator", {"Km": (0.052, 5)}, "did you mean 5% = 0.05?"),
+        ("dc-motor", {"Km": (0.052, "500%")}, "keep the sign"),
+        ("dc-motor", {"Km": (0.052, "5 V")}, "'5 V', expected a share of the value"),
+        ("dc-motor", {"Km": (0.052, "a lot")}, "'a lot', expected a share"),
+        ("dc-motor", {"Km": "5%"}, "Km: '5%', expected a number in N m/A"),
+        ("dc-motor", {"R": "2.1 V"}, "R: '2.1 V', expected a number in ohm"),
+        ("dc-motor", {"R": "2.1 " + "ohm" * 40}, "expected a number in ohm"),
+        ("dc-motor", {"R": "nan ohm"}, "expected a number in ohm"),
         ("dc-motor", {"R": (2.07, -0.1)}, "relative tolerance -0.1"),
         ("dc-motor", {"Km": (0.0, 0.1)}, "tolerance of the value 0"),
         ("servo-axis", {"M": 0}, "moving mass"),
@@ -44,6 +55,40 @@ def test_bad_parameters(name, parameters, words):
     with pytest.raises(rl.InputError, match="(?s)" + words.replace("(", r"\(")) as caught:
         rl.plant(name, **parameters)
     assert caught.value.exit_code == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "value", "tolerance"),
+    [
+        ({"R": "2.1 ohm"}, 2.1, 0.0),
+        ({"R": "2.1Ω"}, 2.1, 0.0),
+        ({"R": "2.1"}, 2.1, 0.0),
+        ({"L": "0.62 mH"}, 0.62e-3, 0.0),
+        ({"J": ("72 g cm2", "10 %")}, 7.2e-6, 0.1),
+        ({"J": ("7.2e-6 kg m^2", "0.1")}, 7.2e-6, 0.1),
+        ({"Km": ("0.05 N*m/A", "5%")}, 0.05, 0.05),
+        ({"Km": ("52mN m/A", 0.05)}, 0.052, 0.05),
+        ({"Km": (-0.052, 0.05)}, -0.052, 0.05),
+        ({"Km": 0.0}, 0.0, 0.0),
+    ],
+)
+def test_a_parameter_may_carry_its_unit_and_a_tolerance_a_percent_sign(given, value, tolerance):
+    (name,) = given
+    found = rl.plant("dc-motor", **given).parameters[name]
+    assert (found.value, found.tolerance) == pytest.approx((value, tolerance), rel=1e-15)
+
+
+@pytest.mark.parametrize("ends", [(-0.2, 0.3), (0.0, 0.1), ("-0.2 N m/A", "0.3 N m/A")])
+def test_a_range_of_a_torque_constant_holds_no_zero(ends):
+    with pytest.raises(rl.InputError, match="does not hold 0"):
+        rl.plant("dc-motor").uncertain(ranges={"Km": ends})
+
+
+def test_the_ends_of_a_range_may_carry_a_unit():
+    (found, _) = rl.plant("dc-motor").uncertain(ranges={"Km": ("40 mN m/A", 0.06)}).blocks
+    assert (found.name, found.parameter.low, found.parameter.high) == ("Km", pytest.approx(0.04), pytest.approx(0.06))
+    with pytest.raises(rl.InputError, match="expected a number in N m/A"):
+        rl.plant("dc-motor").uncertain(ranges={"Km": ("4%", "6%")})
 
 
 def tank(equations, **values):

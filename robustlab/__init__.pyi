@@ -1,0 +1,189 @@
+# Written by benchmarks/stub.py from the table in __init__.py; do not edit.
+from robustlab.dynamics import linearise as linearise
+from robustlab.dynamics import plant as plant
+from robustlab.dynamics import simulate as simulate
+from robustlab.dynamics import trim as trim
+from robustlab.dynamics.effects.attached_effect import effect_names as effect_names
+from robustlab.dynamics.effects.extended_plant import with_effects as with_effects
+from robustlab.errors import InputError as InputError
+from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
+from robustlab.errors import RobustlabError as RobustlabError
+from robustlab.frequency import frequency_response as frequency_response
+from robustlab.identification import compare as compare
+from robustlab.identification.data_cover import DataCover as DataCover
+from robustlab.identification.data_cover import data_cover as data_cover
+from robustlab.identification.discovery import discover as discover
+from robustlab.identification.remaining_uncertainty import uncertain_from as uncertain_from
+from robustlab.identification.validation import FrequencyData as FrequencyData
+from robustlab.identification.validation import validate as validate
+from robustlab.mu_analysis import mu as mu
+from robustlab.mu_analysis import robust_performance as robust_performance
+from robustlab.mu_analysis import robust_stability as robust_stability
+from robustlab.mu_analysis import skew_mu as skew_mu
+from robustlab.mu_analysis import worst_case_gain as worst_case_gain
+from robustlab.mu_analysis.cover import conservatism as conservatism
+from robustlab.mu_analysis.cover import cover as cover
+from robustlab.mu_analysis.disk_margin import disk_margin as disk_margin
+from robustlab.mu_analysis.small_gain import small_gain as small_gain
+from robustlab.mu_analysis.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin
+from robustlab.norms import hinf_norm as hinf_norm
+from robustlab.record import Record as Record
+from robustlab.result import Status as Status
+from robustlab.statespace import Signal as Signal
+from robustlab.statespace import StateSpaceModel as StateSpaceModel
+from robustlab.storage import load as load
+from robustlab.storage import save as save
+from robustlab.storage.controller_export import export_controller as export_controller
+from robustlab.structural import controllability as controllability
+from robustlab.structural import observability as observability
+from robustlab.synthesis import Controller as Controller
+from robustlab.synthesis import check_weights as check_weights
+from robustlab.synthesis import complementary_weight as complementary_weight
+from robustlab.synthesis import control_weight as control_weight
+from robustlab.synthesis import design_weights as design_weights
+from robustlab.synthesis import dk as dk
+from robustlab.synthesis import fixed_structure as fixed_structure
+from robustlab.synthesis import generalized_plant as generalized_plant
+from robustlab.synthesis import h2 as h2
+from robustlab.synthesis import h2_hinf as h2_hinf
+from robustlab.synthesis import hinf as hinf
+from robustlab.synthesis import loop_functions as loop_functions
+from robustlab.synthesis import loop_functions_of as loop_functions_of
+from robustlab.synthesis import lqg as lqg
+from robustlab.synthesis import lqr as lqr
+from robustlab.synthesis import makeweight as makeweight
+from robustlab.synthesis import mixsyn as mixsyn
+from robustlab.synthesis import ncf as ncf
+from robustlab.synthesis import noise_weight as noise_weight
+from robustlab.synthesis import performance_limits as performance_limits
+from robustlab.synthesis import performance_weight as performance_weight
+from robustlab.synthesis import place as place
+from robustlab.synthesis.controller_reduction import reduce_controller as reduce_controller
+from robustlab.synthesis.discretisation import discretise as discretise
+from robustlab.synthesis.model_reduction import balanced_truncation as balanced_truncation
+from robustlab.synthesis.model_reduction import hankel_singular_values as hankel_singular_values
+from robustlab.synthesis.model_reduction import reduce_model as reduce_model
+from robustlab.synthesis.sampled_controller import discretise_controller as discretise_controller
+from robustlab.synthesis.sampled_data import sampled_data_norm as sampled_data_norm
+from robustlab.synthesis.sampled_robustness import sampled_robustness as sampled_robustness
+from robustlab.uncertainty.algebra import beside as beside
+from robustlab.uncertainty.algebra import stacked as stacked
+from robustlab.uncertainty.algebra import star as star
+from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
+from robustlab.uncertainty.blocks import FullBlock as FullBlock
+from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
+from robustlab.uncertainty.blocks import RealScalar as RealScalar
+from robustlab.uncertainty.centring import centred as centred
+from robustlab.uncertainty.coprime import coprime_margin as coprime_margin
+from robustlab.uncertainty.elementwise import by_cause as by_cause
+from robustlab.uncertainty.elementwise import elementwise as elementwise
+from robustlab.uncertainty.gap_metric import gap as gap
+from robustlab.uncertainty.gap_metric import nu_gap as nu_gap
+from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+from robustlab.uncertainty.overbound import overbound as overbound
+from robustlab.uncertainty.parametric import parametric as parametric
+from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
+from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
+from robustlab.uncertainty.structured_reduction import reduction as reduction
+from robustlab.uncertainty.unstructured import unstructured as unstructured
+from robustlab.uncertainty.well_posedness import well_posedness as well_posedness
+from robustlab.worst_case_analysis import sample as sample
+from robustlab.worst_case_analysis import sample_size as sample_size
+from robustlab.worst_case_analysis import violation_probability as violation_probability
+from robustlab.worst_case_analysis import worst_case as worst_case
+
+__version__: str
+__all__ = [
+    "StateSpaceModel",
+    "Signal",
+    "Record",
+    "load",
+    "save",
+    "export_controller",
+    "plant",
+    "trim",
+    "linearise",
+    "simulate",
+    "with_effects",
+    "effect_names",
+    "RealScalar",
+    "ComplexScalar",
+    "FullBlock",
+    "ParameterRange",
+    "UncertainModel",
+    "elementwise",
+    "by_cause",
+    "parametric",
+    "centred",
+    "reduction",
+    "well_posedness",
+    "star",
+    "beside",
+    "stacked",
+    "unstructured",
+    "cover",
+    "conservatism",
+    "overbound",
+    "realise_delta",
+    "perturbed_model",
+    "sample",
+    "worst_case",
+    "violation_probability",
+    "sample_size",
+    "mu",
+    "skew_mu",
+    "robust_stability",
+    "robust_performance",
+    "worst_case_gain",
+    "small_gain",
+    "disk_margin",
+    "worst_case_disk_margin",
+    "gap",
+    "nu_gap",
+    "coprime_margin",
+    "hinf_norm",
+    "controllability",
+    "observability",
+    "frequency_response",
+    "hinf",
+    "h2",
+    "h2_hinf",
+    "loop_functions",
+    "loop_functions_of",
+    "lqr",
+    "lqg",
+    "place",
+    "mixsyn",
+    "ncf",
+    "dk",
+    "fixed_structure",
+    "generalized_plant",
+    "performance_limits",
+    "performance_weight",
+    "control_weight",
+    "complementary_weight",
+    "design_weights",
+    "check_weights",
+    "makeweight",
+    "noise_weight",
+    "Controller",
+    "hankel_singular_values",
+    "balanced_truncation",
+    "reduce_model",
+    "reduce_controller",
+    "discretise",
+    "discretise_controller",
+    "sampled_data_norm",
+    "sampled_robustness",
+    "compare",
+    "discover",
+    "DataCover",
+    "data_cover",
+    "uncertain_from",
+    "validate",
+    "FrequencyData",
+    "Status",
+    "RobustlabError",
+    "InputError",
+    "NoTrustworthyNumber",
+]

@@ -1,0 +1,224 @@
+"""How a command ends: every way, of ours or of the machine's, is an exit code and one line on stderr.
+
+=================================================  ====================================================================
+the command returns, or raises an error of ours    its exit code, see `robustlab.errors`
+Ctrl-C, SIGTERM                                    130, after the same cleaning up
+the reader of stdout went away (``| head -1``)     141, as for a program that SIGPIPE ends; nothing is said
+stdout closed or full, no working directory,       5
+not enough memory or address space
+anything else                                      70: a bug of ours, with a report file
+=================================================  ====================================================================
+
+This module stands in front of every other import of a command, so it imports nothing that takes time.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from types import FrameType
+from typing import NoReturn
+
+from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, plain_text
+
+__all__ = ["EXIT_READER_GONE", "main_guard", "require_surroundings", "ready_streams"]
+
+EXIT_READER_GONE = 141  # 128 + SIGPIPE
+
+# Errors of the machine that any write, thread or process can meet: the disk is full, the folder is read-only, a quota
+# or the memory is used up.
+_MACHINE_FAULTS = {
+    errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE, errno.ENOMEM,
+    errno.EAGAIN, errno.EBADF,
+}  # fmt: skip
+# How the loader, numpy and the threading library say that memory is used up.
+_MORE = "more memory, a higher ulimit -v, or a smaller task"
+_NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread", "out of memory")
+
+# Python, numpy, scipy and h5py, with room for the work of a small command. Beneath this native libraries end the
+# process themselves, with exit code 1 and words of their own, before Python could say a word.
+LEAST_ADDRESS_SPACE = 640 << 20
+
+
+def ready_streams() -> None:
+    """Give a closed stdin or stderr something to stand on, and take SIGTERM for Ctrl-C.
+
+    A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
+    complains there.
+
+    Raises
+    ------
+    EnvironmentFault
+        stdout is closed: the result could not be told to anybody.
+    """
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+            os.set_inheritable(number, True)  # a child process needs the three as well
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123  for the rest of the process
+    if hasattr(signal, "SIGTERM") and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _interrupt)
+    if sys.stdout is None:
+        raise EnvironmentFault("robustlab", "stdout is closed", "somewhere to print the result (> /dev/null)")
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def require_surroundings() -> None:
+    """What every command needs of the machine.
+
+    Raises
+    ------
+    EnvironmentFault
+        The working directory was deleted; the address space is limited to less than the libraries take.
+    """
+    if _no_folder():
+        raise _folder_fault()
+    try:
+        import resource
+    except ImportError:  # Windows knows no such limit
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        found = f"address space limited to {limit >> 20} MiB"
+        raise EnvironmentFault("robustlab", found, f"at least {LEAST_ADDRESS_SPACE >> 20} MiB (ulimit -v)")
+
+
+def main_guard(run: Callable[[], int | None]) -> int:
+    """Run a command and turn every way it can end into its exit code."""
+    try:
+        code = _answer(run)
+        sys.stdout.flush()
+        if code == EXIT_INTERRUPTED:  # the parser has caught Ctrl-C already
+            _say("interrupted")
+        return code
+    except BaseException as error:  # noqa: BLE001  the outermost handler
+        code = _code_of(error)
+        _silence()
+        return code
+
+
+def _answer(run: Callable[[], int | None]) -> int:
+    """The exit code of a command that ends on purpose."""
+    try:
+        return int(run() or 0)
+    except SystemExit as stop:  # the campaign's way to leave after Ctrl-C, when it has said what is saved
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except Exception as stop:
+        code = getattr(stop, "exit_code", None)  # the parser's Exit: its class is click's, or typer's own copy of it
+        if isinstance(stop, RobustlabError) or hasattr(stop, "show") or not isinstance(code, int):
+            raise
+        return code
+
+
+def _code_of(error: BaseException) -> int:
+    if isinstance(error, RobustlabError):
+        _say(f"error: {error}")
+        return error.exit_code
+    if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # the parser's, likewise
+        _say("interrupted")
+        return EXIT_INTERRUPTED
+    if isinstance(error, BrokenPipeError):
+        return EXIT_READER_GONE
+    fault = _machine_fault(error)
+    if fault is not None:
+        _say(f"error: {fault}")
+        return fault.exit_code
+    show, code = getattr(error, "show", None), getattr(error, "exit_code", None)
+    if callable(show) and isinstance(code, int):
+        show(sys.stderr)  # a usage error of the parser
+        return code
+    _say(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}")
+    return EXIT_BUG
+
+
+def _machine_fault(error: BaseException) -> EnvironmentFault | None:
+    """What the machine lacks, where that is what ``error`` says."""
+    words = plain_text(next(iter(str(error).strip().splitlines()), ""))
+    if isinstance(error, MemoryError):
+        return EnvironmentFault("robustlab", f"not enough memory{f' ({words})' if words else ''}", _MORE)
+    said = "\n".join(str(cause).lower() for cause in _causes(error))
+    told = next((sign for sign in _NO_MEMORY if sign in said), None)
+    if told and isinstance(error, (ImportError, OSError, RuntimeError)):
+        return EnvironmentFault("robustlab", f"not enough memory ({told})", _MORE)
+    if isinstance(error, ImportError) and error.name and error.name.split(".")[0] != "robustlab":
+        return EnvironmentFault(
+            "robustlab", f"{error.name} cannot be loaded ({words})", "a sound installation (robustlab doctor)"
+        )
+    if not isinstance(error, OSError):
+        return None
+    if error.errno == errno.ENOENT and _no_folder():
+        return _folder_fault()
+    if error.errno not in _MACHINE_FAULTS:
+        return None
+    if error.filename is None:
+        return EnvironmentFault("robustlab", str(error.strerror))
+    return EnvironmentFault(str(error.filename), f"{error.strerror}; what was there before is kept")
+
+
+def _causes(error: BaseException | None) -> list[BaseException]:
+    found: list[BaseException] = []
+    while error is not None and error not in found:
+        found.append(error)
+        error = error.__cause__ or error.__context__
+    return found
+
+
+def _no_folder() -> bool:
+    try:
+        os.getcwd()  # noqa: PTH109  pathlib takes longer to load than this
+    except OSError:
+        return True
+    return False
+
+
+def _folder_fault() -> EnvironmentFault:
+    return EnvironmentFault("robustlab", "the working directory was deleted", "one that exists (cd)")
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # where stderr is closed or full as well, the exit code has to do
+        print(text, file=sys.stderr, flush=True)
+
+
+def _silence() -> None:
+    """Python flushes once more when it ends, and would complain again about a stream that cannot be written."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is None:
+            continue
+        try:
+            stream.flush()
+        except OSError:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, stream.fileno())
+            os.close(null)
+
+
+def _bug_report() -> str:
+    """Write traceback, versions and command to a file; say where."""
+    import tempfile
+    import traceback
+
+    from robustlab.provenance import library_versions
+
+    text = f"command: {sys.argv}\nversions: {library_versions()}\n\n{traceback.format_exc()}"
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="robustlab-bug-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
+            file.write(text)
+        return f"please report it with {file.name}"
+    except OSError:
+        return f"please report it:\n{text}"

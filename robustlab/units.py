@@ -1,0 +1,149 @@
+"""Units that people record and state numbers in: their sizes, their spellings, and numbers that carry one.
+
+The first unit of each family is the SI unit (angles in rad), in which everything is computed.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+from robustlab.errors import InputError
+
+__all__ = ["UNIT_SIZES", "amount", "factor_between", "factor_to_si", "same_unit", "share", "unit_family"]
+
+# Sizes of units in the first unit of each family: what people record in, and mistake for one another.
+UNIT_SIZES: tuple[dict[str, float], ...] = (
+    {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "mrad": 1e-3},
+    {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "turns/s": 2 * math.pi, "mrad/s": 1e-3},
+    {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6},
+    {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "m/min": 1 / 60},
+    {"V": 1.0, "mV": 1e-3, "kV": 1e3},
+    {"A": 1.0, "mA": 1e-3, "kA": 1e3},
+    {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665},
+    {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2, "N mm": 1e-3, "kgf m": 9.80665},
+    {"ohm": 1.0, "mohm": 1e-3, "kohm": 1e3},
+    {"H": 1.0, "mH": 1e-3, "uH": 1e-6},
+    {"kg": 1.0, "g": 1e-3},
+    {"kg m2": 1.0, "kg cm2": 1e-4, "g cm2": 1e-7},
+    {"N m/A": 1.0, "mN m/A": 1e-3},
+    {"V s/rad": 1.0, "mV s/rad": 1e-3},
+    {"N/m": 1.0, "N/mm": 1e3},
+)
+SPELLINGS = {
+    "1/min": "rpm", "min-1": "rpm", "Hz": "turns/s", "°": "deg", "°/s": "deg/s", "rev": "turns", "rev/s": "turns/s",
+    "Ω": "ohm", "mΩ": "mohm", "kΩ": "kohm", "µm": "um", "µH": "uH",
+}  # fmt: skip
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
+_LONGEST = 100  # characters of a number with its unit
+
+
+def _bare(unit: str) -> str:
+    """A unit without the ways to write a product or a power: ``N m``, ``N*m``, ``N·m`` and ``Nm`` are one unit."""
+    plain = unit.replace("²", "2").replace("^2", "2").replace("μ", "µ")
+    plain = SPELLINGS.get(plain.strip(), plain)
+    return "".join(ch for ch in plain if ch not in " *·⋅.")
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Whether two texts are one unit.
+
+    Examples
+    --------
+    >>> same_unit("N*m", "N m"), same_unit("°", "deg"), same_unit("mm", "m")
+    (True, True, False)
+    """
+    return _bare(one) == _bare(other)
+
+
+def unit_family(unit: str) -> tuple[dict[str, float], float] | None:
+    """The family of a unit, and its size there; None where it is in no family."""
+    for family in UNIT_SIZES:
+        for name, size in family.items():
+            if same_unit(name, unit):
+                return family, size
+    return None
+
+
+def factor_between(unit: str, wanted: str) -> float | None:
+    """What a number in ``unit`` is multiplied with to be in ``wanted``; None where one is not the other's measure.
+
+    Examples
+    --------
+    >>> factor_between("mm", "m"), factor_between("mm", "V")
+    (0.001, None)
+    """
+    if same_unit(unit, wanted):
+        return 1.0
+    found = unit_family(wanted)
+    size = next((s for name, s in found[0].items() if same_unit(name, unit)), None) if found else None
+    return None if found is None or size is None else size / found[1]
+
+
+def factor_to_si(unit: str) -> tuple[float, str]:
+    """Factor to the SI unit of the same family, and that unit; (1, unit) where it is in no family.
+
+    Examples
+    --------
+    >>> factor_to_si("mm"), factor_to_si("counts")
+    ((0.001, 'm'), (1.0, 'counts'))
+    """
+    found = unit_family(unit)
+    return (1.0, unit) if found is None else (found[1], next(iter(found[0])))
+
+
+def amount(where: str, given: Any, unit: str) -> Any:
+    """``given`` as a number in ``unit`` where it is a text; anything else as it is.
+
+    Raises
+    ------
+    InputError
+        No number, or a unit that is not a measure of the same.
+
+    Examples
+    --------
+    >>> amount("R", "2.1 ohm", "ohm"), amount("L", "0.5mH", "H"), amount("u", 42.0, "V")
+    (2.1, 0.0005, 42.0)
+    """
+    if not isinstance(given, str):
+        return given
+    number, stated = _parted(where, given, f"a number in {unit}" if unit else "a number")
+    factor = factor_between(stated, unit) if stated and unit else None if stated else 1.0
+    if factor is None:
+        expected = f"a number in {unit}" if unit else "a number without a unit: none is stated for it"
+        raise InputError(where, f"{given.strip()!r}", expected)
+    return number * factor
+
+
+def share(where: str, given: Any) -> Any:
+    """``given`` as a share where it is a text, per cent or not; anything else as it is.
+
+    Raises
+    ------
+    InputError
+        No number, or a unit other than %.
+
+    Examples
+    --------
+    >>> share("Km", "5%"), share("Km", "0.05")
+    (0.05, 0.05)
+    """
+    if not isinstance(given, str):
+        return given
+    expected = 'a share of the value: 0.05, or "5%"'
+    number, stated = _parted(where, given, expected)
+    if stated not in ("", "%"):
+        raise InputError(where, f"{given.strip()!r}", expected)
+    return number / 100 if stated else number
+
+
+def _parted(where: str, text: str, expected: str) -> tuple[float, str]:
+    """Number and unit of a text."""
+    try:
+        return float(text.replace("_", "?")), ""  # Python reads 1_0 as ten; nobody means that
+    except ValueError:
+        found = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST else None
+    if found is None:
+        raise InputError(where, f"{text[:_LONGEST]!r}", expected) from None
+    return float(found[1]), found[2].strip()

@@ -1,0 +1,228 @@
+"""How the real command ends where the world around it fails: pipes, streams, folders, memory, signals."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import robustlab as rl
+
+COMMAND = [sys.executable, "-c", "from robustlab.cli.main import main; main()"]
+MODEL = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
+
+
+def robustlab(*arguments, **options):
+    options = {"capture_output": True, "text": True, "timeout": 120, **options}
+    return subprocess.run([*COMMAND, *map(str, arguments)], check=False, **options)
+
+
+def in_shell(line, folder):
+    """A line of bash in which R is the command; its stdout and stderr, where the line itself prints codes."""
+    quoted = " ".join(f"'{word}'" for word in COMMAND)
+    done = subprocess.run(
+        ["bash", "-c", f'R() {{ {quoted} "$@"; }}\n{line}'],
+        capture_output=True, text=True, cwd=folder, timeout=120, check=False,
+    )  # fmt: skip
+    return done.stdout.strip(), done.stderr.strip()
+
+
+def one_line(text):
+    assert len(text.strip().splitlines()) == 1
+    assert "Traceback" not in text
+    return text
+
+
+@pytest.fixture
+def folder(tmp_path):
+    rl.save(tmp_path / "m.h5", MODEL)
+    return tmp_path
+
+
+# --- stdout, stderr ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words", ["--help", "model --help", "model show m.h5", "model show m.h5 --json", "recipe schema"]
+)
+@pytest.mark.parametrize("both", [False, True])
+def test_a_reader_that_is_gone_ends_it_with_141_and_no_word(folder, words, both):
+    read, write = os.pipe()
+    os.close(read)
+    errors = write if both else subprocess.PIPE
+    done = robustlab(*words.split(), capture_output=False, stdout=write, stderr=errors, cwd=folder)
+    os.close(write)
+    assert (done.returncode, done.stderr or "") == (141, "")
+
+
+@pytest.mark.parametrize("reader", ["true", "head -1 >/dev/null"])
+def test_a_reader_that_goes_early_never_makes_it_1(folder, reader):
+    line = f"for i in 1 2 3 4 5; do R recipe schema | {reader}; echo ${{PIPESTATUS[0]}}; done"
+    codes, errors = in_shell(line, folder)
+    assert set(codes.split()) <= {"0", "141"}
+    assert errors == ""
+
+
+@pytest.mark.parametrize("words", ["--help", "model show m.h5 --json", "model --help"])
+@pytest.mark.parametrize(("to", "said"), [(">&-", "stdout is closed"), (">/dev/full", "No space left on device")])
+def test_closed_and_full_stdout_are_5(folder, words, to, said):
+    code, errors = in_shell(f"R {words} {to}; code=$?; echo $code", folder)
+    assert code == "5"
+    assert said in one_line(errors)
+
+
+def test_a_closed_or_full_stderr_loses_no_result_and_no_code(folder):
+    out, _ = in_shell("R model show m.h5 2>&-; echo $?; R model show x.h5 2>&-; echo $?", folder)
+    assert "StateSpaceModel" in out
+    assert out.splitlines()[-2:] == ["0", "3"]
+    assert in_shell("R model show x.h5 2>/dev/full; echo $?; R model show m.h5 >&- 2>&-; echo $?", folder)[0] == "3\n5"
+
+
+def test_what_is_saved_while_stderr_is_closed_holds_no_messages(folder):
+    # The number of a closed stream would go to the next file that is opened.
+    in_shell("R model build dc-motor --out motor.h5 2>&- <&-", folder)
+    assert rl.load(folder / "motor.h5").input_names == ("u",)
+
+
+# --- folder, memory ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words", ["model show ../m.h5", "run first-light", "model build dc-motor --out x.h5", "doctor"]
+)
+def test_a_deleted_working_directory_is_5(folder, words):
+    code, errors = in_shell(f"mkdir gone; cd gone; rmdir ../gone; R {words}; echo $?", folder)
+    assert code == "5"
+    assert "working directory was deleted" in one_line(errors)
+
+
+@pytest.mark.parametrize("mib", [150, 300, 500])
+def test_an_address_space_too_small_for_the_libraries_is_5(folder, mib):
+    code, errors = in_shell(f"ulimit -v {mib * 1024}; R model show m.h5; echo $?", folder)
+    assert code == "5"
+    assert f"address space limited to {mib} MiB" in one_line(errors)
+
+
+def test_memory_that_runs_out_is_5(folder):
+    limit = 700 << 20
+    words = ["uncertain", "sample", "u.h5", "-n", "2000", "--t-end", "1", "--points", "10000"]
+    subprocess.run([*COMMAND, "uncertain", "build", "--plant", "dc-motor", "--out", "u.h5"], cwd=folder, check=True,
+                   capture_output=True)  # fmt: skip
+    done = robustlab(*words, cwd=folder, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)))
+    assert done.returncode == 5
+    assert "not enough memory" in one_line(done.stderr)
+
+
+# --- signals ----------------------------------------------------------------------------------------------------------
+
+RECIPE = """
+schema = "robustlab.recipe/1"
+name = "long"
+[step.motor]
+do = "plant"
+plant = "dc-motor"
+[step.set]
+do = "uncertain"
+of = "motor"
+tolerances = { R = 0.1 }
+[step.many]
+do = "campaign"
+of = "set"
+metric = "peak-deviation"
+output = "omega"
+input = { u = 42.0 }
+t_end = 0.1
+n = 1000000
+workers = 2
+"""
+
+
+def children(pid):
+    return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("kind", ["run", "campaign"])
+def test_sigterm_is_taken_as_ctrl_c(folder, kind, number):
+    if kind == "run":
+        (folder / "long.toml").write_text(RECIPE)
+        words = ["run", "long.toml"]
+    else:
+        rl.save(folder / "u.h5", rl.plant("dc-motor").uncertain(["omega"]))
+        words = ["campaign", "run", "u.h5", "--output", "omega", "--input", "u=42", "--t-end", "0.1", "-n", "1000000",
+                 "--workers", "2", "--store", "s.sqlite"]  # fmt: skip
+    process = subprocess.Popen(
+        [*COMMAND, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    until = time.monotonic() + 100
+    while len(workers := children(process.pid)) < 2 and time.monotonic() < until:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.05)
+    process.send_signal(number)
+    out, errors = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert "interrupted" in errors.splitlines()[-1]
+    assert "Traceback" not in errors
+    until = time.monotonic() + 20
+    while any(map(alive, workers)) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not any(map(alive, workers))
+    assert not list(folder.glob("out/.long-running-*"))
+
+
+# --- what killed runs leave -------------------------------------------------------------------------------------------
+
+SHORT = """
+schema = "robustlab.recipe/1"
+name = "short"
+[step.motor]
+do = "plant"
+plant = "dc-motor"
+"""
+
+
+def test_a_run_sweeps_what_killed_runs_left_more_than_an_hour_ago(folder):
+    from filelock import FileLock
+
+    (folder / "short.toml").write_text(SHORT)
+    out = folder / "out"
+    kept = folder / "precious"
+    kept.mkdir(parents=True)
+    (kept / "data.csv").write_text("1")
+    names = ["short-running-old", "short-running-live", "short-running-young", "other-running-old", "short-runningold"]
+    strays = {name: out / f".{name}" for name in names}
+    for stray in strays.values():
+        (stray / "figures").mkdir(parents=True)
+        (stray / "figures" / "a.svg").write_text("x")
+    (strays["short-running-old"] / "link").symlink_to(kept, target_is_directory=True)
+    (out / ".short-running-link").symlink_to(kept, target_is_directory=True)
+    hour_ago = time.time() - 3700
+    for name, stray in strays.items():
+        if "young" not in name:
+            os.utime(stray, (hour_ago, hour_ago))
+    os.utime(kept, (hour_ago, hour_ago))
+    live = FileLock(strays["short-running-live"] / ".running")
+    with live:
+        os.utime(strays["short-running-live"], (hour_ago, hour_ago))
+        assert robustlab("run", "short.toml", cwd=folder).returncode == 0
+        assert not strays["short-running-old"].exists()
+        assert all(stray.exists() for name, stray in strays.items() if name != "short-running-old")
+    os.utime(strays["short-running-live"], (hour_ago, hour_ago))
+    assert robustlab("run", "short.toml", cwd=folder).returncode == 0
+    assert not strays["short-running-live"].exists()
+    assert (out / ".short-running-link").is_symlink()
+    assert (kept / "data.csv").read_text() == "1"
+    assert not [path for path in (out / "short").rglob("*") if path.name == ".running"]

@@ -1,0 +1,218 @@
+"""Units and percentages on the command line and in recipes: ``5%``, ``42V``, ``--unit phi=deg``."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.cli.console import main_guard
+from robustlab.cli.main import run as robustlab
+
+
+@pytest.fixture
+def call(tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words, code=0):
+        found = main_guard(lambda: robustlab(list(map(str, words))))
+        out, errors = capfd.readouterr()
+        assert found == code, errors
+        return out if code == 0 else errors
+
+    return run
+
+
+def block(text, name):
+    (found,) = [b for b in json.loads(text)["blocks"] if b["name"] == name]
+    return found["parameter"]
+
+
+# --- tolerances -------------------------------------------------------------------------------------------------------
+
+
+def test_a_tolerance_that_was_meant_per_cent_is_refused(call):
+    said = call("uncertain", "build", "--plant", "dc-motor", "--tolerance", "Km=5", code=3)
+    assert "'Km': relative tolerance 5, a range from -0.208 to 0.312 N m/A, expected less than 1" in said
+    assert "did you mean 5% = 0.05?" in said
+
+
+@pytest.mark.parametrize("text", ["Km=5%", "Km=0.05", "Km=5 %"])
+def test_a_tolerance_per_cent(call, text):
+    found = block(call("uncertain", "build", "--plant", "dc-motor", "--tolerance", text, "--json"), "Km")
+    assert (found["nominal"], found["radius"]) == pytest.approx((0.052, 0.0026), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--tolerance", "Km=5V"), 2, 'expected a share of the value: 0.05, or "5%"'),
+        (("--tolerance", "Km="), 2, "share"),
+        (("--tolerance", "5%"), 2, "NAME=VALUE"),
+        (("--tolerance", "Kx=5%"), 2, "no such parameter"),
+        (("--range", "Km=-0.2:0.3"), 3, "one that does not hold 0"),
+        (("--range", "Km=40mV:60mV"), 2, "expected a number in N m/A"),
+    ],
+)
+def test_tolerances_and_ranges_that_are_refused(call, words, code, said):
+    assert said in call("uncertain", "build", "--plant", "dc-motor", *words, code=code)
+
+
+def test_a_range_with_units(call):
+    words = ("uncertain", "build", "--plant", "dc-motor", "--range", "Km=40 mN m/A:0.06 N m/A", "--json")
+    found = block(call(*words), "Km")
+    low = found["nominal"] - found.get("below", found["radius"])
+    assert (low, found["nominal"] + found["radius"]) == pytest.approx((0.04, 0.06))
+
+
+def test_a_parameter_and_an_input_with_their_units(call, tmp_path):
+    call("model", "build", "dc-motor", "--set", "R=2100 mohm", "--out", "a.h5")
+    call("model", "build", "dc-motor", "--set", "R=2.1", "--out", "b.h5")
+    assert (rl.load(tmp_path / "a.h5").A == rl.load(tmp_path / "b.h5").A).all()
+    assert "expected a number in ohm" in call("model", "build", "dc-motor", "--set", "R=2.1V", "--out", "c.h5", code=3)
+    rl.save(tmp_path / "u.h5", rl.plant("dc-motor").uncertain(["omega"]))
+    words = ["uncertain", "sample", "u.h5", "-n", "2", "--t-end", "0.1", "--json"]
+    plain = json.loads(call(*words, "--input", "u=42"))
+    assert json.loads(call(*words, "--input", "u=42V")) == plain
+    assert json.loads(call(*words, "--input", "u=42000 mV")) == plain
+    assert "'42A', expected a number in V" in call(*words, "--input", "u=42A", code=2)
+    assert "'42%', expected a number in V" in call(
+        "worst-case", "u.h5", "--output", "omega", "--input", "u=42%", code=2
+    )
+
+
+RECIPE = """
+schema = "robustlab.recipe/1"
+name = "small"
+[step.motor]
+do = "plant"
+plant = "dc-motor"
+parameters = {{ R = "2.1 ohm", L = ["0.6 mH", "10%"] }}
+[step.set]
+do = "uncertain"
+of = "motor"
+tolerances = {{ Km = {km}, Kf = "35%" }}
+"""
+
+
+def test_tolerances_and_units_in_a_recipe(call, tmp_path):
+    (tmp_path / "r.toml").write_text(RECIPE.format(km='"5%"'))
+    call("run", "r.toml", "--set", "set.tolerances.J=10%")
+    motor, made = json.loads((tmp_path / "out/small/result.json").read_text())["steps"]
+    found = motor["numbers"]["parameters"]
+    assert (found["R"]["value"], found["L"]["value"], found["L"]["tolerance"]) == (2.1, pytest.approx(6e-4), 0.1)
+    ranges = {fact["label"]: fact["value"] for fact in made["facts"]}
+    assert set(ranges) >= {"Km", "Kf", "J"}
+    (tmp_path / "r.toml").write_text(RECIPE.format(km="5"))
+    assert "did you mean 5% = 0.05?" in call("recipe", "check", "r.toml", code=3)
+    (tmp_path / "r.toml").write_text(RECIPE.format(km='"5 V"'))
+    assert 'a share of the value: 0.05, or "5%"' in call("recipe", "check", "r.toml", code=3)
+    (tmp_path / "r.toml").write_text(RECIPE.format(km="0.05").replace("0.6 mH", "0.6 mm"))
+    assert "'0.6 mm', expected a number in H" in call("run", "r.toml", code=3)
+
+
+def test_tolerances_of_a_discovery_may_be_per_cent():
+    from robustlab.identification.nuisances import stated_tolerances
+
+    found = stated_tolerances(rl.plant("dc-motor"), {"Km": "5%", "Kf": 2.0})
+    assert (found["Km"], found["Kf"]) == ((0.05, False), (2.0, False))
+    with pytest.raises(rl.InputError, match="expected a share"):
+        stated_tolerances(rl.plant("dc-motor"), {"Km": "5 V"})
+
+
+# --- units of records -------------------------------------------------------------------------------------------------
+
+T = np.arange(40) * 0.01
+MEASURED = {"phi": 90 * np.sin(T), "omega": 60 * np.cos(T), "q": 5.0 + T, "n": np.round(100 * T)}
+UNITS = ["phi=deg", "omega=rpm", "q=mm", "n=counts"]
+IN_SI = {
+    "phi": (math.pi / 180, "rad"),
+    "omega": (2 * math.pi / 60, "rad/s"),
+    "q": (1e-3, "m"),
+    "n": (1.0, "counts"),
+}
+
+
+def write(path, stated):
+    """The measured numbers as text or HDF5, with the units in the file or without."""
+    names = dict(zip(MEASURED, ("°", "1/min", "mm", ""), strict=True)) if stated else dict.fromkeys(MEASURED, "")
+    if path.suffix == ".csv":
+        header = ",".join(["t", *(f"{name} [{unit}]" if unit else name for name, unit in names.items())])
+        np.savetxt(
+            path, np.column_stack([T, *MEASURED.values()]), delimiter=",", header=header, comments="", fmt="%.17g"
+        )
+    elif path.name.startswith("plain"):
+        import h5py
+
+        with h5py.File(path, "w") as file:
+            file["t"] = T
+            for name, values in MEASURED.items():
+                file[name] = values
+                file[name].attrs["unit"] = names[name]
+    else:
+        rl.save(path, rl.Record(T, {}, MEASURED, names))
+
+
+@pytest.mark.parametrize("stated", [False, True])
+@pytest.mark.parametrize("file", ["r.csv", "r.h5", "plain.h5"])
+def test_a_unit_given_converts_to_si(call, tmp_path, file, stated):
+    write(tmp_path / file, stated)
+    options = [word for unit in UNITS for word in ("--unit", unit)]
+    call("data", "convert", file, "si.h5", *options)
+    record = rl.load(tmp_path / "si.h5")
+    for name, (factor, unit) in IN_SI.items():
+        assert record.unit(name) == unit
+        np.testing.assert_allclose(record[name], MEASURED[name] * factor, rtol=1e-15)
+    channels = {c["name"]: c for c in json.loads(call("data", "check", file, *options, "--json"))["channels"]}
+    assert channels["phi"]["unit"] == "rad"
+    assert channels["phi"]["greatest"] == pytest.approx(math.pi / 2 * math.sin(0.39), rel=1e-12)
+    read = rl.Record.read(tmp_path / file, units={"phi": "deg"})
+    np.testing.assert_array_equal(read["phi"], record["phi"])
+    np.testing.assert_array_equal(read["omega"], MEASURED["omega"])  # what is not named stays as it is
+
+
+@pytest.mark.parametrize("file", ["r.csv", "r.h5", "plain.h5"])
+def test_a_unit_that_contradicts_the_file_is_refused(call, tmp_path, file):
+    write(tmp_path / file, stated=True)
+    said = call("data", "check", file, "--unit", "q=m", code=3)
+    assert "q: the file states mm, the unit given is m" in said
+    assert "hint: --unit q=mm converts from it" in said
+    assert "a unit for 'phj'" in call("data", "check", file, "--unit", "phj=deg", code=3)
+
+
+def test_a_record_in_degrees_is_compared_with_a_model_in_radians(call, tmp_path):
+    t = np.arange(200) * 1e-3
+    clean = rl.simulate(rl.plant("dc-motor"), t, 10 * np.sin(40 * t))
+    columns = np.column_stack([t * 1e3, clean["u"], np.degrees(clean["phi"])])
+    np.savetxt(tmp_path / "m.csv", columns, delimiter=",", header="t,u,phi", comments="", fmt="%.17g")
+    words = [
+        "data",
+        "compare",
+        "dc-motor",
+        "m.csv",
+        "--outputs",
+        "phi",
+        "--unit",
+        "t=ms",
+        "--unit",
+        "phi=deg",
+        "--json",
+    ]
+    found = json.loads(call(*words))["outputs"]["phi"]
+    assert (found["unit"], found["fit"] > 99.99) == ("rad", True)
+    (tmp_path / "m.toml").write_text("""
+schema = "robustlab.recipe/1"
+name = "m"
+[step.measured]
+do = "record"
+path = "m.csv"
+inputs = ["u"]
+units = { t = "ms", phi = "deg" }
+""")
+    call("run", "m.toml")
+    (step,) = json.loads((tmp_path / "out/m/result.json").read_text())["steps"]
+    assert step["numbers"]["duration"] == pytest.approx(0.199)
+    assert "phi [rad]" in next(fact["value"] for fact in step["facts"] if fact["label"] == "Signals")
