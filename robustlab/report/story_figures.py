@@ -1,4 +1,4 @@
-"""The whole story in one picture: gap, uncertainty, what is proved, and what the machine then does."""
+"""The whole story in one picture: gap, uncertainty, what is proved, and what a simulated machine then does."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ class Story:
     Attributes
     ----------
     gap
-        ``t``, ``measured``, ``curves`` (two simulations), ``rms`` and ``label`` of a record; None without one.
+        ``t``, ``record``, ``origin`` ("measured" or "simulated"), ``curves`` (two simulations), ``rms`` and ``label`` of
+        a record; None without one.
     radii
         Unmodelled dynamics in the sets, shares of the input; None where they are told otherwise.
     held_out
@@ -38,7 +39,7 @@ class Story:
     margins, mu
         Margins of robust performance, and the mu that they prove.
     t, curves, errors, unit
-        Time in s, tracking error over it, largest error of any member, and their unit.
+        Of the referee, which is a simulation: time in s, tracking error over it, largest error of any member, and unit.
     """
 
     gap: Mapping[str, Any] | None
@@ -72,7 +73,7 @@ def story_figure(story: Story) -> Figure:
 def _gap(axes: Axes, story: Story, number: int) -> None:
     assert story.gap is not None
     gap, ratio = story.gap, story.gap["rms"][0] / max(story.gap["rms"][1], 1e-300)
-    axes.plot(gap["t"], gap["measured"], color=COLOURS["sample"], lw=3.2, label="measured, held out")
+    axes.plot(gap["t"], gap["record"], color=COLOURS["sample"], lw=3.2, label=f"{gap['origin']} record")
     axes.plot(gap["t"], gap["curves"][0], color=BEFORE, lw=1.2, label="model before")
     axes.plot(gap["t"], gap["curves"][1], color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="with the named effects")
     axes.set(xlabel="time [s]", ylabel=plain_label(gap["label"]), xlim=(gap["t"][0], gap["t"][-1]))
@@ -123,7 +124,7 @@ def _error(axes: Axes, story: Story, number: int) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
     ratio = story.errors[0] / max(story.errors[1], 1e-300)
-    axes.set_title(f"{number}  The machine itself: error {_number(ratio)} times smaller", loc="left")
+    axes.set_title(f"{number}  Simulated machine: error {_number(ratio)} times smaller", loc="left")
     axes.legend(loc="upper right")
 
 
