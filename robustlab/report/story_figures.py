@@ -30,7 +30,7 @@ class Story:
     Attributes
     ----------
     gap
-        ``t``, ``record``, ``origin`` ("measured" or "simulated"), ``curves`` (two simulations), ``rms`` and ``label`` of
+        ``t``, ``record``, ``origin`` (measured or simulated), ``curves`` (two simulations), ``rms`` and ``label`` of
         a record; None without one.
     radii
         Unmodelled dynamics in the sets, shares of the input; None where they are told otherwise.
