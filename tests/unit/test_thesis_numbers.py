@@ -54,7 +54,7 @@ def test_what_is_not_reproduced_has_a_reason(found):
 
 
 def test_all_six_bearing_points_are_judged(found):
-    """Printed: m2 = (16,33; 175,4). Independent: all at 176.11 mm, m2 5.52 degrees from b2, which is at 79.16 degrees."""
+    """Printed: m2 = (16,33; 175,4). Independent: all at 176.11 mm, m2 5.52 degrees from b2, which is at 79.16."""
     geometry = rl.plant("stewart-platform").geometry
     angle = np.radians(79.16 + 5.52)
     np.testing.assert_allclose(
