@@ -171,9 +171,8 @@ def case_figure(
         for axes, text in zip(panels[-3:], ("time [s]", "time before the end [ms]", "time [s]"), strict=True):
             axes.set_xlabel(text)
         figure.suptitle(plain_label(title), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
-        found = [axes.get_legend_handles_labels() for axes in (panels[0], panels[2])]
-        handles, labels = ([*found[0][i], *found[1][i]] for i in (0, 1))
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        (lines, words), (edges, bands) = (axes.get_legend_handles_labels() for axes in (panels[0], panels[2]))
+        figure.legend([*lines, *edges], [*words, *bands], loc="outside lower center", ncols=4)
     return figure
 
 

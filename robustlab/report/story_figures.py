@@ -38,8 +38,9 @@ class Story:
         ``before`` and ``after``: what held-out records need; None without such.
     margins, mu
         Margins of robust performance, and the mu that they prove.
-    t, curves, errors, unit
-        Of the referee, which is a simulation: time in s, tracking error over it, largest error of any member, and unit.
+    t, curves, errors, unit, after
+        Of the referee, which is a simulation: time in s, tracking error over it, largest error of any member, unit, and
+        the time in s from which it counts.
     """
 
     gap: Mapping[str, Any] | None
@@ -51,6 +52,7 @@ class Story:
     curves: Sequence[Array]
     errors: Sequence[float]
     unit: str
+    after: float = 0.0
 
 
 def story_figure(story: Story) -> Figure:
@@ -119,7 +121,9 @@ def _mu(axes: Axes, story: Story, number: int) -> None:
 
 def _error(axes: Axes, story: Story, number: int) -> None:
     for word, curve, largest, colour in zip(WORDS, story.curves, story.errors, (BEFORE, AFTER), strict=True):
-        axes.plot(story.t, curve, color=colour, lw=1.2, label=f"{word}: at most {largest:.3g} {story.unit}")
+        counted = f" from {story.after:g} s on" if story.after > 0 else ""
+        label = f"{word}: at most {largest:.3g} {story.unit}{counted}"
+        axes.plot(story.t, curve, color=colour, lw=1.2, label=label)
     axes.set(xlabel="time [s]", ylabel=plain_label(f"tracking error [{story.unit}]"), xlim=(story.t[0], story.t[-1]))
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend

@@ -139,7 +139,7 @@ def thesis_case(step: ThesisCaseStep, work: Workspace) -> Outcome:
 
     (case,) = [c for c in cases(stewart_platform()) if c.name == step.case]
     model = rl.elementwise(*case.with_gravity(), step.structure)
-    numbers = {
+    numbers: dict[str, Any] = {
         "blocks": len(model.blocks),
         "channels": model.delta_shape[0],
         "published": case.published,

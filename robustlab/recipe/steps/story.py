@@ -102,10 +102,9 @@ def story(step: StoryStep, work: Workspace) -> Outcome:
     curves = [runs.errors[k] for k in step.controllers]
     caption = "From the gap to the better controller: before and after the effects were named. The errors are simulated"
     caption += "." if gap is None else f", the record is {gap['origin']}."
-    work.draw(
-        story_figure(Story(gap, radii, numbers.get("held_out"), margins, mu, runs.t, curves, errors, runs.unit)),
-        "story", caption,
-    )  # fmt: skip
+    held_out = numbers.get("held_out")
+    shown = Story(gap, radii, held_out, margins, mu, runs.t, curves, errors, runs.unit, runs.after)
+    work.draw(story_figure(shown), "story", caption)
     return Outcome(None, "The whole way in one picture.", numbers, tuple(facts))
 
 
