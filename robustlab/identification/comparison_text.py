@@ -19,7 +19,7 @@ def summary(c: Comparison) -> str:
     """A dozen lines: sizes of the gap, where it lives, what the residual tests say, warnings."""
     head = (
         f"{c.model} against {c.record}: {c.measured.n} samples, {c.measured.duration:.4g} s; "
-        f"windows of {c.window:.4g} s; percent of the measured range"
+        f"windows of {c.window:.4g} s; percent of the record's range"
     )
     lines = [head]
     for name in c.outputs:
@@ -56,7 +56,7 @@ def _place_lines(c: Comparison, name: str) -> list[str]:
     top = int(s.error_share.argmax())
     frequency = (
         f"  frequency  {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz holds {100 * s.error_share[top]:.0f} % of the "
-        f"free run's squared error, where it is {100 * s.relative_error[top]:.3g} % of the measured signal"
+        f"free run's squared error, where it is {100 * s.relative_error[top]:.3g} % of the recorded signal"
     )
     return [time, *_speed_lines(c, name), *_amplitude_lines(c, name), frequency]
 

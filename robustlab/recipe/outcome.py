@@ -87,6 +87,8 @@ class Workspace:
         Name of the step that runs now.
     figures
         Step name -> its figures as (file stem, caption).
+    simulated
+        Names of the steps whose records are simulated, not measured.
     discoveries
         Step name -> the whole discovery, of which later steps otherwise get the updated plant.
     """
@@ -101,6 +103,7 @@ class Workspace:
     inputs: dict[str, str] = field(default_factory=dict)
     figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
     discoveries: dict[str, Discovery] = field(default_factory=dict)
+    simulated: set[str] = field(default_factory=set)
     step: str = ""
 
     def uncertain(self, name: str) -> UncertainModel:
@@ -120,6 +123,10 @@ class Workspace:
         if not isinstance(value, Record):
             raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "a Record")
         return value
+
+    def origin(self, name: str) -> str:
+        """What the record of an earlier step is: "simulated" where its recipe says so, else "measured"."""
+        return "simulated" if name in self.simulated else "measured"
 
     def draw(self, figure: Figure, name: str, caption: str) -> None:
         """Save a figure of the present step as SVG and PNG."""

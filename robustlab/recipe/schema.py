@@ -328,7 +328,7 @@ class CloseLoopStep(StepBase):
 
 
 class RecordStep(StepBase):
-    """A measured record from HDF5, MATLAB or CSV; its file may lie anywhere: measured data are not ours to ship."""
+    """A record from HDF5, MATLAB or CSV; its file may lie anywhere: measured data are not ours to ship."""
 
     gives: ClassVar[str] = "record"
     do: Literal["record"]
@@ -341,6 +341,7 @@ class RecordStep(StepBase):
     units: dict[str, str] = Field(
         {}, description='Unit that the numbers in the file are in: { phi = "deg" }; they are converted to SI.'
     )
+    simulated: bool = Field(False, description="The record is simulated, not measured; report and figures say so.")
     about: Text = Field(
         "", description="What the record is, who published it, how to get it; shown where the file is absent."
     )
@@ -479,6 +480,7 @@ class ThesisCaseStep(StepBase):
     do: Literal["thesis-case"]
     case: Literal["1", "2a", "2b", "2c"]
     structure: Literal["elements", "columns", "rows", "matrices", "single"] = "single"
+    n: Count = Field(0, description="Random members in the picture with nominal and worst Δ; no picture where 0.")
 
 
 Step = Annotated[

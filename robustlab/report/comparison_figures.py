@@ -145,14 +145,14 @@ def _band_bars(axes: Axes, comparison: Comparison, output: str) -> None:
 
 
 def time_figure(comparison: Comparison, output: str) -> Figure:
-    """Measured and simulated output, the error of the free run, the error of the windows with the worst one shaded."""
+    """Recorded and simulated output, the error of the free run, the error of the windows with the worst one shaded."""
     t, unit = comparison.measured.t, comparison.outputs[output].unit
     y, free, windowed = (r.outputs[output] for r in (comparison.measured, comparison.simulated, comparison.windowed))
     gap, windows = comparison.outputs[output], comparison.windows[output]
     figure, (above, middle, below) = new_figure(3, 1, width=7.6, height=2.0, sharex=True)
     with house_style():
         above.plot(*outline(t, free), color=FREE, lw=1.3, ls=(0, (5, 1.5)), label="simulated, free run")
-        above.plot(*outline(t, y), color=MEASURED, lw=1.3, label="measured")
+        above.plot(*outline(t, y), color=MEASURED, lw=1.3, label="record")
         above.set_ylabel(axis_label(output, unit))
         above.set_title(plain_label(f"{comparison.model} against {comparison.record}"))
         above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.02), ncols=2)
@@ -207,13 +207,13 @@ def speed_figure(comparison: Comparison, output: str) -> Figure:
 
 
 def spectrum_figure(comparison: Comparison, output: str) -> Figure:
-    """Power spectral densities of measured output, free run and error; below, the inputs' coherence with the error."""
+    """Power spectral densities of recorded output, free run and error; below, the inputs' coherence with the error."""
     s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
     f = s.frequency[1:]  # frequency 0 has no place on a logarithmic axis
     figure, (above, below) = new_figure(2, 1, width=7.6, height=2.7, sharex=True)
     with house_style():
         curves = (
-            (s.measured, MEASURED, "-", "measured"),
+            (s.measured, MEASURED, "-", "record"),
             (s.simulated, FREE, (0, (5, 1.5)), "simulated, free run"),
             (s.error, WINDOWED, "-", "error of the free run"),
         )

@@ -30,7 +30,7 @@ LONG_TITLE = 92
 
 CAPTIONS = {
     "story": "Error on data that the fit never saw: the nominal model, refitted within its tolerances, and updated.",
-    "stretch": "A held-out stretch, window by window: measured, nominal and updated model, and their errors below.",
+    "stretch": "A held-out stretch, window by window: record, nominal and updated model, and their errors below.",
     "evidence": "The steps of the search: log evidence behind the best; blue: what was named, grey: nothing added.",
     "force": "The force that the updated model still lacks, over each coordinate, with its 95 % band.",
 }
@@ -79,7 +79,7 @@ def gap_figure(discovery: Discovery) -> Figure:
             axis.label(traces)
             traces.axhline(0.0, color="#888888", lw=0.8)
             traces.set_ylabel(axis_label("error", gap.unit))
-            traces.set_title("measured minus simulated, held-out windows")
+            traces.set_title("record minus simulation, held-out windows")
             if k == 0:
                 traces.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3, columnspacing=1.2)
                 _room_below(traces, 0.2)
@@ -101,7 +101,7 @@ def stretch_figure(discovery: Discovery, output: str) -> Figure:
     axis = whole.some(first, STRETCH)
     figure, (above, middle, below) = new_figure(3, 1, width=7.8, height=2.0, sharex=True)
     with house_style():
-        above.plot(*axis.broken(measured), color=COLOURS["measured"], lw=2.4, alpha=0.45, label="measured")
+        above.plot(*axis.broken(measured), color=COLOURS["measured"], lw=2.4, alpha=0.45, label="record")
         for model, line in (("nominal", (0, (4, 1.5))), ("updated", "-")):
             values = np.asarray(signals[model])
             above.plot(*axis.broken(values), color=MODELS[model], lw=1.3, ls=line, label=model)
@@ -111,7 +111,7 @@ def stretch_figure(discovery: Discovery, output: str) -> Figure:
         above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.03), ncols=3)
         _room_below(above, 0.2)
         below.plot(*axis.broken(measured - np.asarray(signals["updated"])), color=MODELS["updated"], lw=1.0)
-        middle.set_title(plain_label(f"measured minus simulated: nominal (rms {gap.nominal:.3g} {gap.unit})"))
+        middle.set_title(plain_label(f"record minus simulation: nominal (rms {gap.nominal:.3g} {gap.unit})"))
         below.set_title(plain_label(f"updated alone, on a scale of its own (rms {gap.updated:.3g} {gap.unit})"))
         for panel in (middle, below):
             panel.axhline(0.0, color="#888888", lw=0.8)

@@ -20,7 +20,7 @@ FEWEST_SHOWN = 20  # lines
 
 
 def response_figure(comparison: Comparison, output: str) -> Figure:
-    """Magnitude, phase and coherence of the measured response from each input, beside the model's."""
+    """Magnitude, phase and coherence of the recorded response from each input, beside the model's."""
     row = comparison.linear[output]
     figure, axes = new_figure(
         3, len(row), width=max(7.6, 4.6 * len(row)), height=2.2, sharex="col", gridspec_kw={"height_ratios": [3, 2, 2]}
@@ -39,7 +39,7 @@ def response_figure(comparison: Comparison, output: str) -> Figure:
                 f, np.maximum(size - 2 * g.std, bottom), size + 2 * g.std, color=COLOURS["band"], alpha=0.35, lw=0
             )
             above.fill_between([], [], [], color=COLOURS["band"], alpha=0.35, lw=0, label="± 2 std")
-            above.plot(f, size, color=COLOURS["measured"], marker=marker, ms=3, lw=1.2, label="measured")
+            above.plot(f, size, color=COLOURS["measured"], marker=marker, ms=3, lw=1.2, label="record")
             above.plot(f, np.abs(g.model), color=COLOURS["worst"], ls=(0, (5, 1.5)), lw=1.4, label="model")
             for level, key, label in (
                 (g.nonlinear_std, "limit", "nonlinear distortion"),

@@ -1,4 +1,4 @@
-"""The whole story in one picture: gap, uncertainty, what is proved, and what the machine then does."""
+"""The whole story in one picture: gap, uncertainty, what is proved, and what a simulated machine then does."""
 
 from __future__ import annotations
 
@@ -30,15 +30,17 @@ class Story:
     Attributes
     ----------
     gap
-        ``t``, ``measured``, ``curves`` (two simulations), ``rms`` and ``label`` of a record; None without one.
+        ``t``, ``record``, ``origin`` (measured or simulated), ``curves`` (two simulations), ``rms`` and ``label`` of
+        a record; None without one.
     radii
         Unmodelled dynamics in the sets, shares of the input; None where they are told otherwise.
     held_out
         ``before`` and ``after``: what held-out records need; None without such.
     margins, mu
         Margins of robust performance, and the mu that they prove.
-    t, curves, errors, unit
-        Time in s, tracking error over it, largest error of any member, and their unit.
+    t, curves, errors, unit, after
+        Of the referee, which is a simulation: time in s, tracking error over it, largest error of any member, unit, and
+        the time in s from which it counts.
     """
 
     gap: Mapping[str, Any] | None
@@ -50,6 +52,7 @@ class Story:
     curves: Sequence[Array]
     errors: Sequence[float]
     unit: str
+    after: float = 0.0
 
 
 def story_figure(story: Story) -> Figure:
@@ -72,7 +75,7 @@ def story_figure(story: Story) -> Figure:
 def _gap(axes: Axes, story: Story, number: int) -> None:
     assert story.gap is not None
     gap, ratio = story.gap, story.gap["rms"][0] / max(story.gap["rms"][1], 1e-300)
-    axes.plot(gap["t"], gap["measured"], color=COLOURS["sample"], lw=3.2, label="measured, held out")
+    axes.plot(gap["t"], gap["record"], color=COLOURS["sample"], lw=3.2, label=f"{gap['origin']} record")
     axes.plot(gap["t"], gap["curves"][0], color=BEFORE, lw=1.2, label="model before")
     axes.plot(gap["t"], gap["curves"][1], color=AFTER, lw=1.2, ls=(0, (4, 1.5)), label="with the named effects")
     axes.set(xlabel="time [s]", ylabel=plain_label(gap["label"]), xlim=(gap["t"][0], gap["t"][-1]))
@@ -118,12 +121,14 @@ def _mu(axes: Axes, story: Story, number: int) -> None:
 
 def _error(axes: Axes, story: Story, number: int) -> None:
     for word, curve, largest, colour in zip(WORDS, story.curves, story.errors, (BEFORE, AFTER), strict=True):
-        axes.plot(story.t, curve, color=colour, lw=1.2, label=f"{word}: at most {largest:.3g} {story.unit}")
+        counted = f" from {story.after:g} s on" if story.after > 0 else ""
+        label = f"{word}: at most {largest:.3g} {story.unit}{counted}"
+        axes.plot(story.t, curve, color=colour, lw=1.2, label=label)
     axes.set(xlabel="time [s]", ylabel=plain_label(f"tracking error [{story.unit}]"), xlim=(story.t[0], story.t[-1]))
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
     ratio = story.errors[0] / max(story.errors[1], 1e-300)
-    axes.set_title(f"{number}  The machine itself: error {_number(ratio)} times smaller", loc="left")
+    axes.set_title(f"{number}  Simulated machine: error {_number(ratio)} times smaller", loc="left")
     axes.legend(loc="upper right")
 
 

@@ -49,12 +49,12 @@ def validation_figure(found: Validation, output: str) -> Figure:
 
 
 def _response_figure(found: Validation, output: str) -> Figure:
-    """Magnitude of a measured frequency response, of the nominal model, and of the explanation."""
+    """Magnitude of a recorded frequency response, of the nominal model, and of the explanation."""
     k = [name for name, _ in found.outputs].index(output)
     figure, (axes,) = new_figure(1, 1, width=7.6, height=3.4)
     with house_style():
         axes.plot(found.t, found.nominal[:, k], color=COLOURS["nominal"], lw=1.2, ls=(0, (5, 1.5)), label="nominal")
-        axes.plot(found.t, found.measured[:, k], color=COLOURS["measured"], lw=1.4, label="measured")
+        axes.plot(found.t, found.measured[:, k], color=COLOURS["measured"], lw=1.4, label="record")
         if np.isfinite(found.explained).all():
             axes.plot(found.t, found.explained[:, k], color=COLOURS["worst"], lw=1.1, label="with the smallest Delta")
         logarithmic(axes.xaxis)

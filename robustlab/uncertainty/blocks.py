@@ -47,7 +47,8 @@ class ParameterRange:
         becomes None).
     sign
         What physics allows beyond the range too: a mass is ``"positive"``, a friction ``"nonnegative"``, a torque
-        constant ``"either"``, but never zero and never both in one machine. It limits nothing; results that name a value outside say so (`impossible`). Ranges that differ in nothing else are equal.
+        constant ``"either"``, but never zero and never both in one machine. It limits nothing; results that name a
+        value outside say so (`impossible`). Ranges that differ in nothing else are equal.
 
     Raises
     ------

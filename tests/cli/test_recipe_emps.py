@@ -11,21 +11,67 @@ from robustlab.recipe.load import load_recipe
 from robustlab.recipe.run import run_recipe
 from robustlab.recipe.shipped import recipe_path
 
-EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps.h5"
-# Requirements that are not met yet, by what they judge. The recipe keeps the bars; nothing beyond these may be missed.
+ROOT = Path(__file__).parents[2]
+EMPS = ROOT.parent / "shared" / "data" / "emps.h5"
+# Requirements that are not met, by what they judge. The recipes keep the bars, and the texts say what is missed: where
+# one is met one day, README and docs/discover.md (docs/from_data_to_controller.md) are to be put right with this.
 MISSED = {"naming.gaps.q.updated", "naming.effects.coulomb-friction.Fc", "naming.nominal.Fv"}
+FLAGSHIP_MISSED = {"story.mu.fall_percent", "story.error.ratio"}
+
+
+def run_on_emps(name, folder):
+    if not EMPS.is_file():
+        pytest.skip("the measured record is not at hand")
+    recipe = load_recipe(recipe_path(name))
+    at = [f"{step}.path={EMPS}" for step, s in recipe.recipe.step.items() if s.kind == "record"]
+    return run_recipe(load_recipe(recipe_path(name), at), folder)
+
+
+def unmet(result):
+    return {q["that"] for q in result.data["requirements"] if not q["met"]}
+
+
+def test_the_flagship_keeps_its_bars():
+    bars = {r.that: r.at_least for r in load_recipe(recipe_path("flagship-emps")).recipe.require}
+    assert bars["story.mu.fall_percent"] == 30.0
+    assert bars["story.error.ratio"] == 2.0
+
+
+def test_the_texts_say_what_is_not_met():
+    readme, discover, story = (
+        " ".join((ROOT / name).read_text(encoding="utf-8").split())
+        for name in ("README.md", "docs/discover.md", "docs/from_data_to_controller.md")
+    )
+    assert len(MISSED) == 3
+    assert "`emps-discover` ends in 1: three of its nine requirements are not met" in discover
+    assert "So does `emps-discover`" in readme
+    assert "three of nine requirements are not met" in readme
+    assert len(FLAGSHIP_MISSED) == 2
+    assert "`flagship-emps` ends in 1: two of its seven requirements are not met" in story
+    assert "It ends in exit code 1 all the same: μ falls by 23 %" in readme
+    for name, count in (("emps-discover", 9), ("flagship-emps", 7)):
+        assert len(load_recipe(recipe_path(name)).recipe.require) == count
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_flagship_emps_ends_with_unmet_requirements(tmp_path):
+    result = run_on_emps("flagship-emps", tmp_path / "out")
+    assert unmet(result) == FLAGSHIP_MISSED
+    assert result.exit_code == 1
+    story = next(s for s in result.data["steps"] if s["name"] == "story")
+    assert story["numbers"]["mu"]["fall_percent"] == pytest.approx(23.4, abs=3)
+    assert story["numbers"]["error"]["ratio"] == pytest.approx(1.29, abs=0.1)
+    assert "the record is measured" in story["figures"][0]["caption"]
 
 
 @pytest.mark.slow
 @pytest.mark.shared
 def test_emps(tmp_path):
     """Published by Janot, Gautier and Brunot: 166.71 N s/m forwards and 240.42 N s/m backwards."""
-    if not EMPS.is_file():
-        pytest.skip("the measured record is not at hand")
-    recipe = load_recipe(recipe_path("emps-discover"))
-    at = [f"{step}.path={EMPS}" for step, s in recipe.recipe.step.items() if s.kind == "record"]
-    result = run_recipe(load_recipe(recipe_path("emps-discover"), at), tmp_path / "out")
-    assert {q["that"] for q in result.data["requirements"] if not q["met"]} <= MISSED
+    result = run_on_emps("emps-discover", tmp_path / "out")
+    assert unmet(result) == MISSED
+    assert result.exit_code == 1
     found = next(s["numbers"] for s in result.data["steps"] if s["name"] == "naming")
     mean, half = found["nominal"]["Fv"], found["effects"]["asymmetric-viscous-friction"]["dFv"]
     # The bar is 3 %; the naming stands at -7 % and -3 %, and this only keeps it from getting worse.

@@ -27,11 +27,13 @@ parameters = { M = [95.0, 0.05], Fv = [200.0, 0.1] }
 [step.run]
 do = "record"
 path = "run.csv"
+simulated = true
 inputs = ["u"]
 outputs = ["q"]
 [step.held]
 do = "record"
 path = "held.csv"
+simulated = true
 inputs = ["u"]
 outputs = ["q"]
 [step.wide]
@@ -120,9 +122,41 @@ def test_cover_design_and_story(tmp_path):
     assert story["gap"]["ratio"] == story["error"]["ratio"] == story["radius"]["ratio"] == 1.0
     proved = numbers(result, "proved")["controllers"]["before"]["mu_upper"]
     assert story["mu"]["before"] == proved
+    told = next(s for s in result.data["steps"] if s["name"] == "story")
+    assert "The errors are simulated, the record is simulated." in told["figures"][0]["caption"]
+    facts = " ".join(map(str, told["facts"]))
+    assert "simulated record, RMS" in facts
+    assert "of the referee, simulated" in facts
     page = (result.folder / "report.html").read_text(encoding="utf-8")
     assert page.index("From the gap to the better controller") < page.index("Requirements")
     assert page.count("From the gap to the better controller") == 2  # its alternative text and its caption, once
+
+
+def test_a_simulated_record_is_called_simulated(tmp_path):
+    """By the report of the record, and of what is compared with it; one whose recipe does not say so is measured."""
+    head = SMALL[: SMALL.index("[step.wide]")].replace("simulated = true\n", "", 1)
+    compare = '[step.gap]\ndo = "compare"\nof = "plain"\nrecord = "held"\n'
+    steps = {s["name"]: s["summary"] for s in run_small(tmp_path, head + compare).data["steps"]}
+    assert "(measured)" in steps["run"]
+    assert "(simulated)" in steps["held"]
+    assert "a simulated record" in steps["gap"]
+
+
+def test_the_story_says_what_is_simulated():
+    from types import SimpleNamespace
+
+    from robustlab.report.story_figures import Story, story_figure
+
+    t = np.linspace(0.0, 1.0, 5)
+    margin = SimpleNamespace(omega=np.array([1.0, 10.0]), mu_upper=np.array([0.5, 0.4]))
+    gap = {"t": t, "record": t, "origin": "simulated", "curves": [t, t], "rms": [1.0, 0.5], "label": "q [m]"}
+    figure = story_figure(Story(gap, None, None, [margin, margin], [0.5, 0.4], t, [t, t], [2.0, 1.0], "mm", 0.5))
+    texts = [axes.get_title(loc="left") for axes in figure.axes]
+    texts += [text.get_text() for axes in figure.axes[:3] for text in axes.get_legend().get_texts()]
+    assert "simulated record" in texts
+    assert "before: at most 2 mm from 0.5 s on" in texts
+    assert any("Simulated machine: error 2 times smaller" in text for text in texts)
+    assert not any("measured" in text or "itself" in text for text in texts)
 
 
 @pytest.mark.parametrize("keep", [1, 2])

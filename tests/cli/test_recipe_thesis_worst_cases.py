@@ -44,7 +44,16 @@ def test_the_thesis_worst_cases(tmp_path):
     assert numbers(result, "entries_worst")["value"] > 2 * sampled
     figures = {f["stem"] for s in result.data["steps"] for f in s["figures"]}
     assert {"band_1-percent", "worst_1-phi_1", "entries_probability-influence"} <= figures
-    assert len(figures) == 10
+    # Nominal, worst Delta and 20 members in one picture for every case, by the definition of the bands.
+    captions = {f["stem"]: f["caption"] for s in result.data["steps"] for f in s["figures"]}
+    for case, worst in (("1", "+I"), ("2a", "-I"), ("2b", "-I"), ("2c", "-I")):
+        assert f"worst Δ = {worst}" in captions[f"case_{case}-case-{case}"]
+        found = numbers(result, f"case_{case}")
+        assert found["changes"]["phi_1"] == pytest.approx(expected[case], rel=5e-3)
+        # The search over Delta ends at one of the two ends, and finds as much.
+        assert {abs(value) for value in numbers(result, f"worst_{case}")["delta"].values()} == {1.0}
+        assert numbers(result, f"worst_{case}")["percent"] == pytest.approx(found["changes"]["phi_1"], rel=1e-4)
+    assert len(figures) == 16
     assert rl.load(result.folder / "evidence/entries_probability.h5").data["violations"] >= 0
 
 

@@ -269,7 +269,7 @@ def test_the_story_shows_the_three_errors_of_every_output():
 def test_lines_break_between_windows_and_gaps_are_left_out(apart):
     d = made(series=series(apart))
     above, middle, below = stretch_figure(d, "q").axes
-    x, y = curve(above, "measured").get_data()
+    x, y = curve(above, "record").get_data()
     assert np.isnan(y).sum() == 4  # one break after each of the four windows shown
     # The worst window (the fourth) is among them, and no window is stretched.
     assert np.nanmin(middle.get_lines()[0].get_ydata()) == pytest.approx(-0.12)

@@ -11,11 +11,14 @@ from robustlab.dynamics.stewart.thesis_runs import sine_run
 from robustlab.dynamics.trajectory_following import MotorLimits, TrajectoryFollowing
 from robustlab.report.figures import save_figure
 from robustlab.report.stewart_figures import (
+    case_figure,
     condition_figure,
+    excitation_figure,
     percent_figure,
     sine_figure,
     tracking_effort_figure,
     tracking_error_figure,
+    tracking_path_figure,
 )
 
 T = np.linspace(0.0, 1.0, 51)
@@ -39,6 +42,39 @@ def test_sine_figure_ends_where_asked_and_shows_the_difference(sine):
     assert expected[-1] == pytest.approx(
         100 * (sine.linear[60, 0] - sine.nonlinear[60, 0]) / np.abs(sine.nonlinear[:61, 0]).max()
     )
+
+
+def test_excitation_figure_shows_torque_and_height(sine):
+    drive, height = excitation_figure(sine, 0.03).axes
+    t = sine.t[sine.t <= 0.03]
+    np.testing.assert_allclose(drive.lines[0].get_ydata(), 100 * np.sin(2 * np.pi * 20 * t))
+    np.testing.assert_allclose(height.lines[0].get_ydata(), 1e3 * sine.height[: len(t)])
+
+
+def test_case_figure_has_nominal_worst_and_all_members():
+    """The enlarged end is so near that the members are told apart there, however little they differ."""
+    members = (1 + 1e-4 * np.linspace(-1, 1, 20))[:, None, None] * np.stack([T, 3 * T], axis=1)
+    nominal, worst = members.mean(axis=0), members[-1]
+    figure = case_figure(T, members, nominal, worst, [("phi_1", "rad"), ("phidot_1", "rad/s")], 0.014, "worst Δ = -I")
+    assert figure._suptitle.get_text() == "worst Δ = -I"
+    for k, row in enumerate((figure.axes[:3], figure.axes[3:])):
+        for axes in row[:2]:
+            assert [line.get_label() for line in axes.lines[-2:]] == ["nominal", "worst Δ"]
+            assert len(axes.lines) == 22
+            np.testing.assert_array_equal(axes.lines[-1].get_ydata(), worst[:, k])
+        low, high = row[1].get_ylim()
+        assert np.ptp(members[:, -1, k]) > 0.1 * (high - low)
+        assert row[2].lines[21].get_ydata()[-1] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_tracking_path_has_what_was_desired_and_what_was_reached():
+    run = following(0.1)
+    position, _, lengths = tracking_path_figure(run, run.lengths - 1e-3).axes
+    np.testing.assert_allclose(position.lines[0].get_ydata(), 0.0)
+    np.testing.assert_allclose(position.lines[1].get_ydata(), np.sin(T))
+    np.testing.assert_allclose(lengths.lines[1].get_ydata() - lengths.lines[0].get_ydata(), 1.0)
+    assert "desired" in position.get_title(loc="left")
+    assert "simulated" in position.get_title(loc="left")
 
 
 def test_percent_figure_has_the_published_band():

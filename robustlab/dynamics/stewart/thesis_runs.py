@@ -24,9 +24,13 @@ from robustlab.dynamics.trajectory_following import TrajectoryFollowing, follow
 from robustlab.dynamics.trimming import trim
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["Case", "SineRun", "cases", "lowest_stable_pole", "sine_run", "track"]
+__all__ = ["UP_TO", "Case", "SineRun", "cases", "lowest_stable_pole", "sine_run", "track"]
 
 LOW = (0.0, 0.0, 0.1062, 0.0, 0.0, 0.0)
+TORQUE, HERTZ = 0.1, 2.0  # N m, Hz; the sine of sections 8.2.1 and 10.3.1
+UP_TO = 0.0577  # s; chosen: with that sine the only length of run that fits items 13 and 16-18 together
+TIE = 1e-4  # ends of a set whose largest changes agree so far are equally bad
+SIGNED = {1: "+I", -1: "-I"}
 # Wide limits: where the machine leaves its workspace is read from the run instead of ending it.
 WIDE = {"L_min": 0.10, "L_max": 0.25}
 LINK = ("link_mass", "link_I", "link_J", "link_K")
@@ -113,12 +117,19 @@ def _first_time(t: Array, values: Array, level: float) -> float:
 class Case:
     """A case of section 10.3.1: the nominal linear model, the perturbed one, and what holds them.
 
+    Between the two lies one real parameter, Delta = delta I: nominal at 0, perturbed at +I, mirrored at -I.
+
     Attributes
     ----------
     name, words
         For example ``"2a"`` and what was changed.
     published
         The thesis' largest deviation in percent.
+    published_worst
+        The thesis' worst Delta: 1 for +I, -1 for -I.
+    held
+        Reading, chosen for each case: True where the torque stays what holds the nominal machine while gravity pulls at
+        the perturbed one, False where each machine is trimmed anew.
     nominal, perturbed
         Linear models.
     released
@@ -129,6 +140,8 @@ class Case:
     name: str
     words: str
     published: float
+    published_worst: int
+    held: bool
     nominal: StateSpaceModel
     perturbed: StateSpaceModel
     released: float
@@ -138,34 +151,68 @@ class Case:
         """Change of B in percent: of the acceleration of the nuts by equal torques."""
         return 100 * float(self.perturbed.B.sum() / self.nominal.B.sum() - 1)
 
-    def final_percent(self, t_end: float, amplitude: float, frequency: float, held: bool) -> float:
-        """Change of the angle of nut 1 at ``t_end`` in percent after a sine of torque.
+    def with_gravity(self) -> tuple[StateSpaceModel, StateSpaceModel]:
+        """Nominal and perturbed model with one more input, ``gravity`` (figure 10.5): 1 where the torque is held."""
+        return _with_gravity(self.nominal, 0.0), _with_gravity(self.perturbed, self.released)
+
+    def excitation(self, held: bool | None = None, points: int = 201) -> tuple[Array, Array]:
+        """Times (n,) up to 57.7 ms, and the inputs (n, 7): 0.1 N m at 2 Hz on all motors, and gravity as it is read."""
+        t = np.linspace(0.0, UP_TO, points)
+        sine = np.tile(TORQUE * np.sin(2 * math.pi * HERTZ * t)[:, None], 6)
+        return t, np.column_stack([sine, np.full(points, float(self.held if held is None else held))])
+
+    def changes(self, held: bool | None = None) -> tuple[float, float]:
+        """Largest change of the angle of nut 1 at Delta = +I and -I, in percent of the largest nominal angle, signed.
 
         Parameters
         ----------
         held
-            True: the torque stays what holds the nominal machine, while gravity pulls at the perturbed one.
+            Another reading than the case's own.
         """
-        t = np.linspace(0.0, t_end, 401)
-        sine = np.tile(amplitude * np.sin(2 * math.pi * frequency * t)[:, None], 6)
-        angles = [
-            simulate(model, t, sine + extra, hold="foh")["phi_1"][-1]
-            for model, extra in ((self.nominal, 0.0), (self.perturbed, self.released if held else 0.0))
-        ]
-        return 100 * float(angles[1] / angles[0] - 1)
+        (nominal, perturbed), (t, u) = self.with_gravity(), self.excitation(held)
+        mirrored = _beyond(nominal, perturbed)
+        angle, *others = (simulate(m, t, u, hold="foh")["phi_1"] for m in (nominal, perturbed, mirrored))
+        shares = [100 * (other - angle) / np.abs(angle).max() for other in others]
+        plus, minus = (float(share[np.abs(share).argmax()]) for share in shares)
+        return plus, minus
+
+    @property
+    def largest_percent(self) -> float:
+        """Largest change of the angle of nut 1 at the worst Delta: what the table and the figure of the case show."""
+        plus, minus = self.changes()
+        return abs(plus if self.worst > 0 else minus)
+
+    @property
+    def worst(self) -> int:
+        """Worst Delta: 1 for +I, -1 for -I; of ends that are equally bad the one at which the nut moves further."""
+        plus, minus = self.changes()
+        if abs(abs(plus) - abs(minus)) <= TIE * max(abs(plus), abs(minus)):
+            return 1 if plus > minus else -1
+        return 1 if abs(plus) > abs(minus) else -1
+
+    @property
+    def worst_in_words(self) -> str:
+        """The worst Delta, the changes at both ends, and what the thesis has."""
+        plus, minus = self.changes()
+        tie = abs(abs(plus) - abs(minus)) <= TIE * max(abs(plus), abs(minus))
+        why = "; equally bad to four digits, there the nut moves further" if tie else ""
+        said = f"worst Δ = {SIGNED[self.worst]} (+I {plus:+.4g} %, -I {minus:+.4g} %{why})"
+        return f"{said}; the thesis has {SIGNED[self.published_worst]}"
 
     def to_json(self) -> dict[str, Any]:
         """Names, numbers, and the matrices that differ."""
         matrices = {f"{name}_{m}": getattr(getattr(self, name), m) for name in ("nominal", "perturbed") for m in "AB"}
-        told = {key: vars(self)[key] for key in ("name", "words", "published", "released")}
-        return {**told, "gain_percent": self.gain_percent, **matrices}
+        told = {key: vars(self)[key] for key in ("name", "words", "published", "published_worst", "held", "released")}
+        found = {"gain_percent": self.gain_percent, "largest_percent": self.largest_percent, "worst": self.worst}
+        return {**told, **found, **matrices}
 
 
 def cases(plant: StewartPlatform) -> tuple[Case, ...]:
     """Cases 1 (20 mm lower), 2a and 2b (lower link heavier), 2c (everything heavier)."""
     home, low = trim(plant), trim(plant, pose=LOW)
     nominal = linearise(plant, home)
-    made = [Case("1", "z = 0.1062 m", 1.13, nominal, linearise(plant, low), float(home.u[0] - low.u[0]))]
+    lowered = linearise(plant, low)
+    made = [Case("1", "z = 0.1062 m", 1.13, 1, False, nominal, lowered, float(home.u[0] - low.u[0]))]
     changes = (
         ("2a", "lower link +2.5 %", 0.014, 1.025, LINK),
         ("2b", "lower link +10 %", 0.060, 1.10, LINK),
@@ -174,8 +221,23 @@ def cases(plant: StewartPlatform) -> tuple[Case, ...]:
     for name, words, published, factor, parameters in changes:
         heavy = plant.with_parameters(**_scaled(plant, factor, parameters))
         rest = trim(heavy)
-        made.append(Case(name, words, published, nominal, linearise(heavy, rest), float(home.u[0] - rest.u[0])))
+        released = float(home.u[0] - rest.u[0])
+        made.append(Case(name, words, published, -1, True, nominal, linearise(heavy, rest), released))
     return tuple(made)
+
+
+def _beyond(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> StateSpaceModel:
+    """As far to the other side of the nominal model as the perturbed one lies to this."""
+    a, b, c, d = (2 * getattr(nominal, m) - getattr(perturbed, m) for m in "ABCD")
+    return StateSpaceModel(a, b, c, d, nominal.dt, nominal.inputs, nominal.outputs, nominal.states)
+
+
+def _with_gravity(model: StateSpaceModel, torque: float) -> StateSpaceModel:
+    """The model with one more input, ``gravity``, that acts like so much torque on every motor."""
+    b = np.hstack([model.B, torque * model.B.sum(axis=1, keepdims=True)])
+    d = np.hstack([model.D, torque * model.D.sum(axis=1, keepdims=True)])
+    inputs = [*model.inputs, ("gravity", "1")]
+    return StateSpaceModel(model.A, b, model.C, d, model.dt, inputs, model.outputs, model.states)
 
 
 def _scaled(plant: StewartPlatform, factor: float, names: tuple[str, ...]) -> Mapping[str, float]:

@@ -33,11 +33,12 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Simulated runs: time in s, controller -> error over it, and its unit."""
+    """Simulated runs: time in s, controller -> error over it, its unit, and the time in s from which errors count."""
 
     t: Any
     errors: Mapping[str, Any]
     unit: str
+    after: float
 
 
 def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
@@ -215,7 +216,7 @@ def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:
     )
     summary = f"{step.of} under {len(rows)} controllers, simulated with {words}."
     note = "Limits are compared with, not applied: nothing is clipped."
-    kept = Runs(t[::fine], errors, unit)
+    kept = Runs(t[::fine], errors, unit, step.after)
     return Outcome(kept, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
 
 
@@ -287,7 +288,7 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
     )
     summary = f"Nonlinear simulation of {step.of} under {len(rows)} upper layers."
     note = "Nothing is clipped: 'in limits' says whether the motors' torque and voltage would have been enough."
-    kept = Runs(t, curves["position"], "mm")
+    kept = Runs(t, curves["position"], "mm", step.after)
     return Outcome(kept, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
 
 

@@ -38,6 +38,7 @@ def discover(step: DiscoverStep, work: Workspace) -> Outcome:
     for name, figure in discovery_figures(found).items():
         work.draw(figure, name, caption(name))
     notes = [f.message for f in found.findings]
+    notes += [f"Record {name} is simulated, not measured." for name in step.records if name in work.simulated]
     status = found.status
     if not status.trustworthy and found.verdict in step.accept:
         status = Status.CONVERGED

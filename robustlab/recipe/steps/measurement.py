@@ -14,7 +14,7 @@ __all__ = ["compare", "cover", "data_sheet", "join", "record"]
 
 
 def record(step: RecordStep, work: Workspace) -> Outcome:
-    """A measured record; gaps, clocks that run backwards and NaN are refused by the reader."""
+    """A record, measured or simulated; gaps, clocks that run backwards and NaN are refused by the reader."""
     import robustlab as rl
 
     options: dict[str, Any] = {"units": step.units} if step.units else {}
@@ -23,13 +23,17 @@ def record(step: RecordStep, work: Workspace) -> Outcome:
     path = work.sources[work.step]
     found = rl.Record.read(path, group=step.group, inputs=step.inputs, outputs=step.outputs, dt=step.dt, **options)
     notes = (" ".join(step.about.split()),) if step.about else ()
-    return _as_record(found, f"Record {path.name} read.", notes)
+    if step.simulated:
+        work.simulated.add(work.step)
+    return _as_record(found, f"Record {path.name} read ({work.origin(work.step)}).", notes)
 
 
 def join(step: JoinStep, work: Workspace) -> Outcome:
     """The signals of two loggers on one clock."""
     from robustlab.identification.resampling import join_clocks
 
+    if work.simulated & {step.first, step.second}:
+        work.simulated.add(work.step)
     found = join_clocks(work.record(step.first), work.record(step.second), step.dt)
     return _as_record(found, f"{step.first} and {step.second} on one clock.", ())
 
@@ -67,13 +71,13 @@ def compare(step: CompareStep, work: Workspace) -> Outcome:
         facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, windowed)))
     for name, figure in comparison_figures(found).items():
         work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
-    summary = f"{step.of} against {step.record}."
+    summary = f"{step.of} against {step.record}, a {work.origin(step.record)} record."
     numbers = found.to_json(series=False)
     return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
 
 
 _CAPTIONS = {
-    "time": "Measured and simulated signal, and the error over time; shaded: the window with the largest error.",
+    "time": "The record and its simulation, and the error over time; shaded: the window with the largest error.",
     "speed": "Where the error lives over speed and position: dry friction shows as a step at zero speed.",
     "spectrum": "Where the error lives over frequency.",
     "residual": "What is left in the residual: its correlation with itself and with the input, and the 99 % band.",
@@ -133,7 +137,8 @@ def cover(step: CoverStep, work: Workspace) -> Outcome:
         )
         work.draw(envelope_figure(s), name, caption)
     verdict = "lies in the envelope" if found.covered else "is not covered"
-    summary = f"{step.record} {verdict} of {found.members} members of {step.of} (seed {seed})."
+    kind = work.origin(step.record)
+    summary = f"{step.record} ({kind}) {verdict} of {found.members} members of {step.of} (seed {seed})."
     notes = (
         "Sampled, not proved: members that were not drawn may reach further.",
         "Covered is not explained: a set that is wide enough covers anything.",

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
 from robustlab.recipe.schema import PublishedNumbersStep, ThesisCaseStep
+
+if TYPE_CHECKING:
+    from robustlab.dynamics.stewart.thesis_runs import Case
 
 __all__ = ["published_numbers", "thesis_case"]
 
 _MEANING = {
     "R": "reproduced within the fair tolerance",
+    "F": "fitted: a value that is not printed was chosen so that it agrees; no reproduction",
     "P": "reproduced in part, or under the reading stated",
     "N": "not reproducible from the text, for the reason stated",
 }
@@ -25,14 +29,18 @@ def published_numbers(step: PublishedNumbersStep, work: Workspace) -> Outcome:
     _draw_conditions(work)
     _draw_sines(found, work)
     _draw_tracking(found, work)
-    bands = {case.name: _band(case, step.n, work) for case in found.cases}
+    bands = {case.name: _draw_case(case, step.n, work) for case in found.cases}
     rows = {key: row.to_json() for key, row in found.rows.items()}
     counts = {status: len(found.with_status(status)) for status in _MEANING}
     off = found.disagreeing
     facts = tuple(Fact(f"Rows {status}: {meaning}", str(counts[status])) for status, meaning in _MEANING.items())
-    facts += (Fact("Rows R that do not agree", ", ".join(off) or "none"),)
+    facts += (Fact("Rows R and F that do not agree", ", ".join(off) or "none"),)
     facts += tuple(_fact(row) for row in found.rows.values())
-    summary = f"{len(rows)} rows: {counts['R'] - len(off)} of {counts['R']} said to be reproduced are."
+    reproduced = sum(row.agrees is True for row in found.with_status("R"))
+    summary = (
+        f"{len(rows)} rows: {reproduced} of {counts['R']} said to be reproduced are; {counts['F']} more are fits, "
+        "which are not counted."
+    )
     numbers = {"rows": rows, "counts": counts, "disagreeing": len(off), "bands": bands}
     return Outcome(None, summary, numbers, facts, found.status)
 
@@ -62,87 +70,90 @@ def _draw_conditions(work: Workspace) -> None:
 
 
 def _draw_sines(found: Any, work: Workspace) -> None:
-    from robustlab.report.stewart_figures import sine_figure
+    from robustlab.report.stewart_figures import excitation_figure, sine_figure
 
     for name, run in found.sines.items():
         until = run.when_height(0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
-        caption = f"{name} on all motors: the machine, its linear model at home, and their difference (8.1-8.6)."
+        caption = (
+            f"{name} on all motors: the torque, and the platform's height, simulated (figures 8.1, 8.2; how long they "
+            "last is not printed)."
+        )
+        work.draw(excitation_figure(run, until), f"height-{name}", caption)
+        caption = (
+            f"{name} on all motors: the nonlinear simulation, the linear model at home, and their difference (figures "
+            "8.3-8.6)."
+        )
         work.draw(sine_figure(run, until), f"sine-{name}", caption)
 
 
 def _draw_tracking(found: Any, work: Workspace) -> None:
-    from robustlab.report.stewart_figures import tracking_effort_figure, tracking_error_figure
+    from robustlab.dynamics.stewart import inverse_kinematics, stewart_platform
+    from robustlab.report.stewart_figures import tracking_effort_figure, tracking_error_figure, tracking_path_figure
+
+    geometry = stewart_platform().geometry
 
     words = {"thesis": "all signs +", "link-4": "signs +++-+-", "rotors": "all signs +, with the rotors' inertia"}
     for name, run in found.tracking.items():
+        lengths = inverse_kinematics(geometry, run.reference)
+        caption = (
+            f"Section 9.1.3, {words[name]}: desired and reached position, orientation and actuator lengths (figures "
+            "9.3-9.5). What is called measured there is simulated here."
+        )
+        work.draw(tracking_path_figure(run, lengths), f"path-{name}", caption)
         work.draw(tracking_error_figure(run), f"error-{name}", f"Section 9.1.3, {words[name]}: errors of the pose.")
         caption = f"Section 9.1.3, {words[name]}: torques, voltages, lengths of the actuators."
         work.draw(tracking_effort_figure(run), f"effort-{name}", caption)
 
 
-def _band(case: Any, n: int, work: Workspace) -> dict[str, float]:
-    """Largest change in percent of angle and rate over members between the case's two models; draws them."""
-    import math
-
+def _draw_case(case: Case, n: int, work: Workspace) -> dict[str, float]:
+    """Nominal, worst and random members of a case in one picture; largest change of each output at the worst Delta."""
     import numpy as np
 
     import robustlab as rl
-    from robustlab.dynamics.stewart.thesis_numbers import UP_TO
-    from robustlab.report.stewart_figures import percent_figure
+    from robustlab.dynamics.stewart.thesis_runs import UP_TO
+    from robustlab.report.stewart_figures import case_figure
 
-    between = rl.elementwise(case.nominal, case.perturbed, "single")
-    t = np.linspace(0.0, UP_TO, 201)
-    sine = np.tile(0.1 * np.sin(2 * math.pi * 2 * t)[:, None], 6)
-    responses = rl.sample(between, n, work.seed, vertices=2).respond(t, sine)
-    names = [s.name for s in between.outputs]
-    bands: dict[str, Any] = {}
-    for name in ("phi_1", "phidot_1"):
-        k = names.index(name)
-        nominal = responses.nominal[:, k]
-        bands[name] = 100 * (responses.y[:, :, k] - nominal) / np.abs(nominal).max()
+    between = rl.elementwise(*case.with_gravity(), "single").select(None, ["phi_1", "phidot_1"])
+    t, u = case.excitation()
+    responses = rl.sample(between, n, work.seed, vertices=2).respond(t, u, hold="foh")
+    record = rl.simulate(between.evaluate({b.name: float(case.worst) for b in between.blocks}), t, u, hold="foh")
+    worst = np.column_stack([record[name] for name, _ in responses.outputs])
+    reading = "the holding torque stays nominal" if case.held else "each trimmed anew"
     caption = (
-        f"Case {case.name} ({case.words}): {n} random members from -Δ to +Δ and both ends, trimmed anew,"
-        f" 0.1 N m at 2 Hz, in percent of the largest nominal value; the thesis has ±{case.published:g} % (10.2-10.21)."
+        f"Case {case.name} ({case.words}): nominal, worst Δ and {n} random members, {reading}, simulated under 0.1 N m "
+        f"at 2 Hz for {1e3 * UP_TO:.1f} ms; {case.worst_in_words} (figures 10.6-10.21)."
     )
-    work.draw(percent_figure(t, bands, case.published), f"case-{case.name}", caption)
-    return {name: float(np.abs(curves).max()) for name, curves in bands.items()}
+    title = f"Case {case.name}, {case.words}: {case.worst_in_words.partition(' (')[0]}"
+    figure = case_figure(t, responses.y[:n], responses.nominal, worst, responses.outputs, case.published, title)
+    work.draw(figure, f"case-{case.name}", caption)
+    sizes = np.abs(responses.nominal).max(axis=0)
+    changes = 100 * np.abs(worst - responses.nominal).max(axis=0) / sizes
+    return {name: float(change) for (name, _), change in zip(responses.outputs, changes, strict=True)}
 
 
 def thesis_case(step: ThesisCaseStep, work: Workspace) -> Outcome:
-    """The uncertain platform of one case, with gravity as an input of its own (figure 10.5)."""
+    """The uncertain platform of one case, with gravity as an input of its own (figure 10.5), and its picture."""
     import robustlab as rl
     from robustlab.dynamics.stewart.stewart_platform import stewart_platform
     from robustlab.dynamics.stewart.thesis_runs import cases
 
     (case,) = [c for c in cases(stewart_platform()) if c.name == step.case]
-    nominal, perturbed = (
-        _with_gravity(m, extra) for m, extra in ((case.nominal, 0.0), (case.perturbed, case.released))
-    )
-    model = rl.elementwise(nominal, perturbed, step.structure)
-    numbers = {
+    model = rl.elementwise(*case.with_gravity(), step.structure)
+    numbers: dict[str, Any] = {
         "blocks": len(model.blocks),
         "channels": model.delta_shape[0],
         "published": case.published,
         "gain_percent": case.gain_percent,
         "released": case.released,
+        "worst": case.worst,
     }
+    if step.n:
+        numbers["changes"] = _draw_case(case, step.n, work)
     facts = (
         Fact("Uncertain", f"{len(model.blocks)} real parameters ({step.structure}), {model.delta_shape[0]} channels"),
         Fact("The thesis prints", f"±{quantity(case.published, '%')}", "figures 10.6-10.21"),
         Fact("Change of the torques' gain B alone", quantity(case.gain_percent, "%")),
         Fact("Holding torque, nominal minus perturbed", quantity(case.released, "N m")),
+        Fact("Worst end of the set with one parameter", case.worst_in_words),
     )
     return Outcome(model, f"Case {case.name}: {case.words}.", numbers, facts)
-
-
-def _with_gravity(model: Any, torque: float) -> Any:
-    """The model with one more input, ``gravity``, that acts like so much torque on every motor."""
-    import numpy as np
-
-    import robustlab as rl
-
-    b = np.hstack([model.B, torque * model.B.sum(axis=1, keepdims=True)])
-    d = np.hstack([model.D, torque * model.D.sum(axis=1, keepdims=True)])
-    return rl.StateSpaceModel(
-        model.A, b, model.C, d, model.dt, [*model.inputs, ("gravity", "1")], model.outputs, model.states
-    )

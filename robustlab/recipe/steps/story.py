@@ -58,7 +58,7 @@ def data_cover(step: DataCoverStep, work: Workspace) -> Outcome:
 
 
 def story(step: StoryStep, work: Workspace) -> Outcome:
-    """Gap, uncertainty, robust performance and the machine's error, before and after."""
+    """Gap, uncertainty, robust performance and the simulated machine's error, before and after."""
     from robustlab.report.story_figures import Story, fall_in_words, fall_percent, story_figure
 
     mu = [_of_controller(work, p, k, "mu_upper") for p, k in zip(step.performance, step.controllers, strict=True)]
@@ -76,7 +76,11 @@ def story(step: StoryStep, work: Workspace) -> Outcome:
         rms = gap["rms"]
         numbers["gap"] = {"before": rms[0], "after": rms[1], "ratio": _ratio(*rms)}
         facts.insert(
-            0, Fact(f"Gap of {gap['label']}, RMS", f"{rms[0]:.4g} → {rms[1]:.4g}: {_ratio(*rms):.4g} times smaller")
+            0,
+            Fact(
+                f"Gap of {gap['label']}, {gap['origin']} record, RMS",
+                f"{rms[0]:.4g} → {rms[1]:.4g}: {_ratio(*rms):.4g} times smaller",
+            ),
         )
     radii = None
     if step.covers is not None:
@@ -93,13 +97,14 @@ def story(step: StoryStep, work: Workspace) -> Outcome:
         facts.append(Fact("Unmodelled dynamics in the set", f"{radii[0]:.3g} → {radii[1]:.3g} of the input"))
     runs = work.values[step.runs]
     text = f"{errors[0]:.4g} → {errors[1]:.4g} {runs.unit}: {_ratio(*errors):.3g} times smaller"
-    facts.append(Fact("Largest tracking error, the referee's", text))
+    facts.append(Fact("Largest tracking error of the referee, simulated", text))
     margins = [work.values[p][k] for p, k in zip(step.performance, step.controllers, strict=True)]
     curves = [runs.errors[k] for k in step.controllers]
-    work.draw(
-        story_figure(Story(gap, radii, numbers.get("held_out"), margins, mu, runs.t, curves, errors, runs.unit)),
-        "story", "From the gap to the better controller: before and after the effects were named.",
-    )  # fmt: skip
+    caption = "From the gap to the better controller: before and after the effects were named. The errors are simulated"
+    caption += "." if gap is None else f", the record is {gap['origin']}."
+    held_out = numbers.get("held_out")
+    shown = Story(gap, radii, held_out, margins, mu, runs.t, curves, errors, runs.unit, runs.after)
+    work.draw(story_figure(shown), "story", caption)
     return Outcome(None, "The whole way in one picture.", numbers, tuple(facts))
 
 
@@ -135,7 +140,7 @@ def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
         clock, x0 = resting_start(plant, record)
         inputs = {s.name: record[s.name] for s in plant.inputs}
         curves.append(rl.simulate(plant, clock, inputs, x0)[output])
-    measured = record[output]
-    rms = [float(np.sqrt(np.mean((c - measured) ** 2))) for c in curves]
+    recorded, origin = record[output], work.origin(step.record)
+    rms = [float(np.sqrt(np.mean((c - recorded) ** 2))) for c in curves]
     label = f"{output} [{record.unit(output)}]"
-    return {"t": record.t, "measured": measured, "curves": curves, "rms": rms, "label": label}
+    return {"t": record.t, "record": recorded, "origin": origin, "curves": curves, "rms": rms, "label": label}
