@@ -141,7 +141,9 @@ def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
     """
     import difflib
 
-    close = difflib.get_close_matches(name, known, n=1)
+    # Names come from files: comparing takes the square of their length, and nobody mistypes thousands of characters.
+    near = [other for other in known[:2000] if len(other) <= 200] if len(name) <= 200 else []
+    close = difflib.get_close_matches(name, near, n=1)
     return f"did you mean {close[0]}?" if close else None
 
 

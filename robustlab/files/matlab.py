@@ -6,7 +6,6 @@ datasets that MATLAB marked (attribute ``MATLAB_class``) are transposed back her
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError
-from robustlab.files.limits import Limits, size_text
+from robustlab.files.limits import Limits
+from robustlab.files.matlab_sizes import check_matlab5_sizes
 from robustlab.files.tree import Dataset, Tree, Unread
 
 __all__ = ["from_matlab73", "read_matlab5", "write_matlab5"]
@@ -35,13 +35,12 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     InputError
         Variables that declare more than the limits, a damaged file.
     """
-    from scipy.io import loadmat, whosmat
+    from scipy.io import loadmat
 
     where = shown or path
     tree = Tree(file=where)
+    check_matlab5_sizes(path, where, limits)
     try:
-        for name, shape, _kind in whosmat(path):
-            _check_size(where, name, math.prod(int(n) for n in shape) * 8, limits)
         variables = loadmat(path, struct_as_record=False, squeeze_me=False)
     except InputError:
         raise
@@ -55,14 +54,8 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     return tree
 
 
-def _check_size(where: str, name: str, size: int, limits: Limits) -> None:
-    if size > limits.dataset:
-        raise InputError(where, f"/{name}: declares {size_text(size)}, limit {size_text(limits.dataset)}")
-
-
 def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> None:
     if hasattr(value, "toarray"):  # a sparse matrix
-        _check_size(tree.file, name, math.prod(value.shape) * 8, limits)
         value = value.toarray()
     array = np.asarray(value)
     if array.dtype.kind == "O" and array.size == 1 and hasattr(array.flat[0], "_fieldnames"):

@@ -140,10 +140,11 @@ def read(
         if is_json(path):
             if group or transpose:
                 raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
-            held = read_controller_json(path, limits)
+            held = read_controller_json(path, limits, isolate)
             warnings = (*held.warnings, *_unit_warnings(held.controller))
             return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
-        return Loaded(Record(**read_record(path, group=group, limits=limits)), "record", where, False)
+        keywords = read_record(path, group=group, limits=limits, isolate=isolate)
+        return Loaded(_record(keywords, where), "record", where, False)
     tree = _tree(path, group, limits, isolate)
     if is_stamped(tree) and group is None:
         kind, found = check_header(tree, no_verify)
