@@ -94,7 +94,7 @@ def _answer(command: list[str], where: str, limits: Limits, take: Callable[[byte
         return take(done.stdout)
     except InputError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
         raise InputError(
             where, f"reader gave no valid answer ({error}); file is damaged or hostile", None, HOSTILE
         ) from None

@@ -176,7 +176,7 @@ class _Walk:
         self.total += size
         if self.total - self.start > self.limits.dataset:
             taken = size_text(self.total - self.start)
-            raise self._refused(f"declares {taken} with all that is in it, limit {size_text(self.limits.dataset)}")
+            raise self._refused(f"declares {taken}, limit {size_text(self.limits.dataset)}")
         if self.total > self.limits.total:
             limit = size_text(self.limits.total)
             raise self._refused(f"with this variable {size_text(self.total)} in all, limit {limit}")
