@@ -36,6 +36,8 @@ __all__ = [
     "plain_text",
 ]
 
+MAX_LINE = 1800  # characters of a message that are shown
+
 EXIT_OK = 0
 EXIT_REQUIREMENT_NOT_MET = 1
 EXIT_BUG = 70
@@ -82,12 +84,12 @@ class RobustlabError(Exception):
         text = f"{self.where}: {self.found}"
         if self.expected:
             text += f", expected {self.expected}"
-        return plain_text(text)
+        return _shown(text)
 
     def __str__(self) -> str:
-        lines = [self.line, *(plain_text(line) for line in self.more)]
+        lines = [self.line, *(_shown(line) for line in self.more)]
         if self.hint:
-            lines.append(f"hint: {plain_text(self.hint)}")
+            lines.append(f"hint: {_shown(self.hint)}")
         return "\n".join(lines)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
@@ -145,6 +147,12 @@ def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
     near = [other for other in known[:2000] if len(other) <= 200] if len(name) <= 200 else []
     close = difflib.get_close_matches(name, near, n=1)
     return f"did you mean {close[0]}?" if close else None
+
+
+def _shown(text: str) -> str:
+    """``text`` for a terminal; a name of thousands of characters in a file must not fill the screen."""
+    half = MAX_LINE // 2
+    return plain_text(text if len(text) <= MAX_LINE else f"{text[:half]} ... {text[-half:]}")
 
 
 def plain_text(text: str) -> str:

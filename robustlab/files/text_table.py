@@ -87,9 +87,7 @@ def read_table(
     return TextTable(tuple(names.tolist()), tuple(units.tolist()), values, bool(tree.attrs["has_header"]))
 
 
-def table_tree(
-    path: str | Path, delimiter: str | None, decimal: str, limits: Limits, shown: str | None = None
-) -> Tree:
+def table_tree(path: str | Path, delimiter: str | None, decimal: str, limits: Limits, shown: str | None = None) -> Tree:
     """What `read_table` reads, as datasets ``names``, ``units``, ``values``; runs in the reader process."""
     where = shown or str(path)
     if decimal not in (".", ","):

@@ -56,7 +56,7 @@ class LoadedRecipe:
     overrides: dict[str, str]
 
 
-def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe:
+def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool = True) -> LoadedRecipe:
     """Read and check a recipe file.
 
     Parameters
@@ -65,6 +65,8 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe
         A ``.toml`` file of at most 1 MiB.
     overrides
         ``"a.b=value"`` items: a is a top-level key or a step's name.
+    isolate
+        False parses the text in this process, with the same checks.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a text file in UTF-8") from None
     given = dict(_split_override(item) for item in overrides)
-    data = read_document("toml", raw, str(path))
+    data = read_document("toml", raw, str(path)) if isolate else parse_document("toml", raw, str(path))
     return LoadedRecipe(_checked(data, str(path), given), file.resolve(), text, given)
 
 

@@ -32,7 +32,7 @@ from robustlab.errors import (
     UsageError,
 )
 from robustlab.files.atomic import atomic_write
-from robustlab.files.document import read_document
+from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.load import LoadedRecipe, references
@@ -285,8 +285,8 @@ def _files_of_previous_run(target: Path) -> set[str]:
         return set()  # no earlier run, or not one of ours: nothing to remove
 
 
-def read_result(folder: str | Path) -> dict[str, Any]:
-    """Content of ``result.json`` of a finished run; it is parsed in the reader process.
+def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
+    """Content of ``result.json`` of a finished run; it is parsed in the reader process (or here, without ``isolate``).
 
     Raises
     ------
@@ -297,21 +297,10 @@ def read_result(folder: str | Path) -> dict[str, Any]:
     try:
         require_file(path)
         raw = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "the folder that robustlab run wrote") from None
     except OSError as error:
         raise InputError(str(path), f"not readable: {error}", "the JSON that robustlab run wrote") from None
-    return checked_result(read_document("json", raw, str(path)), str(path))
-
-
-def checked_result(data: Any, where: str) -> dict[str, Any]:
-    """The content of a ``result.json``, once it has the parts that a report is made of.
-
-    Raises
-    ------
-    InputError
-        Another schema or command, a part that is missing or of another kind.
-    """
+    where = str(path)
+    data = read_document("json", raw, where) if isolate else parse_document("json", raw, where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
         raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
     _check_parts(data, RESULT_PARTS, "", where)
