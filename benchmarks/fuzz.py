@@ -2,7 +2,7 @@
 
     python benchmarks/fuzz.py 500            # mutants of each kind of file; the figures go to stdout
 
-A mutant is read in a process of its own, forked from one that has loaded everything, under the limits of the reader
+Mutants are read in processes forked from one that has loaded everything, under the limits of the reader
 process and without a second isolation: what crashes there is read again through the public reader, which must name it.
 Counted as faults: any exception but a `RobustlabError` ("traceback"), more than 5 s of processor time ("hang"), more
 than 1 GB ("memory"), numbers that differ although the file's hash is called verified ("silent"), an error of more than
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import os
 import random
@@ -23,6 +24,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -48,7 +50,7 @@ from robustlab.storage.expression_files import load_parametric
 
 ROOT = Path(__file__).parents[1]
 FAULTS = ("traceback", "hang", "memory", "silent", "unclear")
-SECONDS, WALL, MEMORY = 5, 120, 1 << 30
+SECONDS, WALL, MEMORY, BATCH = 5, 300, 1 << 30, 25
 ADDRESS_SPACE = 4096 << 20  # as robustlab.files.reader_process
 Edit = Callable[[random.Random, bytes], bytes]
 
@@ -221,7 +223,7 @@ def hdf5_object(rng: random.Random, raw: bytes) -> bytes:
                 file[path] = rng.choice(_hostile(rng))
             case 8:
                 file.create_dataset(
-                    f"{path}_z", (4000, 4000), dtype=rng.choice("bf"), chunks=(400, 400), compression=9
+                    f"{path}_z", (1500, 1500), dtype=rng.choice("bf"), chunks=(500, 500), compression=9
                 )[...] = 0
             case _:
                 file.attrs.pop("content_sha256", None)
@@ -459,7 +461,7 @@ def _matlab5(compressed: bool) -> bytes:
     return out.getvalue()
 
 
-# --- one mutant, in a process of its own -----------------------------------------------------------------------------
+# --- mutants, in processes of their own -----------------------------------------------------------------------------
 
 
 def mutants(reader: Reader, count: int, seed: int) -> Iterator[tuple[str, bytes]]:
@@ -493,62 +495,89 @@ def judge(reader: Reader, path: Path, truths: set[str], isolate: bool) -> tuple[
         return "traceback", f"{type(error).__name__}: {error}\n{traceback.format_exc()[-1500:]}"
 
 
-def in_a_child(reader: Reader, path: Path, truths: set[str]) -> tuple[str, str, float, int]:
-    """The same in a forked process: outcome, message, processor seconds, bytes."""
+def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tuple[str, str, float, int]]:
+    """The same in a forked process, file after file as far as it gets: outcome, message, processor seconds, bytes."""
     ends = os.pipe()
     pid = os.fork()
     if not pid:
-        _child(reader, path, truths, ends[1])
+        _child(reader, paths, truths, ends[1])
     os.close(ends[1])
-    with os.fdopen(ends[0], "rb") as stream:
-        answered = bool(select.select([stream], [], [], WALL)[0])
-        if not answered:
-            os.kill(pid, signal.SIGKILL)
-        answer = stream.read()
+    answers = b""
+    while select.select([ends[0]], [], [], WALL)[0] and (piece := os.read(ends[0], 1 << 16)):
+        answers += piece
+    os.close(ends[0])
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)  # one that sleeps; nothing to a process that has ended
     _, status, usage = os.wait4(pid, 0)
-    seconds, memory = usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024
-    if not answered or (os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL)):
-        return "hang", f"signal {status}", seconds, memory
-    if not answer:  # the library crashed: the public reader has a process of its own for that
-        outcome, text = judge(reader, path, truths, True)
-        return ("contained" if outcome == "refused" else outcome), text, seconds, memory
-    outcome, text = json.loads(answer)
-    return ("memory" if memory > MEMORY else outcome), text, seconds, memory
+    found = [tuple(json.loads(answer)) for answer in answers.split(b"\n") if answer]
+    if len(found) < len(paths):
+        memory = usage.ru_maxrss * 1024
+        if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGPROF, signal.SIGKILL):
+            found.append(("hang", f"signal {os.WTERMSIG(status)}", float(SECONDS), memory))
+        else:  # the library crashed: the public reader has a process of its own for that
+            outcome, text = judge(reader, paths[len(found)], truths, True)
+            found.append(("contained" if outcome == "refused" else outcome, text, 0.0, memory))
+    return found
 
 
-def _child(reader: Reader, path: Path, truths: set[str], end: int) -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 1))
+def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     warnings.simplefilter("ignore")
-    answer = json.dumps(judge(reader, path, truths, False)).encode()
-    os.write(end, answer)
+    for path in paths:
+        signal.setitimer(signal.ITIMER_PROF, SECONDS)  # of processor time; its signal ends the process
+        begun = time.process_time()
+        outcome, text = judge(reader, path, truths, False)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        answer = ("memory" if memory > MEMORY else outcome, text, time.process_time() - begun, memory)
+        os.write(end, json.dumps(answer).encode() + b"\n")
+        if memory > MEMORY:
+            break  # the next one starts afresh
     os._exit(0)
 
 
 def attack(reader: Reader, count: int, seed: int, folder: Path, isolated_every: int = 0) -> Found:
     """Read all mutants of one reader; every so many are read through the public reader with its own process too."""
     found = Found()
-    truths: set[str] = set()
-    for number_of, (name, raw) in enumerate(mutants(reader, count, seed)):
-        good = number_of < len(reader.seeds)
-        path = folder / name
-        path.write_bytes(raw)
-        if good and reader.hashed:
-            truths.add(digest(reader.read(path, False)[0]))
-        outcome, text, seconds, memory = in_a_child(reader, path, truths)
-        if good and outcome not in ("read", "verified"):
-            outcome, text = "traceback", f"the good file is not read: {text}"
-        if isolated_every and number_of % isolated_every == 0 and outcome in ("read", "verified", "refused"):
-            again, words = judge(reader, path, truths, True)
-            if again != outcome:
-                outcome, text = "traceback", f"{outcome} here, {again} in the reader process: {words}"
-        found.counts[outcome] += 1
-        found.largest, found.slowest = max(found.largest, memory), max(found.slowest, seconds)
-        if outcome in FAULTS:
-            found.faults.append((outcome, text, raw))
+    truths = {digest(reader.read(_laid(folder, 0, name, raw), False)[0]) for name, raw in reader.seeds if reader.hashed}
+    every = enumerate(mutants(reader, count, seed))
+    while batch := [(n, raw, _laid(folder, n % BATCH, name, raw)) for n, (name, raw) in itertools.islice(every, BATCH)]:
+        while batch:
+            for result in in_a_child(reader, [path for _, _, path in batch], truths):
+                n, raw, path = batch.pop(0)
+                _note(found, reader, n, raw, _again(reader, n, path, truths, result, isolated_every))
     return found
+
+
+def _laid(folder: Path, n: int, name: str, raw: bytes) -> Path:
+    """The mutant as a file, in a folder of its own."""
+    place = folder / str(n)
+    place.mkdir(exist_ok=True)
+    (place / name).write_bytes(raw)
+    return place / name
+
+
+def _again(
+    reader: Reader, n: int, path: Path, truths: set[str], result: tuple[str, str, float, int], every: int
+) -> tuple[str, str, float, int]:
+    """Compare with the public reader, and the good files with what they must give."""
+    outcome, text, *rest = result
+    if n < len(reader.seeds) and outcome not in ("read", "verified"):
+        return "traceback", f"the good file is not read: {text}", *rest
+    if every and n % every == 0 and outcome in ("read", "verified", "refused"):
+        again, words = judge(reader, path, truths, True)
+        if again != outcome:
+            return "traceback", f"{outcome} here, {again} in the reader process: {words}", *rest
+    return result
+
+
+def _note(found: Found, reader: Reader, n: int, raw: bytes, result: tuple[str, str, float, int]) -> None:
+    outcome, text, seconds, memory = result
+    found.counts[outcome] += 1
+    found.largest, found.slowest = max(found.largest, memory), max(found.slowest, seconds)
+    if outcome in FAULTS:
+        found.faults.append((outcome, f"{reader.name} {n}: {text}", raw))
 
 
 def main(count: int, seed: int = 1) -> int:
