@@ -218,9 +218,12 @@ def hdf5_object(rng: random.Random, raw: bytes) -> bytes:
             case 5 if isinstance(thing, h5py.Dataset) and thing.size and thing.dtype.kind in "fi":
                 index = tuple(rng.randrange(n) for n in thing.shape)
                 thing[index] = rng.choice((np.nan, np.inf, 1e308, 0.0, -1.0, 1e-320)) if thing.dtype.kind == "f" else 7
-            case 6 | 7 if isinstance(thing, h5py.Dataset):
+            case 6 | 7:
                 del file[path]
-                file[path] = rng.choice(_hostile(rng))
+                if rng.random() < 0.2:
+                    file.create_group(path)
+                else:
+                    file[path] = rng.choice(_hostile(rng))
             case 8:
                 file.create_dataset(
                     f"{path}_z", (1500, 1500), dtype=rng.choice("bf"), chunks=(500, 500), compression=9

@@ -1,8 +1,8 @@
 """What Octave's ``save -hdf5`` writes, brought to the form of every other file.
 
-Each variable is a group with datasets ``type`` and ``value`` and the attribute ``OCTAVE_NEW_FORMAT``; matrices are stored
-column by column, so that they show transposed; a struct's ``value`` is a group of such groups, and a cell's one with
-``dims`` and ``_0``, ``_1``, ... (Octave's source, libinterp/corefcn/ls-hdf5.cc and the ``save_hdf5`` of each type).
+Each variable is a group with datasets ``type`` and ``value`` and the attribute ``OCTAVE_NEW_FORMAT``; matrices are
+stored column by column, so that they show transposed; a struct's ``value`` is a group of such groups, and a cell's one
+with ``dims`` and ``_0``, ``_1``, ... (Octave's source, libinterp/corefcn/ls-hdf5.cc and ``save_hdf5`` of each type).
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def from_octave(tree: Tree) -> Tree:
     """The same tree with every variable that Octave marked as a dataset, or as a group where it is a struct.
 
     Scalars become 0-d, matrices (rows, columns), texts one text a row, and a cell of texts an array of texts of the
-    cell's size; a range is a row. What has no such form (a cell of other things, a struct array, a sparse matrix) is a dataset that is
-    not read, under Octave's own word for it. Groups without the mark stay as they are.
+    cell's size; a range is a row. What has no such form (a cell of other things, a struct array, a sparse matrix) is a
+    dataset that is not read, under Octave's own word for it. Groups without the mark stay as they are.
     """
     result = Tree(dict(tree.attrs), {}, dict(tree.datasets), tree.path, tree.file)
     for name, group in tree.groups.items():

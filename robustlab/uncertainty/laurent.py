@@ -238,7 +238,12 @@ def parsed(entry: Any, algebra: Algebra, where: str) -> Laurent:
     """
     one = algebra.variable
     try:
-        return walk(entry, _Arithmetic(constant, one, algebra.multiply, algebra.divide, algebra.power), algebra.parameters, where)
+        return walk(
+            entry,
+            _Arithmetic(constant, one, algebra.multiply, algebra.divide, algebra.power),
+            algebra.parameters,
+            where,
+        )
     except InputError as error:
         if error.where == "expression":
             raise InputError(where, f"{_short(entry)}: {error.found}", error.expected, error.hint) from None
