@@ -76,14 +76,14 @@ def _answer(command: list[str], where: str, limits: Limits, take: Callable[[byte
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise _no_answer(where, limits) from None
+        raise _no_answer(where, f"{limits.seconds:g} s") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path
         reason = getattr(error, "strerror", None) or error
         raise EnvironmentFault(where, f"the reader process cannot be started ({reason})") from error
     if done.returncode < 0:
         signal = -done.returncode
         if signal in _cpu_signals():
-            raise _no_answer(where, limits)
+            raise _no_answer(where, "its processor time")
         raise InputError(where, f"reader crashed (signal {signal}); file is damaged or hostile", None, HOSTILE)
     if done.returncode > 0:
         last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
@@ -100,10 +100,8 @@ def _answer(command: list[str], where: str, limits: Limits, take: Callable[[byte
         ) from None
 
 
-def _no_answer(where: str, limits: Limits) -> InputError:
-    return InputError(
-        where, f"reader gave no answer in {limits.seconds:g} s; file is damaged or hostile", None, HOSTILE
-    )
+def _no_answer(where: str, time: str) -> InputError:
+    return InputError(where, f"reader gave no answer in {time}; file is damaged or hostile", None, HOSTILE)
 
 
 def _cpu_signals() -> set[int]:
