@@ -39,6 +39,7 @@ import scipy.io
 import scipy.sparse
 
 import robustlab as rl
+from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.errors import RobustlabError
 from robustlab.files.tree import Tree, content_sha256
 from robustlab.recipe.load import load_recipe
@@ -320,6 +321,7 @@ def readers(folder: Path) -> list[Reader]:
     model = rl.StateSpaceModel(
         [[0, 1], [-2, -3]], [[0], [1]], [[1, 0]], [[0]], inputs=[("F", "N")], outputs=[("x", "m")], operating_point=None
     )
+    inflow, level = rl.Signal("inflow", "m3/s"), rl.Signal("h", "m")
     motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35))
     controller = rl.Controller(model, gamma=1.25, status=rl.Status.CERTIFIED, method="test")
     record = rl.Record(np.arange(30) * 0.1, {"u": np.ones(30)}, {"q": np.sin(np.arange(30))}, {"u": "V", "q": "m"})
@@ -330,6 +332,9 @@ def readers(folder: Path) -> list[Reader]:
         "record": record,
         "result": Result("T", rl.Status.CERTIFIED, {"a": 1.5, "b": [1.0, 2.0], "c": {"x": None, "y": [[1], "t"]}}),
         "plant": rl.with_effects(motor, {"coulomb-friction": {"Fc": 0.005}}),
+        "own plant": LinearPlant(
+            "tank", {"area": Parameter("area", 2.0, "m2", 0.1)}, (inflow,), (level,), (level,), TANK
+        ),
     }
     found = []
     for kind, thing in things.items():
@@ -373,6 +378,7 @@ k1 = [2.0, 1.4, 3.0]
 k2 = {nominal = 1.0, low = 0.8, high = 1.5, unit = "N/m"}
 c = 9.81
 """
+TANK = lambda p: Descriptor(E=[[p["area"]]], F=[[-0.1]], G=[[1.0]], C=[[1.0]])  # noqa: E731
 RESULT: dict[str, Any] = {
     "schema": "robustlab.result/1",
     "command": "run",
