@@ -43,6 +43,7 @@ __all__ = [
 
 P = ParamSpec("P")
 R = TypeVar("R")
+MAX_LINE = 1800  # characters of a message that are shown
 
 EXIT_OK = 0
 EXIT_REQUIREMENT_NOT_MET = 1
@@ -90,7 +91,7 @@ class RobustlabError(Exception):
         text = f"{self.where}: {self.found}"
         if self.expected:
             text += f", expected {self.expected}"
-        return plain_text(text)
+        return _shown(text)
 
     def retold(self, name: str) -> None:
         """Put the name of the function that was called in the place of a step's that it took; see `told_as`."""
@@ -100,9 +101,9 @@ class RobustlabError(Exception):
             self.args = (self.line,)
 
     def __str__(self) -> str:
-        lines = [self.line, *(plain_text(line) for line in self.more)]
+        lines = [self.line, *(_shown(line) for line in self.more)]
         if self.hint:
-            lines.append(f"hint: {plain_text(self.hint)}")
+            lines.append(f"hint: {_shown(self.hint)}")
         return "\n".join(lines)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
@@ -156,8 +157,16 @@ def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
     """
     import difflib
 
-    close = difflib.get_close_matches(name, known, n=1)
+    # Names come from files: comparing takes the square of their length, and nobody mistypes thousands of characters.
+    near = [other for other in known[:2000] if len(other) <= 200] if len(name) <= 200 else []
+    close = difflib.get_close_matches(name, near, n=1)
     return f"did you mean {close[0]}?" if close else None
+
+
+def _shown(text: str) -> str:
+    """``text`` for a terminal; a name of thousands of characters in a file must not fill the screen."""
+    half = MAX_LINE // 2
+    return plain_text(text if len(text) <= MAX_LINE else f"{text[:half]} ... {text[-half:]}")
 
 
 def plain_text(text: str) -> str:

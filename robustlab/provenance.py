@@ -13,10 +13,14 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import ClassVar
 
 from robustlab.errors import InputError
 
-__all__ = ["Provenance", "file_sha256", "library_versions", "robustlab_version"]
+__all__ = ["NOT_VERIFIED", "Provenance", "Traced", "file_sha256", "library_versions", "robustlab_version"]
+
+# In the note of whatever comes from a file without a content hash, and of all that is saved from it.
+NOT_VERIFIED = "not verified by a content hash"
 
 _LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "control", "h5py")
 
@@ -106,3 +110,20 @@ class Provenance:
             {str(k): str(v) for k, v in versions.items()},
             str(data.get("note", "")),
         )
+
+
+class Traced:
+    """What a file can hold; once it was loaded, it knows where it comes from.
+
+    Attributes
+    ----------
+    provenance
+        Of the file it was loaded from; None for what was made in this process. Its note says `NOT_VERIFIED` where no
+        content hash shows that the file is as it was written.
+    """
+
+    provenance: ClassVar[Provenance | None] = None
+
+    def traced(self, origin: Provenance) -> None:
+        """Note where this object comes from; for the one who has just read it."""
+        object.__setattr__(self, "provenance", origin)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, did_you_mean
+from robustlab.provenance import Traced
 from robustlab.statespace import MAX_NAME, real_array
 
 __all__ = ["Record"]
@@ -26,7 +27,7 @@ UNIFORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Record:
+class Record(Traced):
     """Time series with one strictly increasing clock; immutable.
 
     Parameters

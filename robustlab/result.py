@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Any
 
+from robustlab.provenance import Traced
+
 __all__ = ["Result", "Status", "plain"]
 
 
@@ -77,7 +79,7 @@ def plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Result:
+class Result(Traced):
     """A result as it comes back from a file: what kind of result it was, its status, and its data.
 
     Attributes

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean
+from robustlab.provenance import Traced
 
 if TYPE_CHECKING:
     import control
@@ -109,7 +110,7 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class StateSpaceModel:
+class StateSpaceModel(Traced):
     r"""A linear time-invariant model with named signals; immutable.
 
     .. math:: \dot x = A x + B u, \quad y = C x + D u \quad (dt = 0) \qquad x_{k+1} = A x_k + B u_k \quad (dt > 0)

@@ -113,7 +113,7 @@ def show(
     loaded = _read(file, group, transpose, no_verify)
     parts = [line for name, thing in _objects(loaded) for line in _describe(name, thing)]
     origin = loaded.provenance
-    if origin is not None:
+    if origin is not None and (origin.created_by or origin.created):
         parts.append(
             f"made by {origin.created_by or 'unknown'} on {origin.created or 'an unknown day'} {origin.note}".rstrip()
         )

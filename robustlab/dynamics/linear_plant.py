@@ -30,7 +30,7 @@ from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.units import amount
 
-__all__ = ["Descriptor", "LinearPlant"]
+__all__ = ["AffineEquations", "Descriptor", "LinearPlant"]
 
 # What counts as rounding when the affine form is checked, and when the rank of a parameter's coefficients is taken.
 ROUNDING = 1e-12
@@ -48,6 +48,40 @@ class Descriptor:
     G: ArrayLike
     C: ArrayLike
     D: ArrayLike | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class AffineEquations:
+    """Equations of a `LinearPlant` as numbers: ``M(p) = M_0 + sum_k p_k M_k`` for each of E, F, G, C, D.
+
+    Attributes
+    ----------
+    names
+        The parameters p_k.
+    coefficients
+        E, F, G, C, D -> array of shape (1 + number of parameters, rows, columns): M_0 first.
+    fixed
+        Parameters that acted otherwise than by such a sum, with the values at which M_0 was taken.
+    """
+
+    names: tuple[str, ...]
+    coefficients: Mapping[str, Array]
+    fixed: Mapping[str, float]
+
+    def __call__(self, values: Mapping[str, float]) -> Descriptor:
+        """The matrices at these values.
+
+        Raises
+        ------
+        InputError
+            Another value of a fixed parameter.
+        """
+        for name, value in self.fixed.items():
+            if values[name] != value:
+                found = f"{name} = {values[name]:g}"
+                raise InputError("equations from a file", found, f"{value:g}: what it does there is not known")
+        weights = np.array([1.0, *(values[name] for name in self.names)])
+        return Descriptor(**{key: np.tensordot(weights, given, 1) for key, given in self.coefficients.items()})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -114,6 +148,14 @@ class LinearPlant(Plant):
     def matrices(self, values: Mapping[str, float]) -> list[Array]:
         """E, F, G, C, D of the descriptor form at the given parameter values (name -> value, all of them)."""
         return self._matrices(values)
+
+    def affine_equations(self) -> AffineEquations:
+        """The equations as numbers, which a file can hold."""
+        constant = self._matrices(self._cleared)
+        names = tuple(name for name in self.parameters if name not in self.exact)
+        terms = [constant, *(self._coefficients(name, constant) for name in names)]
+        stacked = {key: np.stack([term[i] for term in terms]) for i, key in enumerate("EFGCD")}
+        return AffineEquations(names, stacked, {name: self.values[name] for name in self.exact})
 
     def to_model(self) -> StateSpaceModel:
         """The same as `state_space`; functions that take a model call it, so they take a linear plant too."""

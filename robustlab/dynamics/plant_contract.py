@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.dynamics.input_signals import InputSignal
 from robustlab.dynamics.parameters import Parameter
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plant(ABC):
+class Plant(Traced, ABC):
     """The contract of a plant; linear plants follow it through `robustlab.dynamics.linear_plant.LinearPlant`,
     others through `NonlinearPlant`.
 

@@ -12,6 +12,7 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.isolation import read_isolated
 from robustlab.files.limits import MIB, Limits
 from robustlab.files.matlab import from_matlab73, read_matlab5
+from robustlab.files.octave import from_octave
 from robustlab.files.signature import content_of
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
@@ -52,7 +53,7 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
         tree = read_hdf5(str(path), limits, group)
     else:
         tree = read_matlab5(str(path), limits)
-    return from_matlab73(tree) if kind == "hdf5" else tree
+    return from_octave(from_matlab73(tree)) if kind == "hdf5" else tree
 
 
 def write_tree(path: str | Path, tree: Tree) -> Path:

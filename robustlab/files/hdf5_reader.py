@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ MAX_EXPANSION = 2000
 MAX_ATTRIBUTE = 1 << 20
 MAX_PROBLEMS = 20
 MAX_TEXTS = 100_000
+TEXTS_AT_A_TIME = 16
+OCTAVE_RANGE = "compound (base, limit, increment)"
 DAMAGED = "copy or export the file again; if it was made by robustlab, run the command that made it again"
 
 
@@ -40,6 +43,7 @@ class _Walk:
     file: str
     limits: Limits
     wanted: str | None
+    allow: Callable[[int], None]
     total: int = 0
     objects: int = 0
     groups_seen: set[Any] = field(default_factory=set)
@@ -53,8 +57,16 @@ class _Walk:
         return self.wanted is None or path.startswith(f"/{self.wanted}/") or path.count("/") == 1
 
 
-def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | None = None) -> Tree:
+def read_hdf5(
+    path: str,
+    limits: Limits,
+    group: str | None = None,
+    shown: str | None = None,
+    allow: Callable[[int], None] = lambda _: None,
+) -> Tree:
     """Read ``path`` into a tree; ``group`` limits the values that are read, everything is walked all the same.
+
+    ``allow`` is called with the bytes in memory of each dataset before it is read.
 
     Raises
     ------
@@ -68,7 +80,7 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
         file = h5py.File(path, "r", locking=False)
     except OSError as error:
         raise _not_opened(where, error, path) from None
-    walk = _Walk(where, limits, group.strip("/") if group else None)
+    walk = _Walk(where, limits, group.strip("/") if group else None, allow)
     try:
         with file:
             tree = _group(walk, h5g.open(file.id, b"/"), "/", 0)
@@ -186,15 +198,17 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
     shape, kind = did.shape, _kind(did.get_type())
     if shape is None:
         return Dataset(Unread("no values (null dataspace)", ()), attrs)
+    if kind == OCTAVE_RANGE and not shape and "OCTAVE_RANGE_NELEM" in attrs:
+        return Dataset(np.array(h5py.Dataset(did)[()].tolist(), np.float64), attrs)
     if kind not in ("number", "bool", "complex", "text") or not walk.is_wanted(path):
         return Dataset(Unread(kind if kind not in ("number", "text") else "not read", shape), attrs)
-    if not _may_be_read(walk, did, plist, path):
+    if not _may_be_read(walk, did, plist, path, kind):
         return Dataset(Unread("too large", shape), attrs)
     return Dataset(_values(walk, did, path, kind, shape), attrs)
 
 
-def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str) -> bool:
-    """Check filters, declared size, and stored against declared size."""
+def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: str) -> bool:
+    """Check filters, declared size (in memory, where every number takes 8 bytes), and stored against declared size."""
     for i in range(plist.get_nfilters()):
         code, _, _, label = plist.get_filter(i)
         if code not in KNOWN_FILTERS or not h5z.filter_avail(code):
@@ -202,7 +216,8 @@ def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str) -> bool
             walk.problem(path, f"filter {code}{word} is not known here; plugins are not loaded")
             return False
     shape, limit = did.shape, walk.limits.dataset
-    declared = math.prod(shape) * did.get_type().get_size()
+    stated = did.get_type().get_size()
+    declared = math.prod(shape) * {"number": 8, "complex": 16, "text": 4 * stated}.get(kind, stated)
     size = " x ".join(str(n) for n in shape)
     if declared > limit:
         walk.problem(path, f"declares {size} ({size_text(declared)}), limit {size_text(limit)}")
@@ -223,6 +238,7 @@ def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str) -> bool
     if walk.total > walk.limits.total:
         walk.problem(path, f"with this dataset {size_text(walk.total)} in all, limit {size_text(walk.limits.total)}")
         return False
+    walk.allow(declared)
     return True
 
 
@@ -232,7 +248,7 @@ def _values(walk: _Walk, did: h5d.DatasetID, path: str, kind: str, shape: tuple[
         walk.problem(path, f"{math.prod(shape)} texts, limit {MAX_TEXTS}")
         return Unread("text", shape)
     try:
-        return _plain(dataset[()], kind)
+        return _plain(_texts(walk, dataset, path) if kind == "text" and shape else dataset[()], kind)
     except UnicodeError:
         walk.problem(path, "text is not UTF-8")
     except OverflowError:
@@ -246,6 +262,23 @@ def _values(walk: _Walk, did: h5d.DatasetID, path: str, kind: str, shape: tuple[
         else:
             walk.problem(path, f"damaged values ({_short(error)})")
     return Unread("damaged", shape)
+
+
+def _texts(walk: _Walk, dataset: h5py.Dataset, path: str) -> Any:
+    """The texts of an array a few at a time: each of them may name the same megabytes of the file."""
+    shape, total, longest, pieces = dataset.shape, 0, 1, []
+    step = max(1, TEXTS_AT_A_TIME * shape[0] // max(math.prod(shape), 1))
+    for begin in range(0, shape[0], step):
+        piece = np.asarray(dataset[begin : begin + step])
+        lengths = [len(item) for item in piece.ravel().tolist()]
+        total, longest = total + sum(lengths), max([longest, *lengths])
+        size = max(total, 4 * longest * math.prod(shape))  # as an array, every text takes the room of the longest
+        if size > walk.limits.dataset:
+            walk.problem(path, f"texts of {size_text(size)}, limit {size_text(walk.limits.dataset)}")
+            return np.zeros(0, np.str_)
+        pieces.append(piece)
+    walk.total += 4 * longest * math.prod(shape)
+    return np.concatenate(pieces) if pieces else dataset[()]
 
 
 # --- types -----------------------------------------------------------------------------------------------------------

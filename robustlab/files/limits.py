@@ -17,6 +17,8 @@ class Limits:
     ----------
     file, dataset, total
         Bytes of the file, of one dataset in memory, of all datasets in memory.
+    document
+        Bytes of a document of JSON.
     objects, depth
         Number of groups and datasets, and how deep groups may be nested.
     name
@@ -28,6 +30,7 @@ class Limits:
     file: int = 2048 * MIB
     dataset: int = 256 * MIB
     total: int = 512 * MIB
+    document: int = 32 * MIB
     objects: int = 10_000
     depth: int = 16
     name: int = 200

@@ -6,7 +6,6 @@ datasets that MATLAB marked (attribute ``MATLAB_class``) are transposed back her
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError
-from robustlab.files.limits import Limits, size_text
+from robustlab.files.limits import Limits
+from robustlab.files.matlab_sizes import check_matlab5_sizes
 from robustlab.files.tree import Dataset, Tree, Unread
 
 __all__ = ["from_matlab73", "read_matlab5", "write_matlab5"]
 
 NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
+MAX_EMPTY = 1 << 31  # longest side of an array without entries
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
@@ -35,13 +36,12 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     InputError
         Variables that declare more than the limits, a damaged file.
     """
-    from scipy.io import loadmat, whosmat
+    from scipy.io import loadmat
 
     where = shown or path
     tree = Tree(file=where)
+    check_matlab5_sizes(path, where, limits)
     try:
-        for name, shape, _kind in whosmat(path):
-            _check_size(where, name, math.prod(int(n) for n in shape) * 8, limits)
         variables = loadmat(path, struct_as_record=False, squeeze_me=False)
     except InputError:
         raise
@@ -55,14 +55,8 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     return tree
 
 
-def _check_size(where: str, name: str, size: int, limits: Limits) -> None:
-    if size > limits.dataset:
-        raise InputError(where, f"/{name}: declares {size_text(size)}, limit {size_text(limits.dataset)}")
-
-
 def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> None:
     if hasattr(value, "toarray"):  # a sparse matrix
-        _check_size(tree.file, name, math.prod(value.shape) * 8, limits)
         value = value.toarray()
     array = np.asarray(value)
     if array.dtype.kind == "O" and array.size == 1 and hasattr(array.flat[0], "_fieldnames"):
@@ -131,26 +125,31 @@ def from_matlab73(tree: Tree) -> Tree:
 
 
 def _from_matlab73(dataset: Dataset) -> Dataset:
-    marker = dataset.attrs.get("MATLAB_class")
+    marker = np.asarray(dataset.attrs.get("MATLAB_class", ""))
     values = dataset.values
-    if marker is None:
+    if marker.dtype.kind != "U" or marker.size != 1 or not marker.flat[0]:
         return dataset
-    kind = str(np.asarray(marker).flat[0])
+    kind = str(marker.flat[0])
     attrs = {key: item for key, item in dataset.attrs.items() if not key.startswith("MATLAB_")}
     if isinstance(values, Unread):
         known = kind in NUMERIC or values.dtype == "not read"
         return Dataset(Unread(values.dtype if known else f"MATLAB {kind}", values.shape[::-1]), attrs)
-    if bool(np.any(dataset.attrs.get("MATLAB_empty", False))):
+    empty = np.asarray(dataset.attrs.get("MATLAB_empty", 0))
+    if empty.dtype.kind in "fib" and empty.any():
         # An empty array is stored as its sizes, in MATLAB's order.
-        shape = tuple(int(n) for n in values.ravel())
-        if 0 not in shape:
+        shape = tuple(int(n) for n in values.ravel()) if values.dtype.kind == "i" and values.size <= 32 else ()
+        if 0 not in shape or min(shape) < 0 or max(shape) > MAX_EMPTY:
             return Dataset(Unread(f"MATLAB {kind}, marked empty, of size {shape}", shape), attrs)
         return Dataset(np.zeros(shape), attrs)
+    if values.dtype.kind not in "fib":
+        return Dataset(Unread(f"MATLAB {kind} that holds other values", values.shape[::-1]), attrs)
     if kind in NUMERIC:
         return Dataset(np.ascontiguousarray(values.T), attrs)
     if kind == "logical":
         return Dataset(np.ascontiguousarray(values.T).astype(bool), attrs)
     if kind == "char":
-        text = "".join(chr(int(code)) for code in values.ravel(order="F"))
-        return Dataset(np.array([text]), attrs)
+        codes = values.ravel(order="F").tolist()
+        if not all(isinstance(code, int) and (0 < code < 0xD800 or 0xE000 <= code <= 0xFFFF) for code in codes):
+            return Dataset(Unread("MATLAB char with other characters", values.shape[::-1]), attrs)
+        return Dataset(np.array(["".join(map(chr, codes))]), attrs)
     return Dataset(Unread(f"MATLAB object ({kind})", values.shape[::-1]), attrs)

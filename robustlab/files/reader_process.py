@@ -1,58 +1,92 @@
-"""The child process that opens untrusted files: ``python -m robustlab.files.reader_process``.
+"""The child process that reads untrusted files: ``python -m robustlab.files.reader_process``.
 
-`robustlab.files.isolation` starts it. Arguments: kind (``hdf5``, ``matlab5``), path, name of the file for messages,
-group or an empty text, the limits as JSON. It answers on stdout with a tree or an error; a crash or a hang is seen by
-the parent.
+`robustlab.files.isolation` starts it with one argument, a JSON table: kind (``hdf5``, ``matlab5``, ``table``, ``json``,
+``toml``), the limits, what messages call the file, and its path, or the number of bytes of the document that follow on
+stdin. It answers on stdout with a tree, a document or an error; a crash or a hang is seen by the parent.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
+from collections.abc import Callable
+from typing import Any
 
 from robustlab.errors import InputError
-from robustlab.files.limits import Limits
-from robustlab.files.wire import send_error, send_tree
+from robustlab.files.limits import MIB, Limits
+from robustlab.files.wire import send_document, send_error, send_tree
 
 __all__ = ["main"]
 
 # What Python, numpy and h5py (or scipy) take of the address space before a file is opened, with room to spare.
-BASE_ADDRESS_SPACE = 2 << 30
+BASE_ADDRESS_SPACE = 2048 * MIB
+# The same without numpy, for documents, and what a document may take beyond it for each byte of its text.
+BASE_DOCUMENT, GROWTH_OF_DOCUMENT = 256 * MIB, 20
+# Each byte of a table: a line of one digit becomes a text, a pair with its number, and a float.
+BASE_TABLE, GROWTH_OF_TABLE = 1024 * MIB, 64
+# Processor time: honest files are read at many times these rates. Values of HDF5 add theirs when they are reached, so
+# that a library that runs in circles in a spoiled header (it does) is ended soon.
+BASE_SECONDS, BYTES_PER_SECOND, VALUES_PER_SECOND = 4, 4 * MIB, 32 * MIB
 
 
-def _limit_resources(limits: Limits) -> None:
+def _limit_resources(kind: str, limits: Limits, size: int) -> None:
     try:
         import resource
     except ImportError:  # Windows: the parent's time limit remains
         return
-    seconds = int(limits.seconds) + 1
+    seconds, memory = int(limits.seconds) + 1, BASE_ADDRESS_SPACE + 4 * limits.total
+    if kind != "matlab5":
+        seconds = min(seconds, BASE_SECONDS + size // BYTES_PER_SECOND)
+    if kind in ("json", "toml", "table"):
+        base, growth = (BASE_TABLE, GROWTH_OF_TABLE) if kind == "table" else (BASE_DOCUMENT, GROWTH_OF_DOCUMENT)
+        memory = min(memory, base + growth * size)
     wanted = {
-        resource.RLIMIT_AS: BASE_ADDRESS_SPACE + 4 * limits.total,
+        resource.RLIMIT_AS: memory,
         resource.RLIMIT_CPU: seconds,
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: 0,  # a reader writes no files
     }
-    for kind, value in wanted.items():
-        _, hard = resource.getrlimit(kind)
+    for name, value in wanted.items():
+        _, hard = resource.getrlimit(name)
         value = value if hard == resource.RLIM_INFINITY else min(value, hard)
-        resource.setrlimit(kind, (value, hard))
+        resource.setrlimit(name, (value, hard))
 
 
-def main(arguments: list[str]) -> int:
+def _more_time(limits: Limits) -> Callable[[int], None]:
+    """What the HDF5 reader calls with the bytes of values that it is about to read."""
+    read = 0
+
+    def allow(size: int) -> None:
+        nonlocal read
+        before, read = read, read + size
+        try:
+            import resource
+        except ImportError:  # Windows: there is the parent's time limit alone
+            return
+        soft, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        more = read // VALUES_PER_SECOND - before // VALUES_PER_SECOND
+        wanted = min(soft + more, int(limits.seconds) + 1)
+        resource.setrlimit(resource.RLIMIT_CPU, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+
+    return allow
+
+
+def main(argument: str) -> int:
     """Read one file and send it."""
-    kind, path, shown, group, limits_json = arguments
-    limits = Limits(**json.loads(limits_json))
-    _limit_resources(limits)
+    request = json.loads(argument)
+    kind, shown, limits = request["kind"], request["shown"], Limits(**request["limits"])
+    size = request["size"] if "size" in request else os.stat(request["path"]).st_size  # noqa: PTH116
+    _limit_resources(kind, limits, size)
     answer = sys.stdout.buffer
     try:
-        if kind == "hdf5":
-            from robustlab.files.hdf5_reader import read_hdf5
+        if kind in ("json", "toml"):
+            from robustlab.files.document import packed, parse_document
 
-            tree = read_hdf5(path, limits, group or None, shown)
-        else:
-            from robustlab.files.matlab import read_matlab5
-
-            tree = read_matlab5(path, limits, shown)
+            document = packed(parse_document(kind, sys.stdin.buffer.read(), shown))
+            send_document(answer, document)
+            return 0
+        tree = _tree(kind, request, limits)
     except InputError as error:
         send_error(answer, error)
         return 0
@@ -63,5 +97,20 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
+def _tree(kind: str, request: dict[str, Any], limits: Limits) -> Any:
+    path, shown = request["path"], request["shown"]
+    if kind == "hdf5":
+        from robustlab.files.hdf5_reader import read_hdf5
+
+        return read_hdf5(path, limits, request["group"], shown, _more_time(limits))
+    if kind == "matlab5":
+        from robustlab.files.matlab import read_matlab5
+
+        return read_matlab5(path, limits, shown)
+    from robustlab.files.text_table import table_tree
+
+    return table_tree(path, request["delimiter"], request["decimal"], limits, shown)
+
+
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(sys.argv[1]))

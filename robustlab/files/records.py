@@ -103,7 +103,7 @@ def read_record(
         clock; missing samples; a unit for no signal, or another one than the file states.
     """
     if content_of(path, limits) == "text":
-        source = _from_text(path, group, delimiter, decimal, limits)
+        source = _from_text(path, group, delimiter, decimal, limits, isolate)
     else:
         tree = read_tree(path, group, limits, isolate)
         if is_stamped(tree):
@@ -127,12 +127,12 @@ def read_record(
 
 
 def _from_text(
-    path: str | Path, group: str | None, delimiter: str | None, decimal: str, limits: Limits | None
+    path: str | Path, group: str | None, delimiter: str | None, decimal: str, limits: Limits | None, isolate: bool
 ) -> _Source:
     where = str(path)
     if group:
         raise InputError(where, f"group {group!r} of a text file", "no group: text files have none")
-    table = read_table(path, delimiter, decimal, limits)
+    table = read_table(path, delimiter, decimal, limits, isolate)
     columns = zip(table.names, table.units, table.values.T, strict=True)
     return _Source(
         where, Path(path).stem, "", {name: _Channel(np.array(values), unit) for name, unit, values in columns}

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError
 from robustlab.files.limits import Limits, size_text
 from robustlab.files.signature import require_file
+from robustlab.files.tree import Tree, canonical
 
-__all__ = ["TextTable", "read_table"]
+__all__ = ["TextTable", "read_table", "table_tree"]
 
 COMMENTS = ("#", "%")
-UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*$")
+BRACKETS = ("[]", "()")  # of a unit behind a name
 DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
 WHITESPACE = " "
 
@@ -45,9 +46,13 @@ class TextTable:
 
 
 def read_table(
-    path: str | Path, delimiter: str | None = None, decimal: str = ".", limits: Limits | None = None
+    path: str | Path,
+    delimiter: str | None = None,
+    decimal: str = ".",
+    limits: Limits | None = None,
+    isolate: bool = True,
 ) -> TextTable:
-    """Read a table of numbers from a text file.
+    """Read a table of numbers from a text file, in the reader process (see `robustlab.files.isolation`).
 
     Lines that begin with ``#`` or ``%`` are comments; the first line that is not made of numbers is the header. Without
     one, a comment directly above the numbers with as many names as there are columns is taken. Names may carry units:
@@ -59,16 +64,35 @@ def read_table(
         ``,`` ``;`` a tab, or a blank for any white space; found out where left out.
     decimal
         Decimal sign, ``.`` or ``,``. A decimal comma is never guessed: ``1,5`` may as well be two numbers.
+    isolate
+        False reads in this process, with the same checks.
 
     Raises
     ------
     InputError
         Lines with too few or too many cells, cells that are not numbers (with line and column), no numbers at all.
     """
-    where = str(path)
+    limits = limits or Limits()
+    require_file(path, limits)
+    if isolate:
+        from robustlab.files.isolation import read_isolated
+
+        tree = read_isolated("table", path, limits, delimiter=delimiter, decimal=decimal)
+    else:
+        tree = table_tree(path, delimiter, decimal, limits)
+    names, units, values = (tree.datasets[name].values for name in ("names", "units", "values"))
+    assert isinstance(names, np.ndarray)
+    assert isinstance(units, np.ndarray)
+    assert isinstance(values, np.ndarray)
+    return TextTable(tuple(names.tolist()), tuple(units.tolist()), values, bool(tree.attrs["has_header"]))
+
+
+def table_tree(path: str | Path, delimiter: str | None, decimal: str, limits: Limits, shown: str | None = None) -> Tree:
+    """What `read_table` reads, as datasets ``names``, ``units``, ``values``; runs in the reader process."""
+    where = shown or str(path)
     if decimal not in (".", ","):
         raise InputError(where, f"decimal sign {decimal!r}", "'.' or ','")
-    lines = _content_lines(path, limits or Limits())
+    lines = _content_lines(path, where, limits)
     comment, rows = _split_comments(lines)
     if not rows:
         raise InputError(where, "no numbers", "lines of numbers, one column per signal")
@@ -86,6 +110,8 @@ def read_table(
     header = rows[0] if first_data else None
     sign = _delimiter(where, data, header[1] if header else None, given=delimiter, decimal=decimal)
     width = len(_cells(data[0][1], sign))
+    if width > limits.objects:
+        raise InputError(where, f"line {data[0][0]} has {width} cells", f"at most {limits.objects} columns")
     names = _cells(header[1], sign) if header else None
     if header and names is not None and len(names) != width:
         raise InputError(
@@ -95,20 +121,23 @@ def read_table(
             "if the numbers have decimal commas: --decimal , --delimiter ';'" if sign == "," else None,
         )
     if names is None and comment is not None and comment[0] == data[0][0] - 1:
-        given = _cells(comment[1], sign) if sign != WHITESPACE or not UNIT.search(comment[1]) else None
+        given = _cells(comment[1], sign) if sign != WHITESPACE or not _name_and_unit(comment[1])[1] else None
         names = given if given and len(given) == width else None
     values = _numbers(where, data, sign, decimal=decimal, width=width, names=names)
     labels = [_name_and_unit(name) for name in names] if names else [(f"c{i + 1}", "") for i in range(width)]
-    _check_names(where, [name for name, _ in labels])
-    return TextTable(tuple(n for n, _ in labels), tuple(u for _, u in labels), values, names is not None)
+    _check_names(where, labels, limits)
+    tree = Tree({"has_header": canonical(names is not None, where)}, file=where)
+    tree.put("names", np.array([name for name, _ in labels], np.str_))
+    tree.put("units", np.array([unit for _, unit in labels], np.str_))
+    tree.put("values", values)
+    return tree
 
 
-def _content_lines(path: str | Path, limits: Limits) -> list[str]:
-    require_file(path, limits)
+def _content_lines(path: str | Path, where: str, limits: Limits) -> list[str]:
     size = Path(path).stat().st_size
     if size > limits.dataset:
         raise InputError(
-            str(path),
+            where,
             f"text file of {size_text(size)}",
             f"at most {size_text(limits.dataset)}",
             "convert it to HDF5 in parts",
@@ -209,16 +238,24 @@ def _number(where: str, cell: str, decimal: str) -> float:
 
 
 def _name_and_unit(text: str) -> tuple[str, str]:
-    found = UNIT.match(text)
-    if not found or not found["name"]:
-        return text, ""
-    unit = found["square"] if found["square"] is not None else found["round"]
-    return found["name"].strip(), unit.strip()
+    """``q [m]`` or ``q (m)`` as name and unit, without a regular expression: those take their time with blanks."""
+    text = text.strip()
+    for opening, closing in BRACKETS:
+        if text.endswith(closing):
+            name, found, unit = text[:-1].rpartition(opening)
+            if found and name.strip() and closing not in unit:
+                return name.strip(), unit.strip()
+    return text, ""
 
 
-def _check_names(where: str, names: list[str]) -> None:
-    for i, name in enumerate(names):
+def _check_names(where: str, labels: list[tuple[str, str]], limits: Limits) -> None:
+    seen: set[str] = set()
+    for i, (name, unit) in enumerate(labels):
         if not name:
             raise InputError(where, f"column {i + 1} has no name in the header", "a name for every column")
-        if name in names[:i]:
+        if len(name) > limits.name or len(unit) > limits.name:
+            found = f"column {i + 1} has a name of {len(name)} and a unit of {len(unit)} characters"
+            raise InputError(where, found, f"at most {limits.name} of each")
+        if name in seen:
             raise InputError(where, f"column name {name!r} is used twice", "unique names")
+        seen.add(name)

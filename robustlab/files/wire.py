@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any, BinaryIO
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from robustlab.errors import InputError
-from robustlab.files.tree import Dataset, Tree, Unread
 
-__all__ = ["receive", "send_error", "send_tree"]
+# A document of JSON or TOML needs no arrays, and its reader no numpy: that one is loaded where trees are sent.
+if TYPE_CHECKING:
+    import numpy as np
+
+    from robustlab.files.tree import Tree
+
+__all__ = ["header_of", "receive", "send_document", "send_error", "send_tree"]
 
 MAGIC = b"RLTREE1\n"
 DTYPES = {"f": "<f8", "i": "<i8", "b": "|b1", "c": "<c16"}
@@ -23,6 +26,12 @@ def send_tree(stream: BinaryIO, tree: Tree) -> None:
     _header(stream, {"tree": _node(tree, arrays)})
     for array in arrays:
         stream.write(array.tobytes())
+    stream.flush()
+
+
+def send_document(stream: BinaryIO, content: dict[str, Any]) -> None:
+    """Write a document (`robustlab.files.document.packed`) to ``stream``."""
+    _header(stream, content)
     stream.flush()
 
 
@@ -42,15 +51,29 @@ def receive(data: bytes, file: str) -> Tree:
     ValueError
         The bytes are not what the two functions above write.
     """
+    header, end = header_of(data)
+    return _Received(memoryview(data)[end:], file).tree(header["tree"], "/")
+
+
+def header_of(data: bytes) -> tuple[dict[str, Any], int]:
+    """The JSON header and where it ends.
+
+    Raises
+    ------
+    InputError
+        The error that was sent.
+    ValueError
+        There is no header.
+    """
     start = len(MAGIC) + 8
     if not data.startswith(MAGIC) or len(data) < start:
         raise ValueError("no header")
-    length = int.from_bytes(data[len(MAGIC) : start], "little")
-    header = json.loads(data[start : start + length])
+    end = start + int.from_bytes(data[len(MAGIC) : start], "little")
+    header = json.loads(data[start:end])
     if "error" in header:
         where, found, expected, hint, more = header["error"]
         raise InputError(where, found, expected, hint, tuple(more))
-    return _Received(memoryview(data)[start + length :], file).tree(header["tree"], "/")
+    return header, end
 
 
 def _header(stream: BinaryIO, content: dict[str, Any]) -> None:
@@ -70,6 +93,8 @@ def _node(tree: Tree, arrays: list[np.ndarray[Any, Any]]) -> dict[str, Any]:
 
 
 def _value(value: Any, arrays: list[np.ndarray[Any, Any]]) -> list[Any]:
+    from robustlab.files.tree import Unread
+
     if isinstance(value, Unread):
         return ["unread", value.dtype, list(value.shape)]
     if value.dtype.kind == "U":
@@ -86,6 +111,8 @@ class _Received:
         self.data, self.file, self.position = data, file, 0
 
     def tree(self, node: dict[str, Any], path: str) -> Tree:
+        from robustlab.files.tree import Dataset, Tree
+
         tree = Tree(path=path, file=self.file)
         tree.attrs = {name: self.value(item) for name, item in node["attrs"].items()}
         for name, (values, attrs) in node["datasets"].items():
@@ -95,6 +122,10 @@ class _Received:
         return tree
 
     def value(self, item: list[Any]) -> Any:
+        import numpy as np
+
+        from robustlab.files.tree import Unread
+
         kind, content, shape = item[0], item[1], tuple(int(n) for n in item[2])
         if kind == "unread":
             return Unread(content, shape)

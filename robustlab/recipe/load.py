@@ -15,6 +15,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.files.document import parse_document, read_document
 from robustlab.recipe.schema import Recipe, Requirement, Step
 from robustlab.recipe.vocabulary import RefersTo, StepBase
 
@@ -55,7 +56,7 @@ class LoadedRecipe:
     overrides: dict[str, str]
 
 
-def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe:
+def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool = True) -> LoadedRecipe:
     """Read and check a recipe file.
 
     Parameters
@@ -64,6 +65,8 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe
         A ``.toml`` file of at most 1 MiB.
     overrides
         ``"a.b=value"`` items: a is a top-level key or a step's name.
+    isolate
+        False parses the text in this process, with the same checks.
 
     Raises
     ------
@@ -82,40 +85,42 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe
         raise InputError(str(path), "no such file", None, did_you_mean(file.name, siblings))
     if file.stat().st_size > MAX_BYTES:
         raise InputError(str(path), f"{file.stat().st_size} bytes", f"at most {MAX_BYTES} bytes (1 MiB)")
+    raw = file.read_bytes()
     try:
-        text = file.read_bytes().decode("utf-8")
+        text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a text file in UTF-8") from None
     given = dict(_split_override(item) for item in overrides)
-    return LoadedRecipe(parse_recipe(text, str(path), given), file.resolve(), text, given)
+    data = read_document("toml", raw, str(path)) if isolate else parse_document("toml", raw, str(path))
+    return LoadedRecipe(_checked(data, str(path), given), file.resolve(), text, given)
 
 
 def parse_recipe(text: str, where: str = "recipe", overrides: dict[str, str] | None = None) -> Recipe:
-    """A checked recipe from TOML text; see `load_recipe`."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(where, f"not valid TOML: {error}") from None
-    except (ValueError, RecursionError) as error:  # a number of more than 4300 digits; brackets nested 1000 deep
-        raise InputError(where, f"not readable as TOML: {error}") from None
+    """A checked recipe from TOML text of the caller's own, parsed in this process; see `load_recipe`."""
+    return _checked(parse_document("toml", text.encode("utf-8", "surrogatepass"), where), where, overrides)
+
+
+def _checked(data: dict[str, Any], where: str, overrides: dict[str, str] | None) -> Recipe:
     for key, value in (overrides or {}).items():
         _override(data, key, value)
-    faults: list[str]
+    more = 0
     try:
         recipe = Recipe.model_validate(data)
     except ValidationError as error:
-        faults = list(dict.fromkeys(_fault(e, data) for e in error.errors(include_url=False)))
+        # Only those that are shown are put into words: a file of faults must not cost a comparison of names for each.
+        errors = error.errors(include_url=False)
+        faults = list(dict.fromkeys(_fault(e, data) for e in errors[:MAX_FAULTS_SHOWN]))
+        more = max(len(errors) - MAX_FAULTS_SHOWN, 0)
     else:
         faults = _reference_faults(recipe)
         if not faults:
             return recipe
+        faults, more = faults[:MAX_FAULTS_SHOWN], max(len(faults) - MAX_FAULTS_SHOWN, 0)
     if len(faults) == 1:
         key, _, found = faults[0].partition(": ")
         raise InputError(f"{where}: {key}", found)
-    shown = faults[:MAX_FAULTS_SHOWN]
-    if len(faults) > len(shown):
-        shown.append(f"and {len(faults) - len(shown)} more")
-    raise InputError(where, f"{len(faults)} faults", None, None, tuple(f"  {fault}" for fault in shown))
+    shown = [*faults, f"and {more} more"] if more else faults
+    raise InputError(where, f"{len(faults) + more} faults", None, None, tuple(f"  {fault}" for fault in shown))
 
 
 # --- faults in words -------------------------------------------------------------------------------------------------
@@ -193,12 +198,14 @@ def _reference_faults(recipe: Recipe) -> list[str]:
             elif target in recipe.step:
                 faults.append(f"{key}: step {target!r} comes later; steps run in the order written")
             else:
-                faults.append(f"{key}: no step {target!r} before this one{_suggestion(target, list(earlier))}")
+                near = _suggestion(target, list(earlier)) if len(faults) < MAX_FAULTS_SHOWN else ""
+                faults.append(f"{key}: no step {target!r} before this one{near}")
         earlier[name] = step
     for i, requirement in enumerate(recipe.require):
         target = requirement.that.split(".")[0]
         if target not in recipe.step:
-            faults.append(f"require.{i}.that: no step {target!r}{_suggestion(target, list(recipe.step))}")
+            near = _suggestion(target, list(recipe.step)) if len(faults) < MAX_FAULTS_SHOWN else ""
+            faults.append(f"require.{i}.that: no step {target!r}{near}")
         elif "." not in requirement.that:
             faults.append(
                 f"require.{i}.that: {target!r} names a step, expected one of its numbers, such as {target}.status"

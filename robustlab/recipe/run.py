@@ -37,6 +37,8 @@ from robustlab.errors import (
     UsageError,
 )
 from robustlab.files.atomic import atomic_write
+from robustlab.files.document import parse_document, read_document
+from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.outcome import Outcome, Workspace
@@ -53,6 +55,27 @@ __all__ = ["RunResult", "read_result", "run_recipe", "write_report"]
 DONE, NOT_RUN = "done", "not run"
 LOCK = ".running"  # held by the run that writes the folder
 STRAY_AGE = 3600.0  # s
+
+NUMBER = (int, float)
+# What the report reads in result.json, and the type of each.
+RESULT_PARTS = {
+    "requirements": [{"text": str, "that": str, "condition": str, "met": bool, "why_not": str}],
+    "steps": [
+        {
+            **dict.fromkeys(("name", "do", "title", "status", "summary", "error", "text"), str),
+            "trustworthy": bool,
+            "numbers": dict,
+            "facts": [{"label": str, "value": str, "source": str}],
+            "notes": [str],
+            "figures": [{"stem": str, "caption": str}],
+        }
+    ],
+    "recipe": {**dict.fromkeys(("name", "title", "description", "text", "sha256"), str), "overrides": dict},
+    "seed": int,
+    "seconds": NUMBER,
+    "provenance": {"created": str, "inputs": dict, "versions": dict},
+    "files": [str],
+}
 
 
 @dataclass(frozen=True)
@@ -288,15 +311,14 @@ def _publish(folder: Path, target: Path) -> None:
 
 def _files_of_previous_run(target: Path) -> set[str]:
     try:
-        listed = json.loads((target / "result.json").read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
+        listed = read_result(target)["files"]
+        return {name for name in map(str, listed) if (target / name).resolve().is_relative_to(target)}
+    except (InputError, OSError, ValueError):
         return set()  # no earlier run, or not one of ours: nothing to remove
-    inside = [str(name) for name in listed]
-    return {name for name in inside if (target / name).resolve().is_relative_to(target)}
 
 
-def read_result(folder: str | Path) -> dict[str, Any]:
-    """Content of ``result.json`` of a finished run.
+def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
+    """Content of ``result.json`` of a finished run; it is parsed in the reader process (or here, without ``isolate``).
 
     Raises
     ------
@@ -305,11 +327,24 @@ def read_result(folder: str | Path) -> dict[str, Any]:
     """
     path = Path(folder) / "result.json"
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "the folder that robustlab run wrote") from None
-    except (OSError, ValueError) as error:
+        require_file(path)
+        raw = path.read_bytes()
+    except OSError as error:
         raise InputError(str(path), f"not readable: {error}", "the JSON that robustlab run wrote") from None
+    where = str(path)
+    data = read_document("json", raw, where) if isolate else parse_document("json", raw, where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
-        raise InputError(str(path), "not the result of a run", "the result.json that robustlab run wrote")
+        raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
+    _check_parts(data, RESULT_PARTS, "", where)
     return data
+
+
+def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
+    """``data`` against a pattern: types, tables of patterns, or a list with the pattern of every entry."""
+    kind = type(parts) if isinstance(parts, (dict, list)) else parts
+    if not isinstance(data, kind) or (isinstance(data, bool) and kind is NUMBER):
+        raise InputError(where, f"{at or 'result'} is missing or has another form", "the JSON that robustlab run wrote")
+    for key, part in parts.items() if isinstance(parts, dict) else ():
+        _check_parts(data.get(key), part, f"{at}.{key}".lstrip("."), where)
+    for i, item in enumerate(data if isinstance(parts, list) else ()):
+        _check_parts(item, parts[0], f"{at}.{i}", where)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, did_you_mean
+from robustlab.files.document import parse_document, read_document
 from robustlab.files.limits import Limits, size_text
 from robustlab.provenance import Provenance
 from robustlab.result import Status, plain
@@ -86,7 +86,7 @@ def is_json(path: str | Path) -> bool:
         return stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
 
 
-def read_controller_json(path: str | Path, limits: Limits | None = None) -> LoadedController:
+def read_controller_json(path: str | Path, limits: Limits | None = None, isolate: bool = True) -> LoadedController:
     """The controller in a JSON file, exactly as it was written.
 
     Parameters
@@ -94,15 +94,23 @@ def read_controller_json(path: str | Path, limits: Limits | None = None) -> Load
     path
         A file with schema ``robustlab.controller/1``.
     limits
-        Its ``dataset`` is the largest size of the file.
+        Its ``document`` is the largest size of the file.
+    isolate
+        False parses the text in this process, with the same checks.
 
     Raises
     ------
     InputError
         Not JSON, another schema or version, keys that are missing, unknown or written twice, NaN, wrong shapes.
     """
-    where = str(path)
-    data = _parsed(Path(path), where, limits or Limits())
+    where, limits = str(path), limits or Limits()
+    size = Path(path).stat().st_size
+    if size > limits.document:
+        raise InputError(where, f"{size_text(size)} of JSON", f"at most {size_text(limits.document)}")
+    raw = Path(path).read_bytes()
+    data = read_document("json", raw, where, limits) if isolate else parse_document("json", raw, where)
+    if not isinstance(data, dict):
+        raise InputError(where, f"JSON of a {type(data).__name__}", f"a table with schema {SCHEMA}/{VERSION}")
     _check_schema(data, where)
     _check_keys(data, where)
     sides = {side: _signals(data[side], f"{where}: {side}") for side in ("inputs", "outputs", "states")}
@@ -127,37 +135,7 @@ def read_controller_json(path: str | Path, limits: Limits | None = None) -> Load
     return LoadedController(controller, warnings, None if origin is None else Provenance.from_json(origin))
 
 
-# --- the text ---------------------------------------------------------------------------------------------------------
-
-
-def _parsed(path: Path, where: str, limits: Limits) -> dict[str, Any]:
-    size = path.stat().st_size
-    if size > limits.dataset:
-        raise InputError(where, f"{size_text(size)} of JSON", f"at most {size_text(limits.dataset)}")
-
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        names = [name for name, _ in pairs]
-        twice = next((name for name in names if names.count(name) > 1), None) if len(names) < 1000 else None
-        if twice is not None or len(set(names)) < len(names):
-            raise InputError(where, f"key {twice or 'of a long table'!r} is written twice", "each key once")
-        return dict(pairs)
-
-    def refused(word: str) -> float:
-        raise InputError(where, f"{word} is among the numbers", "finite numbers")
-
-    try:
-        data = json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=once, parse_constant=refused)
-    except InputError:  # a ValueError as well
-        raise
-    except UnicodeDecodeError as error:
-        raise InputError(where, f"byte {error.start} is not UTF-8", "JSON in UTF-8") from None
-    except json.JSONDecodeError as error:
-        raise InputError(where, f"not valid JSON: {error.msg} (line {error.lineno}, column {error.colno})") from None
-    except (RecursionError, ValueError):  # brackets nested 1000 deep; a number of more than 4300 digits
-        raise InputError(where, "JSON nested too deeply, or with a number too long", "a controller") from None
-    if not isinstance(data, dict):
-        raise InputError(where, f"JSON of a {type(data).__name__}", f"a table with schema {SCHEMA}/{VERSION}")
-    return data
+# --- its keys ---------------------------------------------------------------------------------------------------------
 
 
 def _check_schema(data: Mapping[str, Any], where: str) -> None:

@@ -16,11 +16,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from robustlab.errors import InputError, did_you_mean
+from robustlab.files.document import parse_document, read_document
 from robustlab.uncertainty.blocks import ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.parametric import parametric
@@ -33,8 +33,10 @@ KEYS = (*MATRICES, "parameters", "dt", "inputs", "outputs", "states")
 RANGE = ("nominal", "low", "high", "unit")
 
 
-def load_parametric(path: str | Path) -> UncertainModel:
+def load_parametric(path: str | Path, isolate: bool = True) -> UncertainModel:
     """The uncertain model that a file of expressions describes; see `robustlab.uncertainty.parametric.parametric`.
+
+    The text is parsed in the reader process; with ``isolate = False`` in this one, with the same checks.
 
     Raises
     ------
@@ -44,7 +46,7 @@ def load_parametric(path: str | Path) -> UncertainModel:
     NoTrustworthyNumber
         A denominator vanishes inside the ranges.
     """
-    data = _read(Path(path))
+    data = _read(Path(path), isolate)
     unknown = [key for key in data if key not in KEYS]
     if unknown:
         hint = did_you_mean(unknown[0], KEYS)
@@ -66,15 +68,14 @@ def load_parametric(path: str | Path) -> UncertainModel:
         raise type(error)(str(path), found, error.expected, error.hint, error.more) from None
 
 
-def _read(file: Path) -> dict[str, Any]:
+def _read(file: Path, isolate: bool) -> dict[str, Any]:
+    where = str(file)
     if not file.is_file():
-        raise InputError(str(file), "no such file", "a .toml file with matrices of expressions")
+        raise InputError(where, "no such file", "a .toml file with matrices of expressions")
     if file.stat().st_size > MAX_BYTES:
-        raise InputError(str(file), f"{file.stat().st_size} bytes", f"at most {MAX_BYTES}")
-    try:
-        return tomllib.loads(file.read_bytes().decode("utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(str(file), f"not a TOML file ({error})", "a .toml file with matrices of expressions") from None
+        raise InputError(where, f"{file.stat().st_size} bytes", f"at most {MAX_BYTES}")
+    raw = file.read_bytes()
+    return read_document("toml", raw, where) if isolate else parse_document("toml", raw, where)
 
 
 def _range(name: str, given: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,14 @@ from robustlab.files.record_layout import decode_record, encode_record
 from robustlab.files.records import CLOCK_NAMES, read_record
 from robustlab.files.signature import content_of
 from robustlab.files.tree import Tree
-from robustlab.provenance import Provenance
+from robustlab.provenance import NOT_VERIFIED, Provenance, Traced
 from robustlab.record import Record
 from robustlab.result import Result
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.controller_json import is_json, read_controller_json
 from robustlab.storage.matrices import decode_model, encode_model
 from robustlab.storage.pairs import decode_pair, looks_like_a_pair
-from robustlab.storage.plants import decode_plant, encode_plant, is_known_plant
+from robustlab.storage.plants import decode_plant, encode_plant
 from robustlab.storage.problems import Problems
 from robustlab.storage.results import decode_result, encode_result
 from robustlab.storage.uncertain_models import decode_controller, decode_uncertain, encode_controller, encode_uncertain
@@ -52,7 +52,8 @@ class Loaded:
     warnings
         What a reader should know; empty where all is well.
     provenance
-        Where the file says it comes from.
+        Where the file says it comes from; its note says so where no content hash verified the file. The object carries
+        the same (`robustlab.provenance.Traced`).
     """
 
     object: Any
@@ -61,6 +62,16 @@ class Loaded:
     verified: bool
     warnings: tuple[str, ...] = ()
     provenance: Provenance | None = None
+
+    def __post_init__(self) -> None:
+        origin = self.provenance
+        if not self.verified and (origin is None or NOT_VERIFIED not in origin.note):
+            origin = origin or Provenance("", "")
+            origin = replace(origin, note=f"{origin.note}; {NOT_VERIFIED}".removeprefix("; "))
+            object.__setattr__(self, "provenance", origin)
+        for thing in self.object if isinstance(self.object, tuple) else (self.object,):
+            if origin is not None and isinstance(thing, Traced):
+                thing.traced(origin)
 
 
 def load(
@@ -83,7 +94,7 @@ def load(
     transpose
         The file was written column by column: swap the axes of A, B, C and D. MATLAB's own files need no such word.
     no_verify
-        Load although the content hash does not match; a warning is issued. Certify nothing with such an object.
+        Load although the content hash does not match. Certify nothing with such an object.
     limits, isolate
         See `robustlab.files.hdf5.read_tree`.
 
@@ -91,6 +102,8 @@ def load(
     -------
     StateSpaceModel, UncertainModel, Controller, Record, Result or Plant
         A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
+        The object's ``provenance`` is that of the file. Where no content hash verified the file, its note says so; a
+        format 1 file without one, or with one that does not match, also brings a warning.
 
     Raises
     ------
@@ -106,7 +119,7 @@ def load(
             'load_pair(path), or load(path, group="nominal")',
         )
     for text in loaded.warnings:
-        if "--no-verify" in text:
+        if "content_sha256" in text:
             warnings.warn(f"{path}: {text}", stacklevel=2)
     return loaded.object
 
@@ -140,10 +153,11 @@ def read(
         if is_json(path):
             if group or transpose:
                 raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
-            held = read_controller_json(path, limits)
+            held = read_controller_json(path, limits, isolate)
             warnings = (*held.warnings, *_unit_warnings(held.controller))
             return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
-        return Loaded(Record(**read_record(path, group=group, limits=limits)), "record", where, False)
+        keywords = read_record(path, group=group, limits=limits, isolate=isolate)
+        return Loaded(_record(keywords, where), "record", where, False)
     tree = _tree(path, group, limits, isolate)
     if is_stamped(tree) and group is None:
         kind, found = check_header(tree, no_verify)
@@ -241,9 +255,9 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     path
         File to write; an existing file is replaced once the new one is complete.
     obj
-        StateSpaceModel, UncertainModel, Controller, Record, a plant as from `robustlab.dynamics.plant` with or without
-        effects, a python-control system, or a result (with ``.status`` and ``.to_json()``). A linear plant of the
-        user's own becomes its state-space model.
+        StateSpaceModel, UncertainModel, Controller, Record, a plant with or without effects, a python-control system,
+        or a result (with ``.status`` and ``.to_json()``). A plant is one as from `robustlab.dynamics.plant`, or a
+        linear one of the user's own: its equations are stored as coefficients.
     provenance
         Where it comes from; time and versions of now where left out.
 
@@ -261,8 +275,16 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         raise UsageError(str(path), f"extension {suffix or 'missing'!r}", ".h5, .hdf5 or .mat")
     tree = Tree(file=str(path))
     kind = _encode(tree, obj)
-    stamp(tree, kind, provenance or Provenance.now("save"))
+    stamp(tree, kind, _origin(obj, provenance or Provenance.now("save")))
     return write_tree(path, tree)
+
+
+def _origin(obj: Any, given: Provenance) -> Provenance:
+    """The provenance to write: what came from a file that nothing verified says so in every file made of it."""
+    source = getattr(obj, "provenance", None)
+    if not isinstance(source, Provenance) or NOT_VERIFIED not in source.note or NOT_VERIFIED in given.note:
+        return given
+    return replace(given, note=f"{given.note}; made from a file {NOT_VERIFIED}".removeprefix("; "))
 
 
 def _encode(tree: Tree, obj: Any) -> str:
@@ -276,7 +298,7 @@ def _encode(tree: Tree, obj: Any) -> str:
         keywords = {key: getattr(obj, key) for key in ("t", "inputs", "outputs", "units", "name", "meaning")}
         encode_record(tree, keywords)
         return "record"
-    if isinstance(obj, Plant) and is_known_plant(obj):
+    if isinstance(obj, Plant):
         encode_plant(tree, obj)
         return "plant"
     if not isinstance(obj, StateSpaceModel) and hasattr(obj, "status") and hasattr(obj, "to_json"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
@@ -16,22 +16,20 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import decode_model, encode_model, find_children
 from robustlab.storage.problems import Problems
 
-__all__ = ["decode_plant", "encode_plant", "is_known_plant", "is_plant_file", "load_plant"]
+if TYPE_CHECKING:
+    from robustlab.dynamics.linear_plant import LinearPlant
 
+__all__ = ["decode_plant", "encode_plant", "is_plant_file", "load_plant"]
+
+# Of a plant whose equations are stored: what its parameters may be is not known elsewhere.
+MORE_TEXTS = ("sign", "role")
+MATRICES = ("E", "F", "G", "C", "D")
 TEXTS, NUMBERS = ("name", "unit", "source", "meaning"), ("value", "tolerance")
 # Name of a bare model that stands as a plant; its matrices are stored with it.
 BARE = "model"
 # Entries of the stored linear model and of the rebuilt plant's agree to this share of the largest.
 AGREEMENT = 1e-6
-
-
-def is_known_plant(obj: Any) -> bool:
-    """True for a plant that a file can hold: one that its name and parameters make again, with or without effects."""
-    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
-
-    if isinstance(obj, ExtendedPlant):
-        return True
-    return isinstance(obj, Plant) and _is_rebuilt(obj)
+NO_DATASET = Dataset(Unread("a group", ()))
 
 
 def encode_plant(tree: Tree, obj: Plant) -> None:
@@ -40,27 +38,34 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
     Raises
     ------
     InputError
-        Effects on a plant that is neither of the registry nor a bare model.
+        A plant of the user's own that is not linear: its equations are a program.
     """
     from robustlab.dynamics.effects.extended_plant import ExtendedPlant
 
     base = obj.plant if isinstance(obj, ExtendedPlant) else obj
-    if not _is_rebuilt(base):
+    own = not _is_rebuilt(base)
+    if own and not _is_linear(base):
         raise InputError(
             f"{base.name}: save",
-            "effects on a plant of your own making",
-            "a plant as from plant(name), or a model",
-            "attach the effects to its state-space model, or save what linearise gives",
+            "a plant of your own making that is not linear: its equations are a program, which a file cannot hold",
+            "a plant as from plant(name), a LinearPlant, or a model",
+            "to keep its linear model alone: save(path, linearise(plant))",
         )
     encode_model(tree, _linear(obj))
     group = tree.group("plant")
     group.attrs["name"] = base.name
     for name, value in _options(base).items():
         group.attrs[name] = value
-    for field in (*TEXTS, *NUMBERS):
-        kind = np.str_ if field in TEXTS else np.float64
+    for field in (*TEXTS, *NUMBERS, *(MORE_TEXTS if own else ())):
+        kind = np.float64 if field in NUMBERS else np.str_
         group.group("parameters").put(field, np.array([getattr(p, field) for p in base.parameters.values()], kind))
-    if base.name == BARE:
+    if own:
+        equations = base.affine_equations()
+        for name, values in equations.coefficients.items():
+            group.group("equations").put(name, values)
+        group.group("equations").put("parameters", np.array(equations.names, np.str_))
+        encode_model(group.group("base"), base.state_space())
+    elif base.name == BARE:
         encode_model(group.group("base"), _bare_model(base))
     effects = tree.group("effects")
     for k, e in enumerate(obj.effects if isinstance(obj, ExtendedPlant) else ()):
@@ -85,7 +90,8 @@ def decode_plant(tree: Tree, problems: Problems) -> Plant:
     problems.raise_any()
     assert model is not None
     try:
-        plant = _with_effects(_base(tree.groups["plant"], problems), tree.groups.get("effects", Tree()), problems)
+        base = _base(_group(tree, "plant", problems), problems)
+        plant = _with_effects(base, tree.groups.get("effects", Tree()), problems)
     except InputError as error:
         if error.where.startswith(problems.file):
             raise
@@ -123,6 +129,13 @@ def load_plant(path: str) -> Any:
 def _options(base: Plant) -> dict[str, Any]:
     """What a plant of the registry takes besides parameters."""
     return {name: value for name in ("preset", "motors") if (value := getattr(base, name, None)) is not None}
+
+
+def _is_linear(base: Plant) -> TypeGuard[LinearPlant]:
+    """True for a linear plant without methods of its own: its parameters, signals and equations are all there is."""
+    from robustlab.dynamics.linear_plant import LinearPlant
+
+    return type(base) is LinearPlant
 
 
 def _is_rebuilt(base: Plant) -> bool:
@@ -181,13 +194,56 @@ def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
 
 
 def _base(group: Tree, problems: Problems) -> Plant:
+    if "equations" in group.groups:
+        return _from_equations(group, problems)
+    return _from_name(group, problems)
+
+
+def _from_equations(group: Tree, problems: Problems) -> Plant:
+    """A linear plant of somebody's own, from the coefficients of its equations and the signals of its model."""
+    from robustlab.dynamics.linear_plant import AffineEquations, LinearPlant
+    from robustlab.dynamics.parameters import Parameter
+
+    held = group.groups["equations"]
+    find_children(group, ("parameters", "equations", "base"), problems)
+    find_children(held, ("parameters", *MATRICES), problems)
+    problems.raise_any()
+    model = decode_model(_group(group, "base", problems), problems)
+    columns = _columns(_group(group, "parameters", problems), problems, MORE_TEXTS)
+    listed = held.datasets.get("parameters", NO_DATASET)
+    names = _list(listed, "U", held.child_path("parameters"), problems) or []
+    arrays = {key: held.datasets.get(key, NO_DATASET).values for key in MATRICES}
+    for key, values in arrays.items():
+        numbers = isinstance(values, np.ndarray) and values.dtype.kind in "fi" and values.ndim == 3
+        if not numbers or len(values) != 1 + len(names):
+            problems.add(f"{held.child_path(key)}: expected real numbers, one matrix more than {len(names)} parameters")
+    problems.raise_any()
+    assert model is not None
+    parameters = {
+        name: Parameter(**{field: columns[field][k] for field in (*TEXTS, *NUMBERS, *MORE_TEXTS)})
+        for k, name in enumerate(columns["name"])
+    }
+    unknown = [name for name in names if name not in parameters]
+    if unknown or len(set(names)) < len(names) or len(parameters) < len(columns["name"]):
+        found = f"{unknown[0]!r} is no parameter" if unknown else "a parameter is there twice"
+        raise InputError(problems.file, f"{held.child_path('parameters')}: {found}", "names of plant/parameters")
+    fixed = {name: p.value for name, p in parameters.items() if name not in names}
+    equations = AffineEquations(tuple(names), {key: np.asarray(v, float) for key, v in arrays.items()}, fixed)
+    name = text_attr(group.attrs, "name") or "plant"
+    return LinearPlant(
+        name, parameters, model.inputs, model.outputs, model.states, equations=equations, exact=tuple(fixed)
+    )
+
+
+def _from_name(group: Tree, problems: Problems) -> Plant:
     from robustlab.dynamics import plant
 
     name = text_attr(group.attrs, "name")
     if name is None:
         problems.add(f"{group.path}: attribute name is missing or no text")
     find_children(group, ("parameters", "base") if name == BARE else ("parameters",), problems)
-    columns = _columns(group.groups["parameters"], problems) if "parameters" in group.groups else {}
+    problems.raise_any()
+    columns = _columns(_group(group, "parameters", problems), problems)
     model = decode_model(group.groups["base"], problems) if name == BARE and "base" in group.groups else None
     problems.raise_any()
     assert name is not None
@@ -209,13 +265,20 @@ def _base(group: Tree, problems: Problems) -> Plant:
     return _with_parameters(made, {n: stored[n] for n in made.parameters})
 
 
-def _columns(group: Tree, problems: Problems) -> dict[str, list[Any]]:
+def _group(node: Tree, name: str, problems: Problems) -> Tree:
+    """The named child, which is known to be there."""
+    if name not in node.groups:
+        raise InputError(problems.file, f"{node.child_path(name)} is a dataset", "a group")
+    return node.groups[name]
+
+
+def _columns(group: Tree, problems: Problems, more: tuple[str, ...] = ()) -> dict[str, list[Any]]:
     """Datasets of one length, texts or numbers by their names."""
-    find_children(group, (*TEXTS, *NUMBERS), problems)
+    find_children(group, (*TEXTS, *NUMBERS, *more), problems)
     columns: dict[str, list[Any]] = {}
-    for field in (*TEXTS, *NUMBERS):
+    for field in (*TEXTS, *NUMBERS, *more):
         if field in group.datasets:
-            values = _list(group.datasets[field], "U" if field in TEXTS else "fi", group.child_path(field), problems)
+            values = _list(group.datasets[field], "fi" if field in NUMBERS else "U", group.child_path(field), problems)
             if values is not None:
                 columns[field] = values
     lengths = {len(values) for values in columns.values()}
@@ -255,8 +318,8 @@ def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
             for name in ("name", "value", "std")
             if name in one.datasets
         }
-        if len({len(values) for values in columns.values()}) > 1:
-            problems.add(f"{one.path}: name, value and std differ in length")
+        if len({len(values) for values in columns.values()}) > 1 or not {"name", "value"} <= set(columns):
+            problems.add(f"{one.path}: name, value and std are no datasets of one length")
         problems.raise_any()
         known = effect(str(attrs["id"]))
         std = {n: s for n, s in zip(columns["name"], columns.get("std", []), strict=False) if not np.isnan(s)}

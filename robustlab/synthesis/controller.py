@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 
@@ -11,7 +12,7 @@ __all__ = ["Controller"]
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
+class Controller(Traced):
     """A controller ``u = K y`` with positive feedback (as in the literature on lower LFTs).
 
     Attributes

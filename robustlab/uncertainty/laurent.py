@@ -9,6 +9,7 @@ with exact rational coefficients (a float counts as the shortest decimal number 
 from __future__ import annotations
 
 import ast
+import operator
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ MAX_EXPONENT = 30
 MAX_TERMS = 1000
 LARGEST = 1e300
 MAX_BITS = 8000
+MAX_WORK = 2_000_000  # pairs of terms that are multiplied in all; a text of a page could ask for billions
 
 
 @dataclass(frozen=True)
@@ -99,12 +101,15 @@ class Algebra:
         Those that are never zero in their range: a division by them is safe.
     denominators
         Name of a denominator (its text in parentheses) -> the denominator.
+    work
+        Pairs of terms multiplied so far.
     """
 
     parameters: tuple[str, ...]
     exact: Mapping[str, Fraction] = field(default_factory=dict)
     nonzero: frozenset[str] = frozenset()
     denominators: dict[str, Laurent] = field(default_factory=dict)
+    work: int = 0
 
     def variable(self, name: str) -> Laurent:
         """A parameter as an expression."""
@@ -112,10 +117,21 @@ class Algebra:
             return constant(self.exact[name])
         return Laurent({((name, 1),): Fraction(1)})
 
+    def multiply(self, a: Laurent, b: Laurent) -> Laurent:
+        """``a * b``, counted."""
+        self._count(len(a.terms) * len(b.terms))
+        return a * b
+
+    def _count(self, pairs: int) -> None:
+        self.work += pairs
+        if self.work > MAX_WORK:
+            raise InputError("expression", f"more than {MAX_WORK} products of terms in all", "shorter expressions")
+
     def divide(self, a: Laurent, b: Laurent) -> Laurent:
         """``a / b``; monomials and common factors of b are taken out, the rest becomes a denominator of its own."""
         if not b.terms:
             raise InputError("expression", "a division by zero")
+        self._count(len(a.terms) * (len(a.terms) + len(b.terms)))
         factor, rest = _content(b)
         quotient = a * Laurent({tuple((n, -e) for n, e in factor[0]): 1 / factor[1]})
         if len(rest.terms) == 1:
@@ -148,7 +164,7 @@ class Algebra:
             raise InputError("expression", f"exponent {exponent}", f"at most {MAX_EXPONENT}")
         result = constant(1)
         for _ in range(abs(exponent)):
-            result = result * a
+            result = self.multiply(result, a)
         if exponent >= 0:
             return result
         if len(a.terms) > 1:  # 1/(a+b)^2 is (1/(a+b))^2: one denominator for every power
@@ -222,7 +238,12 @@ def parsed(entry: Any, algebra: Algebra, where: str) -> Laurent:
     """
     one = algebra.variable
     try:
-        return walk(entry, _Arithmetic(constant, one, algebra.divide, algebra.power), algebra.parameters, where)
+        return walk(
+            entry,
+            _Arithmetic(constant, one, algebra.multiply, algebra.divide, algebra.power),
+            algebra.parameters,
+            where,
+        )
     except InputError as error:
         if error.where == "expression":
             raise InputError(where, f"{_short(entry)}: {error.found}", error.expected, error.hint) from None
@@ -235,13 +256,14 @@ class _Arithmetic:
 
     constant: Callable[[Fraction], Any]
     variable: Callable[[str], Any]
+    multiply: Callable[[Any, Any], Any]
     divide: Callable[[Any, Any], Any]
     power: Callable[[Any, int], Any]
 
 
 def number_arithmetic(values: Mapping[str, float]) -> _Arithmetic:
     """Arithmetic of plain floats at given parameter values: a second way through the same text."""
-    return _Arithmetic(float, values.__getitem__, lambda a, b: a / b, lambda a, n: a**n)
+    return _Arithmetic(float, values.__getitem__, operator.mul, operator.truediv, lambda a, n: a**n)
 
 
 def walk(entry: Any, arithmetic: _Arithmetic, names: Iterable[str], where: str) -> Any:
@@ -308,7 +330,7 @@ class _Walk:
             return left + right
         if isinstance(node.op, ast.Sub):
             return left - right
-        return left * right if isinstance(node.op, ast.Mult) else self.arithmetic.divide(left, right)
+        return (self.arithmetic.multiply if isinstance(node.op, ast.Mult) else self.arithmetic.divide)(left, right)
 
     def _exponent(self, node: ast.expr) -> int:
         sign = 1

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
+from robustlab.provenance import Traced
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.balancing import balanced
 from robustlab.uncertainty.blocks import (
@@ -95,7 +96,7 @@ def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class UncertainModel:
+class UncertainModel(Traced):
     r"""A set of models ``F_u(M, Delta)`` over all block-diagonal Delta with normalised blocks; immutable.
 
     Parameters

@@ -33,6 +33,7 @@ EXACT = 1e-9
 # Boxes that the search for a zero of a denominator may look at, and the vertices it tries first.
 MAX_BOXES = 4000
 MAX_VERTICES = 4096
+MAX_SIZE = 200_000  # factors times variables
 # So many of the smallest decompositions are assembled and reduced; the smallest result is taken.
 TRIED = 3
 
@@ -100,6 +101,7 @@ def parametric(
     table, shapes = _entries(A, B, C, D)
     try:
         expressions = [[parsed(entry, algebra, where) for where, entry in row] for row in table]
+        _check_size(expressions, algebra)
         _check_denominators(expressions, algebra, ranges)
         candidates = _candidates(expressions, algebra, ranges, shapes, (dt, inputs, outputs, states))
         model = _first_exact(candidates, table, ranges, exact)
@@ -204,6 +206,20 @@ def _rows(name: str, given: Any) -> list[list[Any]]:
 
 
 # --- denominators ----------------------------------------------------------------------------------------------------
+
+
+def _check_size(expressions: Sequence[Sequence[Laurent]], algebra: Algebra) -> None:
+    """Refuse what no search for a decomposition gets through: it looks at every factor for every variable."""
+    every = [*(entry for row in expressions for entry in row), *algebra.denominators.values()]
+    factors = sum(1 + sum(abs(e) for _, e in monomial) for entry in every for monomial in entry.terms)
+    variables = len(set().union(*(entry.variables for entry in every)))
+    if factors * variables > MAX_SIZE:
+        raise InputError(
+            "parametric",
+            f"{factors} factors of {variables} variables and denominators when multiplied out",
+            f"a product of at most {MAX_SIZE}",
+            "give a sum that occurs often a parameter of its own",
+        )
 
 
 def _check_denominators(

@@ -165,7 +165,7 @@ def test_build_from_expressions(tmp_path, capsys):
         ("[3.0, 0.4]", "[3.0, 1.4]", 4, "vanishes at m = 0"),
         ("[parameters]", "[paramters]", 3, "did you mean parameters?"),
         ("D = [[0]]", "", 3, "no D"),
-        ("D = [[0]]", "D = [[", 3, "not a TOML file"),
+        ("D = [[0]]", "D = [[", 3, "not valid TOML"),
         ("low = 0.8", "low = 1.8", 3, "low < nominal < high"),
         ("low = 0.8", "lwo = 0.8", 3, "did you mean low?"),
         ("low = 0.8, ", "", 3, "low and high"),

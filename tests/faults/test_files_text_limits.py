@@ -1,0 +1,243 @@
+"""Text that hangs, nests or grows is parsed in a process of its own; MATLAB files count before they are inflated."""
+
+from __future__ import annotations
+
+import json
+import resource
+import struct
+import sys
+import zlib
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError
+from robustlab.files.document import MAX_DEPTH, parse_document, read_document
+from robustlab.files.hdf5 import read_tree
+from robustlab.files.limits import Limits
+from robustlab.files.text_table import read_table
+from robustlab.recipe.load import load_recipe
+from robustlab.recipe.run import read_result
+from robustlab.storage.expression_files import load_parametric
+
+HOSTILE = {
+    "a number of 5000 digits": "9" * 5000,
+    "200 000 brackets": "[" * 200_000,
+    "200 000 brackets, closed": "[" * 200_000 + "]" * 200_000,
+    "a hundred levels": "[" * (MAX_DEPTH + 36) + "]" * (MAX_DEPTH + 36),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+@pytest.mark.parametrize("reader", ["controller", "result", "recipe", "expressions"])
+def test_numbers_and_brackets_without_end(reader, what, tmp_path):
+    json_text, toml_text = f'{{"schema": {HOSTILE[what]}}}', f"A = {HOSTILE[what]}\n"
+    name = {"controller": "k.json", "result": "result.json"}.get(reader, "x.toml")
+    (tmp_path / name).write_text(json_text if name.endswith("json") else toml_text)
+    read = {
+        "controller": lambda: rl.load(tmp_path / name),
+        "result": lambda: read_result(tmp_path),
+        "recipe": lambda: load_recipe(tmp_path / name),
+        "expressions": lambda: load_parametric(tmp_path / name),
+    }[reader]
+    with pytest.raises(InputError, match=r"not (readable|valid)") as caught:
+        read()
+    assert len(caught.value.line) < 300
+    assert not caught.value.more
+
+
+def test_the_parser_runs_elsewhere(monkeypatch):
+    """Neither parser is called in this process."""
+    monkeypatch.setattr("robustlab.files.document.parse_document", lambda *_: pytest.fail("parsed here"))
+    assert read_document("json", b'{"a": [1, 2.5, null, "x"]}', "f") == {"a": [1, 2.5, None, "x"]}
+    dates = read_document("toml", b"a = 1979-05-27\n[b]\nc = [1979-05-27T07:32:00Z, 07:32:00]\nd = nan\n", "f")
+    truth = parse_document("toml", b"a = 1979-05-27\n[b]\nc = [1979-05-27T07:32:00Z, 07:32:00]\n", "f")
+    assert np.isnan(dates["b"].pop("d"))
+    assert dates == truth
+
+
+def largest_child():
+    """Bytes that any process took that this one has waited for."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of the process")
+def test_a_parser_that_hangs_or_grows_is_ended():
+    many_keys = b".".join([b"a"] * 60_000) + b" = 1\n"  # tomllib takes the square of the length
+    with pytest.raises(InputError, match=r"f\.toml: (reader gave no answer|not readable as TOML)"):
+        read_document("toml", many_keys, "f.toml")
+    many_tables = b"[" + b"{}," * 4_000_000 + b"0]"  # 12 MB of text, 0.3 GB of tables: refused, or read in bounds
+    with pytest.raises(InputError, match="memory"):
+        read_document("json", many_tables, "f.json")
+    assert largest_child() < 1 << 30
+
+
+def test_documents_say_what_is_wrong():
+    with pytest.raises(InputError, match="f: 40 MB of JSON, expected at most 32 MiB"):
+        read_document("json", b" " * 40_000_000, "f")
+    for raw, words in [
+        (b'{"a": "\\ud800"}', "half a surrogate pair"),
+        (b"\xff\xfe", "byte 0 is not UTF-8"),
+        (b'{"a": NaN}', "NaN is among the numbers"),
+        (b'{"a": 1, "a": 2}', "key 'a' is written twice"),
+    ]:
+        with pytest.raises(InputError, match=words):
+            parse_document("json", raw, "f")
+    with pytest.raises(InputError, match="'a': a whole number beyond 64 bits"):
+        parse_document("toml", b"a = 0x" + b"f" * 40_000, "f")
+    assert parse_document("json", b"[10000000000000000000000]", "f") == [1e22]
+
+
+@pytest.mark.parametrize("blank", [" ", "\t", " \t"])
+def test_a_header_of_blanks_costs_nothing(blank, tmp_path):
+    """The expression that looked for units took the square of the blanks: minutes for 60 kB."""
+    (tmp_path / "r.csv").write_text(f"t,u{blank * 60_000}x,q [m]\n0,1,2\n1,2,3\n2,3,4\n")
+    with pytest.raises(InputError, match="column 2 has a name of"):
+        read_table(tmp_path / "r.csv", isolate=False)
+    (tmp_path / "r.csv").write_text(f"# t u{blank * 60_000}x\nt,u,q [m]{blank * 60_000}\n0,1,2\n1,2,3\n2,3,4\n")
+    assert read_table(tmp_path / "r.csv").units == ("", "", "m")
+
+
+def test_a_table_has_at_most_as_many_columns_as_a_file_has_objects(tmp_path):
+    (tmp_path / "r.csv").write_text(",".join(f"c{i}" for i in range(200_000)) + "\n" + "1," * 199_999 + "1\n")
+    with pytest.raises(InputError, match="200000 cells, expected at most 10000 columns"):
+        rl.load(tmp_path / "r.csv")
+
+
+def test_a_recipe_of_a_hundred_thousand_faults_is_refused_at_once(tmp_path):
+    text = 'schema = "robustlab.recipe/1"\nname = "x"\n' + "".join(f"k{i} = 1\n" for i in range(70_000))
+    (tmp_path / "r.toml").write_text(text)
+    with pytest.raises(InputError, match="faults") as caught:
+        load_recipe(tmp_path / "r.toml")
+    assert len(caught.value.more) == 51
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("+".join(f"1/({k}+p0+p1)" for k in range(1, 80)), "factors of .* variables"),
+        ("*".join(["(p0+p1+p2+p3)**4"] * 60), "terms|products of terms"),
+    ],
+)
+def test_expressions_beyond_any_search_are_refused(entry, words, tmp_path):
+    rows = ",".join("[" + ",".join(f"'{entry} + {i + j}*p0'" for j in range(6)) + "]" for i in range(6))
+    rest = "B=[" + ",".join(["[1]"] * 6) + "]\nC=[[1,1,1,1,1,1]]\nD=[[0]]\n[parameters]\n"
+    (tmp_path / "e.toml").write_text(f"A=[{rows}]\n{rest}" + "".join(f"p{i} = [1.0, 0.1]\n" for i in range(4)))
+    with pytest.raises(InputError, match=words):
+        load_parametric(tmp_path / "e.toml")
+
+
+def test_a_hostile_result_is_bad_input(tmp_path):
+    result = {
+        "schema": "robustlab.result/1",
+        "command": "run",
+        "steps": [{"name": "a"}],
+        "requirements": [],
+        "files": 3,
+    }
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    with pytest.raises(InputError, match=r"result\.json: steps\.0\.\w+ is missing or has another form"):
+        read_result(tmp_path)
+
+
+# --- MATLAB 5 --------------------------------------------------------------------------------------------------------
+
+HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+
+
+def element(kind, data):
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def matrix(kind, sizes, name, *content):
+    flags, dims = element(6, struct.pack("<II", kind, 0)), element(5, struct.pack(f"<{len(sizes)}i", *sizes))
+    body = flags + dims + element(1, name.encode()) + b"".join(content)
+    return struct.pack("<II", 14, len(body)) + body
+
+
+def zeros(count, name=""):
+    return matrix(6, (count, 1), name, element(9, bytes(8 * count)))
+
+
+def compressed(variable):
+    packed = zlib.compress(variable, 1)
+    return struct.pack("<II", 15, len(packed)) + packed
+
+
+BOMBS = {
+    "many variables": (lambda: compressed(zeros(5_000_000, "v")) * 15, r"/v: with this variable \d+ MB in all"),
+    "a cell of many": (
+        lambda: compressed(matrix(1, (40, 1), "c", *[zeros(1_000_000)] * 40)),
+        "/c: declares 272 MB",
+    ),
+    "cells in a struct": (
+        lambda: compressed(
+            matrix(2, (1, 1), "s", element(5, struct.pack("<i", 8)), element(1, b"f".ljust(8, b"\0")),
+                   matrix(1, (40, 1), "", *[zeros(1_000_000)] * 40))
+        ),
+        "/s: declares 272 MB",
+    ),
+    "bytes that become float64": (
+        lambda: compressed(matrix(6, (60_000_000, 1), "x", element(2, bytes(60_000_000)))),
+        "/x: declares 480 MB",
+    ),
+    "more data than its sizes say": (
+        lambda: compressed(matrix(6, (2, 2), "l", element(9, bytes(300_000_000)))),
+        "/l: declares 300 MB",
+    ),
+    "structs without fields": (
+        lambda: matrix(2, (1_000_000, 1), "s", element(5, struct.pack("<i", 8)), element(1, b"")),
+        "/s: declares 400 MB",
+    ),
+    "empty cells": (
+        lambda: compressed(matrix(1, (200_000, 1), "c", struct.pack("<II", 14, 0) * 200_000)),
+        "/c: more than 100000",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BOMBS)
+def test_matlab_files_that_grow_are_refused_by_name_and_size(what, tmp_path):
+    make, words = BOMBS[what]
+    (tmp_path / "p.mat").write_bytes(HEADER + make())
+    with pytest.raises(InputError, match=rf"p\.mat: {words}"):
+        rl.load(tmp_path / "p.mat")
+    assert largest_child() < 1 << 30
+
+
+def test_nesting_and_lengths_of_matlab_files(tmp_path):
+    deep = zeros(1)
+    for _ in range(40):
+        deep = matrix(1, (1, 1), "", deep)
+    (tmp_path / "p.mat").write_bytes(HEADER + matrix(1, (1, 1), "d", deep))
+    with pytest.raises(InputError, match="/d: cells and structs are nested deeper than 16"):
+        rl.load(tmp_path / "p.mat")
+    longer = bytearray(HEADER + zeros(4, "x"))
+    longer[-36:-32] = struct.pack("<I", 4096)  # the data say that they go on beyond their matrix
+    (tmp_path / "p.mat").write_bytes(longer)
+    with pytest.raises(InputError, match=r"damaged MATLAB file .*longer than what holds it"):
+        rl.load(tmp_path / "p.mat")
+
+
+# --- HDF5 ------------------------------------------------------------------------------------------------------------
+
+
+def test_numbers_count_as_they_stand_in_memory(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "p.h5", "w") as file:
+        file.create_dataset("A", (8000, 8000), "i1", chunks=(1000, 1000), compression=9)[...] = 1
+    with pytest.raises(InputError, match=r"/A: declares 8000 x 8000 \(512 MB\), limit 256 MiB"):
+        read_tree(tmp_path / "p.h5")
+
+
+def test_texts_that_all_name_the_same_megabytes(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "p.h5", "w") as file:
+        kind = h5py.string_dtype()
+        file.create_dataset("names", data=np.array(["x" * 50_000, *["y"] * 99], object), dtype=kind)
+        file["A"] = np.eye(2)
+    with pytest.raises(InputError, match="/names: texts of 20 MB, limit 1 MiB"):
+        read_tree(tmp_path / "p.h5", limits=Limits(dataset=1 << 20))
