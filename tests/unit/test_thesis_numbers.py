@@ -48,6 +48,14 @@ def test_a_fit_is_no_reproduction(found):
         assert row not in found.with_status("R")
 
 
+def test_the_readme_counts_the_rows(found):
+    readme = " ".join((Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8").split())
+    r, f, p, n = (len(found.with_status(status)) for status in "RFPN")
+    assert f"{len(found.rows)} rows of chapters 6-11" in readme
+    assert f"{r} are reproduced, {f} are fits and not counted as such" in readme
+    assert f"{p} are so in part or under a reading that is stated, {n} are not reproducible" in readme
+
+
 def test_what_is_not_reproduced_has_a_reason(found):
     for row in (*found.with_status("P"), *found.with_status("N"), *found.with_status("F")):
         assert row.why, row.key
