@@ -13,7 +13,7 @@ from typing import Any
 
 from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.settings import code_identity
-from robustlab.campaign.work import GRACE, Failure, Outcome, Payload, Piece, evaluator_of, perform
+from robustlab.campaign.work import GRACE, STRUCK, Failure, Outcome, Payload, Piece, evaluator_of, perform
 from robustlab.errors import DependencyMissing, EnvironmentFault
 
 __all__ = ["ClusterWorkers"]
@@ -199,5 +199,5 @@ class ClusterWorkers:
 def _ended(piece: Piece, seconds: float) -> Failure:
     """What a worker that vanished died of: of its own time limit, or of something else."""
     if seconds >= piece.limit + GRACE:
-        return Failure(f"no answer in {piece.limit:g} s", timeout=True)
+        return Failure(f"no answer in {piece.limit:g} s{STRUCK}", timeout=True)
     return Failure("worker crashed")

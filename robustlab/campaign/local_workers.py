@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import IO, Any
 
-from robustlab.campaign.work import Failure, Outcome, Payload, Piece
+from robustlab.campaign.work import STRUCK, Failure, Outcome, Payload, Piece
 from robustlab.campaign.worker_process import read_frame, write_frame
 from robustlab.errors import EnvironmentFault
 
@@ -143,7 +143,7 @@ class LocalWorkers:
         now = time.monotonic()
         for worker in self._workers[:]:
             if worker.piece is not None and now >= worker.deadline:
-                failure = Failure(f"no answer in {worker.piece.limit:g} s", timeout=True)
+                failure = Failure(f"no answer in {worker.piece.limit:g} s{STRUCK}", timeout=True)
                 outcomes.append(Outcome(worker.piece, failure, now - worker.started))
                 self._replace(worker)
         return outcomes

@@ -14,10 +14,12 @@ from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.rows import decode_delta
 from robustlab.campaign.settings import Identity, model_from_bytes
 
-__all__ = ["Failure", "Outcome", "Payload", "Piece", "Workers", "evaluator_of", "perform"]
+__all__ = ["STRUCK", "Failure", "Outcome", "Payload", "Piece", "Workers", "evaluator_of", "perform"]
 
 # Limits beyond this (in s) are no limits, and more than the system's clock can be asked to wait for.
 LONGEST = 1e7
+# What is said of a sample that its time limit ended.
+STRUCK = " (the time limit, so not repeatable)"
 # A worker that nobody stopped (its parent was killed while it hung) ends itself so many seconds after its limit.
 GRACE = 5.0
 

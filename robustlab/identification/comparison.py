@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.best_linear_approximation import (
     BestLinearApproximation,
@@ -267,6 +268,7 @@ class Comparison(Evidence):
         return data
 
 
+@one_thread()
 def compare(
     plant: Any,
     record: Record,

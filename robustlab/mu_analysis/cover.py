@@ -18,7 +18,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from robustlab.budget import NOT_REPEATABLE, USED_UP
+from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.mu_analysis.worst_gain import worst_case_gain
 from robustlab.norms import hinf_norm
@@ -153,6 +153,7 @@ class Cover:
         return {"type": "Cover", **vars(self)}
 
 
+@one_thread()
 def cover(
     models: Iterable[Any],
     form: str = "elements",

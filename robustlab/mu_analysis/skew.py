@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import one_thread
 from robustlab.errors import InputError, did_you_mean
 from robustlab.mu_analysis.bounds import MuBounds, matrix_stack
 from robustlab.mu_analysis.box import root_box
@@ -43,6 +44,7 @@ INFLATIONS = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-
 LARGEST = 1e8
 
 
+@one_thread()
 def skew_mu(M: ArrayLike, blocks: Any, fixed: Sequence[str], seed: int = 0) -> MuBounds:
     r"""Bounds of skewed mu: the blocks named in ``fixed`` keep ``|Delta| <= 1``, the size of the others is sought.
 

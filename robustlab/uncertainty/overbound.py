@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
@@ -102,6 +103,7 @@ class Overbound:
         return {"type": "Overbound", **vars(self)}
 
 
+@one_thread()
 def overbound(
     omega: ArrayLike,
     bound: ArrayLike,

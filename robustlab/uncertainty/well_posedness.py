@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.budget import one_thread
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import (
@@ -95,6 +96,7 @@ class WellPosedness:
         return self.label
 
 
+@one_thread()
 def well_posedness(uncertain: UncertainModel, level: float = 1.0, seed: int = 0) -> WellPosedness:
     """Whether every member of a set is well posed.
 

@@ -25,6 +25,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.budget import one_thread
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -216,6 +217,7 @@ class ViolationProbability:
         return data
 
 
+@one_thread()
 def violation_probability(
     uncertain: UncertainModel,
     metric: str | Callable[[StateSpaceModel], float],

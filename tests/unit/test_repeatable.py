@@ -2,7 +2,41 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
 from repeatable import same_under_load
+
+import robustlab as rl
+from robustlab.budget import NOT_REPEATABLE, USED_UP, Budget
+
+# Six real parameters, D-G bounds 3 % apart; an output that they move.
+MODEL = """
+def model(size):
+    rng, n = np.random.default_rng(10), 6
+    A = rng.standard_normal((n, n))
+    A -= (np.linalg.eigvals(A).real.max() + 0.5) * np.eye(n)
+    B = np.hstack([size * rng.standard_normal((n, n)), np.ones((n, 1))])
+    C = np.vstack([rng.standard_normal((n, n)), np.ones((1, n))])
+    M = rl.StateSpaceModel(A, B, C, np.zeros((n + 1, n + 1)))
+    return rl.UncertainModel(M, [rl.RealScalar(f"p{i}") for i in range(n)])
+"""
+STEP = """
+M = rl.StateSpaceModel([[-1.0]], [[0.4, 0.2, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1.0], [0, 0, 0]])
+model = rl.UncertainModel(M, [rl.RealScalar("pole"), rl.RealScalar("gain")])
+t = 0.1 * np.arange(60)
+u = np.sign(np.sin(1.3 * t))
+truth = rl.simulate(model.evaluate({"pole": 0.7, "gain": -0.4}), t, {"u3": u})["y3"]
+record = rl.Record(t, {"u3": u}, {"y3": truth + 0.01 * np.sin(37 * np.arange(60))})
+"""
+
+
+def of(source: str) -> dict:
+    names: dict = {"np": np, "rl": rl}
+    exec(source, names)
+    return names
+
+
+# --- the same under load ----------------------------------------------------------------------------------------------
 
 
 def test_mu_to_a_tolerance_is_the_same_under_load():
@@ -12,26 +46,106 @@ M = rng.standard_normal((2, 8, 8)) + 1j * rng.standard_normal((2, 8, 8))
 bounds = rl.mu(M, [[-1, 0]] * 8, tolerance=1e-4, effort=0.002)
 print(*bounds.notes, digest(bounds))
 """)
-    assert "work budget used up; a larger effort may prove more" in found
+    assert USED_UP in found
 
 
-CHAIN = """
-n = 8
-D = np.zeros((n + 1, n + 1))
-A = np.diag(-np.arange(1.0, n + 1)) + 0.6 * np.diag(np.ones(n - 1), 1) - 0.5 * np.diag(np.ones(n - 1), -1)
-B, C = np.hstack([0.4 * np.eye(n), np.ones((n, 1))]), np.vstack([np.eye(n), np.ones((1, n))])
-model = rl.UncertainModel(rl.StateSpaceModel(A, B, C, D), [rl.RealScalar(f"p{i}") for i in range(n)])
+def test_margin_and_gain_are_the_same_under_load_where_the_budget_ends_the_proof():
+    found = same_under_load(
+        MODEL
+        + """
+margin = rl.robust_stability(model(0.3), effort=1e-3, tolerance=1e-4)
+gain = rl.worst_case_gain(model(0.2), effort=5e-4, tolerance=1e-4)
+print(*margin.notes, digest(margin), *gain.notes, digest(gain))
 """
+    )
+    assert found.count(USED_UP) == 2
 
 
 def test_the_worst_member_is_the_same_under_load_and_for_any_number_of_threads():
     found = same_under_load(
-        CHAIN
+        MODEL
         + """
-found = [rl.worst_case(model, "h2", n=64, workers=w, effort=e) for w, e in ((1, 1.0), (1, 1e-3), (2, 1e-3))]
-print(*[f.status for f in found], found[1].label, digest(found[0]), digest(found[1]), digest(found[2]))
+found = [rl.worst_case(model(0.2), "h2", n=64, workers=w, effort=1e-3) for w in (1, 2)]
+print(*[f.status for f in found], found[0].label, *[digest(f) for f in found])
 """
     )
-    assert found.startswith("converged inconclusive inconclusive ")
-    assert "work budget used up" in found
+    assert found.startswith("inconclusive inconclusive ")
+    assert USED_UP in found
     assert found.split()[-1] == found.split()[-2]
+
+
+def test_a_validation_is_the_same_under_load():
+    same_under_load(
+        STEP
+        + """
+lag = rl.unstructured(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u3"], outputs=["y3"]), 0.3)
+found = [rl.validate(model, record, {"y3": 0.012}, at_rest=True, effort=2e-3), rl.validate(lag, record, {"y3": 0.05})]
+print(*[f.status for f in found], *[digest(f) for f in found])
+"""
+    )
+
+
+# --- the time limit is told, and effort is what it says ---------------------------------------------------------------
+
+
+def test_a_time_limit_that_strikes_is_told():
+    matrix = of("rng = np.random.default_rng(3)\nM = rng.standard_normal((8, 8)) + 1j * rng.standard_normal((8, 8))")[
+        "M"
+    ]
+    uncertain, names = of(MODEL)["model"](0.2), of(STEP)
+    K = rl.StateSpaceModel([], [], [], [[0.1]])
+    for found in (
+        rl.mu(matrix, [[-1, 0]] * 8, tolerance=1e-4, time_limit=0.0),
+        rl.robust_stability(uncertain, time_limit=0.0),
+        rl.worst_case_gain(uncertain, time_limit=0.0),
+        rl.worst_case_disk_margin(uncertain, K, time_limit=0.0),
+        rl.validate(names["model"], names["record"], {"y3": 0.012}, at_rest=True, time_limit=0.0),
+    ):
+        assert found.status is rl.Status.TIMEOUT
+        assert NOT_REPEATABLE in found.notes
+    found = rl.worst_case(uncertain, "h2", time_limit=0.0)
+    assert found.status is rl.Status.TIMEOUT
+    assert NOT_REPEATABLE in found.label
+
+
+def test_more_effort_proves_more_and_says_what_is_left():
+    uncertain = of(MODEL)["model"](0.3)
+    margins = [rl.robust_stability(uncertain, effort=e, tolerance=1e-4) for e in (2e-4, 1e-3, 1.0)]
+    assert [m.status.value for m in margins] == ["inconclusive", "certified", "certified"]
+    assert margins[0].lower == 0 < margins[1].lower < margins[2].lower
+    assert [USED_UP in m.notes for m in margins] == [True, True, False]
+    assert len({m.upper for m in margins}) == 1
+
+
+@pytest.mark.parametrize("options", [{"effort": 0.0}, {"effort": np.inf}, {"effort": np.nan}, {"time_limit": -1.0}])
+def test_an_effort_or_a_limit_that_is_none_is_refused(options):
+    names = of(MODEL + STEP)
+    uncertain = names["model"]
+    for call in (
+        lambda: rl.mu(np.eye(2), [[1, 0], [1, 0]], **options),
+        lambda: rl.robust_stability(uncertain, **options),
+        lambda: rl.worst_case_gain(uncertain, **options),
+        lambda: rl.worst_case(uncertain, "h2", **options),
+        lambda: rl.disk_margin(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), **options),
+        lambda: rl.worst_case_disk_margin(uncertain, **options),
+        lambda: rl.validate(uncertain, names["record"], {"y3": 0.01}, **options),
+    ):
+        with pytest.raises(rl.InputError, match=next(iter(options))):
+            call()
+
+
+def test_a_budget_tells_what_ended_it():
+    whole = Budget(100)
+    part = whole.share(0.5)
+    part.spend(50)
+    assert part.over
+    assert not whole.over
+    assert part.remark == whole.remark == USED_UP
+    apart = whole.apart(20)
+    apart.spend(30)
+    assert apart.over
+    assert whole.left == 30
+    limited = Budget(100, time_limit=0.0)
+    assert limited.share(0.5).over
+    assert limited.struck
+    assert limited.remark == NOT_REPEATABLE
