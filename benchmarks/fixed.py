@@ -47,7 +47,7 @@ def child(name: str, starts: int) -> dict[str, Any]:
     begin = time.process_time()
     try:
         design = fixed_structure(
-            P, "static", n_meas=int(about["ny"]), n_con=int(about["nu"]), starts=starts, time_limit=600.0
+            P, "static", n_meas=int(about["ny"]), n_con=int(about["nu"]), starts=starts, effort=10.0
         )
     except NoTrustworthyNumber as error:
         return {"gamma": float("inf"), "cpu": time.process_time() - begin, "why": error.found}

@@ -202,10 +202,13 @@ def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a
     smaller
         What a longer search might find.
     """
+    reason, ended = "; ".join(parts), ""
     if budget.struck:
-        return (Status.TIMEOUT if status.trustworthy else status), "; ".join([*parts, NOT_REPEATABLE])
-    more = [] if budget.remark is None else [f"work budget used up: a larger effort may find {smaller}"]
-    return status, "; ".join([*parts, *more])
+        status, ended = (Status.TIMEOUT if status.trustworthy else status), NOT_REPEATABLE
+    elif budget.remark:
+        ended = f"work budget used up: a larger effort may find {smaller}"
+    # A part of the search may have said it already.
+    return status, reason if not ended or ended in reason else f"{reason}; {ended}"
 
 
 def limiting_channels(loop: StateSpaceModel, omega: float) -> str:

@@ -113,7 +113,7 @@ class DesignProblem:
         ]
         self._set_coordinates()
         # Of one evaluation, as measured: of the law, and of every loop its poles and a norm with its gradient.
-        self._work = 100 + sum(dense(len(family.A), 2) for family in self.families)
+        self._work = 300 + sum(dense(len(family.A), 2) for family in self.families)
 
     def late(self) -> bool:
         """Whether the budget is over."""

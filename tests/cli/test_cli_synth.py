@@ -44,6 +44,20 @@ def test_hinf_by_number_writes_a_controller_that_holds_its_gamma(problem, tmp_pa
     assert stored.gamma == pytest.approx(result["gamma"])
 
 
+@pytest.mark.parametrize("command", [["hinf"], ["h2"], ["dk", "--blocks", "1,0"], ["fixed"]])
+def test_a_time_limit_that_strikes_is_told(problem, capsys, command):
+    channels = ["--n-meas", "1", "--n-con", "1"]
+    assert run(*command, str(problem), *channels, "--time-limit", "1e-9") == 4
+    printed = capsys.readouterr()
+    assert "not repeatable" in printed.out + printed.err
+
+
+def test_effort_is_a_positive_number(problem, capsys):
+    assert run("hinf", str(problem), "--n-meas", "1", "--n-con", "1", "--effort", "0") == 3
+    assert "effort is 0" in capsys.readouterr().err
+    assert run("hinf", str(problem), "--n-meas", "1", "--n-con", "1", "--effort", "0.5") == 0
+
+
 def test_hinf_by_name_and_text(problem, capsys):
     assert run("hinf", str(problem), "--measurements", "y", "--controls", "u") == 0
     text = capsys.readouterr().out

@@ -94,7 +94,7 @@ def test_fixed_static_gain_of_an_unstable_lag_is_the_lqr_gain(tmp_path, capsys):
 def test_dk_takes_the_blocks_of_the_uncertain_file_and_its_bound_holds(uncertain, tmp_path, capsys):
     out = tmp_path / "k.h5"
     arguments = ["--measurements", "y", "--controls", "u", "--performance", "z,effort", "--disturbances", "w,n"]
-    arguments += ["--time-limit", "15", "--figure", str(tmp_path / "d.svg")]
+    arguments += ["--effort", "0.1", "--figure", str(tmp_path / "d.svg")]
     assert run("dk", uncertain, *arguments, "--out", out, "--json") == 0
     captured = capsys.readouterr()
     found = json.loads(captured.out)
@@ -113,7 +113,7 @@ def test_dk_takes_the_blocks_of_the_uncertain_file_and_its_bound_holds(uncertain
 def test_blocks_of_a_state_space_file_by_rows(uncertain, tmp_path, capsys):
     plain = tmp_path / "plain.h5"
     rl.save(plain, rl.load(uncertain).M)
-    arguments = ["--n-meas", "1", "--n-con", "1", "--blocks", "-1,0", "--time-limit", "10", "--no-direct", "--json"]
+    arguments = ["--n-meas", "1", "--n-con", "1", "--blocks", "-1,0", "--effort", "0.08", "--no-direct", "--json"]
     assert run("dk", plain, *arguments) == 0
     assert len(json.loads(capsys.readouterr().out)["blocks"]) == 2
 

@@ -61,7 +61,7 @@ of = "task"
 controllers = ["before"]
 gain = false
 points = 6
-time_limit = 5.0
+effort = 0.1
 [step.runs]
 do = "simulate-control"
 of = "plain"

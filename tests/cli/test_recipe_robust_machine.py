@@ -148,9 +148,9 @@ def test_every_design_step_on_a_small_problem(tmp_path):
     text = (
         MOTOR
         + '[step.hinf]\ndo = "hinf"\nof = "task"\n'
-        + '[step.dk]\ndo = "dk"\nof = "task"\nstart = "hinf"\ntime_limit = 3.0\n'
+        + '[step.dk]\ndo = "dk"\nof = "task"\nstart = "hinf"\neffort = 0.03\n'
         + '[step.gain]\ndo = "fixed"\nof = "task"\nnominal = true\n'
-        + 'structure = "static"\nstarts = 0\ntime_limit = 3.0\n'
+        + 'structure = "static"\nstarts = 0\neffort = 0.05\n'
         + '[step.speed]\ndo = "linearise"\nof = "motor"\noutputs = ["omega"]\n'
         + '[step.shape]\ndo = "ncf"\nof = "speed"\nW1 = 5.0\n'
         + '[step.small]\ndo = "reduce-controller"\nof = "task"\ncontroller = "hinf"\nloss = 0.05\n'
