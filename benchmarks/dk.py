@@ -68,9 +68,7 @@ def column() -> None:
     plant, blocks = distillation(), [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]
     for direct, order in ((False, 26), (True, 10), (True, 14), (True, 18), (True, 22)):
         start = time.process_time()
-        design = rl.dk(
-            plant, blocks, 2, 2, direct=direct, max_order=order, order_rel=0.0, effort=2.5, progress=None
-        )
+        design = rl.dk(plant, blocks, 2, 2, direct=direct, max_order=order, order_rel=0.0, effort=2.5, progress=None)
         cpu = time.process_time() - start
         first = min((s.gamma for s in design.history if s.stage != "direct"), default=np.nan)
         low, high = whole_axis(plant, design.K, blocks, 2)

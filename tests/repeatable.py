@@ -99,5 +99,7 @@ def _pieces(value: Any) -> Iterator[bytes]:
         yield b"function"
     elif hasattr(value, "to_json"):
         yield from _pieces(value.to_json())
+    elif hasattr(value, "__dict__"):
+        yield from _pieces({"type": type(value).__name__, **vars(value)})
     else:
         raise TypeError(f"{type(value).__name__} has no digest")

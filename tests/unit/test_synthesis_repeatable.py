@@ -141,6 +141,8 @@ def test_effort_scales_the_work_and_what_it_brings() -> None:
         assert design.history[-1].work <= 1.1 * effort * WORK
         assert USED_UP in design.reason
         assert all(a.work < b.work for a, b in zip(design.history, design.history[1:], strict=False))
+    again = rl.dk(oscillator(), [RealScalar("k")], 1, 1, effort=0.002, order_rel=0.0)  # nothing is remembered
+    assert (again.history[-1].work, again.gamma) == (works[0], gammas[0])
     assert works[1] > 1.5 * works[0]
     assert works[2] > 1.5 * works[1]
     assert gammas[2] < gammas[1] < gammas[0]
