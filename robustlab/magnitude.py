@@ -30,19 +30,21 @@ __all__ = [
 
 Array = NDArray[Any]
 
-# Entries between these, and zeros, are ordinary: products of several of them neither overflow nor vanish.
+# A matrix is ordinary where its largest entry lies between these: products of several neither overflow nor vanish.
+# Single entries may be smaller, as long as their squares do not vanish.
 SMALLEST, LARGEST = 2.0**-166, 2.0**166
-SWEEPS = 100
+LEAST = 2.0**-500
+SWEEPS = 20
 # Dynamics this many powers of two below the direct term are nothing beside it, and need not be smaller still.
 NOTHING = 300
 TINY = float(np.finfo(float).tiny)
 
 
 def is_moderate(*matrices: Array) -> bool:
-    """Whether every entry that is not zero has an ordinary size."""
+    """Whether every matrix is of an ordinary size, or zero."""
     for matrix in matrices:
-        size = np.abs(matrix)
-        if matrix.size and (size.max() > LARGEST or (size[size > 0] < SMALLEST).any()):
+        size = np.abs(matrix[matrix != 0])
+        if size.size and not (SMALLEST <= size.max() <= LARGEST and size.min() >= LEAST):
             return False
     return True
 

@@ -168,10 +168,8 @@ def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
         trusted = False
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
-        trusted, reason = (
-            False,
-            f"the peak at {ordinary.frequency(omega):.6g} rad/s is narrower than the spacing of floating-point numbers",
-        )
+        at = f"{ordinary.frequency(omega):.6g} rad/s"
+        trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     upper = max(upper, attained)
     return HinfNorm(attained, omega, attained, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 

@@ -101,10 +101,9 @@ def _rms(x: Array) -> float:
 
 def _start(p: PlantMatrices, discrete: bool) -> Scaling:
     # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
-    columns, rows = (np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12)), (p.C2, p.D21)
-    sizes = [*columns, *(np.abs(m).max(axis=1, initial=0.0) for m in rows)]
-    sizes += [np.abs(m).max(initial=0.0, keepdims=True) for m in (p.A, p.B1, p.C1, p.D11)]
-    if not is_moderate(*sizes):
+    sizes = [np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12, p.C2.T, p.D21.T)]
+    sizes.append(np.array([np.abs(m).max(initial=0.0) for m in (p.A, p.B1, p.C1, p.D11)]))
+    if not is_moderate(*np.concatenate(sizes)[:, None]):
         return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]

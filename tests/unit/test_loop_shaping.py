@@ -174,3 +174,24 @@ def test_refusals():
     washed = StateSpaceModel([[-1.0]], [[1.0]], [[-1.0]], [[1.0]])
     with pytest.raises(NoTrustworthyNumber, match="W2 G W1"):
         ncf(washed, PI)
+
+
+def test_the_discrete_example_of_raoc_as_published_and_by_two_discrete_riccati_equations():
+    """RobustAndOptimalControl.jl: 200/(0.025 s^3 + 1.0025 s^2 + 10.1 s + 1), W1 = (s + 2)/(s + 1e-6), zoh at 0.01 s."""
+    from scipy.linalg import matrix_balance
+    from scipy.signal import cont2discrete, tf2ss
+
+    g = cont2discrete(tf2ss([200], [0.025, 1.0025, 10.1, 1]), 0.01)[:4]
+    w = cont2discrete(tf2ss([1, 2], [1, 1e-6]), 0.01)[:4]
+    design = ncf(StateSpaceModel(*g, 0.01), StateSpaceModel(*w, 0.01))
+    assert design.status is Status.CERTIFIED
+    assert round(design.gamma_min, 4) == 2.4086
+    assert design.gamma <= 1.1 * design.gamma_min * 1.001
+    # gamma_min = sqrt(1 + rho(X Z)) of g w, strictly proper, with X and Z of the normalised coprime factors.
+    A = np.block([[w[0], np.zeros((1, 3))], [g[1] @ w[2], g[0]]])
+    B, C = np.vstack([w[1], g[1] @ w[3]]), np.hstack([g[3] @ w[2], g[2]])
+    _, (t, _) = matrix_balance(A, permute=False, separate=True)
+    A, B, C = A / t[:, None] * t, B / t[:, None], C * t
+    X = solve_discrete_are(A, B, C.T @ C, np.eye(1))
+    Z = solve_discrete_are(A.T, C.T, B @ B.T, np.eye(1))
+    assert design.gamma_min == pytest.approx(np.sqrt(1 + np.abs(np.linalg.eigvals(X @ Z)).max()), rel=1e-8)

@@ -109,7 +109,7 @@ def test_every_end_is_a_result_or_an_error_that_names_the_call_and_no_nan_in_fin
             text = str(error)
             if not error.where.startswith(told) or any(word in text for word in ("NaN", "infs", " is infinite (")):
                 wrong.append(f"{name} {case}: {text}")
-        except Exception as error:  # a bare LinAlgError, ValueError, RuntimeWarning, ...
+        except Exception as error:  # noqa: BLE001 - a bare LinAlgError, ValueError, RuntimeWarning, ...
             wrong.append(f"{name} {case}: {type(error).__name__}: {error}")
     assert not wrong, "\n".join(wrong)
 
@@ -194,7 +194,7 @@ def test_h2_of_the_textbook_scalar_at_any_magnitude(name, size):
 
 @pytest.mark.parametrize("b1", [1.0, 1e10, 1e100, 1e154, 1e200])
 def test_hinf_of_any_disturbance_gain(b1):
-    """P12 = s/(s - 1) has a zero at 0, so that no gain is below |P11(0)| = b1; K = -1 - eps comes arbitrarily near."""
+    """P12 = s/(s - 1) has a zero at 0, so that no gain is below |P11(0)| = b1; K = -1 - eps comes close to it."""
     design = rl.hinf(Model([[1.0]], [[b1, 1]], [[1], [1]], [[0, 1], [1, 0]]), 1, 1)
     assert design.status is rl.Status.CERTIFIED
     assert b1 * (1 - 1e-9) <= design.gamma <= 1.05 * b1
