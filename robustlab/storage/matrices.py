@@ -87,10 +87,16 @@ def decode_model(
 # --- matrices --------------------------------------------------------------------------------------------------------
 
 
-def find_children(node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = ()) -> None:
-    """Note every missing child, and what is there under a similar name."""
+def find_children(
+    node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = (), kind: str = ""
+) -> None:
+    """Note every missing child, and what is there under a similar name; ``kind`` is ``dataset`` or ``group``."""
     present = [*node.datasets, *node.groups]
     missing = [name for name in wanted if name not in present]
+    for name in wanted:
+        if name in present and kind and name not in (node.groups if kind == "group" else node.datasets):
+            other = "dataset" if kind == "group" else "group"
+            problems.add(f"{node.child_path(name)} is a {other}, expected a {kind}")
     if not missing:
         return
     for name in missing:

@@ -29,7 +29,6 @@ TEXTS, NUMBERS = ("name", "unit", "source", "meaning"), ("value", "tolerance")
 BARE = "model"
 # Entries of the stored linear model and of the rebuilt plant's agree to this share of the largest.
 AGREEMENT = 1e-6
-NO_DATASET = Dataset(Unread("a group", ()))
 
 
 def encode_plant(tree: Tree, obj: Plant) -> None:
@@ -85,12 +84,13 @@ def decode_plant(tree: Tree, problems: Problems) -> Plant:
         All that is missing or does not fit; an unknown plant, parameter or effect, with the closest name; a linear
         model that is not the plant's.
     """
-    find_children(tree, ("plant",), problems, known=("effects", "signals", "operating_point", "provenance", *"ABCD"))
+    known = ("effects", "signals", "operating_point", "provenance", *"ABCD")
+    find_children(tree, ("plant",), problems, known, "group")
     model = decode_model(tree, problems)
     problems.raise_any()
     assert model is not None
     try:
-        base = _base(_group(tree, "plant", problems), problems)
+        base = _base(tree.groups["plant"], problems)
         plant = _with_effects(base, tree.groups.get("effects", Tree()), problems)
     except InputError as error:
         if error.where.startswith(problems.file):
@@ -205,14 +205,13 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
     from robustlab.dynamics.parameters import Parameter
 
     held = group.groups["equations"]
-    find_children(group, ("parameters", "equations", "base"), problems)
-    find_children(held, ("parameters", *MATRICES), problems)
+    find_children(group, ("parameters", "equations", "base"), problems, kind="group")
+    find_children(held, ("parameters", *MATRICES), problems, kind="dataset")
     problems.raise_any()
-    model = decode_model(_group(group, "base", problems), problems)
-    columns = _columns(_group(group, "parameters", problems), problems, MORE_TEXTS)
-    listed = held.datasets.get("parameters", NO_DATASET)
-    names = _list(listed, "U", held.child_path("parameters"), problems) or []
-    arrays = {key: held.datasets.get(key, NO_DATASET).values for key in MATRICES}
+    model = decode_model(group.groups["base"], problems)
+    columns = _columns(group.groups["parameters"], problems, MORE_TEXTS)
+    names = _list(held.datasets["parameters"], "U", held.child_path("parameters"), problems) or []
+    arrays = {key: held.datasets[key].values for key in MATRICES}
     for key, values in arrays.items():
         numbers = isinstance(values, np.ndarray) and values.dtype.kind in "fi" and values.ndim == 3
         if not numbers or len(values) != 1 + len(names):
@@ -241,9 +240,9 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
     name = text_attr(group.attrs, "name")
     if name is None:
         problems.add(f"{group.path}: attribute name is missing or no text")
-    find_children(group, ("parameters", "base") if name == BARE else ("parameters",), problems)
+    find_children(group, ("parameters", "base") if name == BARE else ("parameters",), problems, kind="group")
     problems.raise_any()
-    columns = _columns(_group(group, "parameters", problems), problems)
+    columns = _columns(group.groups["parameters"], problems)
     model = decode_model(group.groups["base"], problems) if name == BARE and "base" in group.groups else None
     problems.raise_any()
     assert name is not None
@@ -265,16 +264,9 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
     return _with_parameters(made, {n: stored[n] for n in made.parameters})
 
 
-def _group(node: Tree, name: str, problems: Problems) -> Tree:
-    """The named child, which is known to be there."""
-    if name not in node.groups:
-        raise InputError(problems.file, f"{node.child_path(name)} is a dataset", "a group")
-    return node.groups[name]
-
-
 def _columns(group: Tree, problems: Problems, more: tuple[str, ...] = ()) -> dict[str, list[Any]]:
     """Datasets of one length, texts or numbers by their names."""
-    find_children(group, (*TEXTS, *NUMBERS, *more), problems)
+    find_children(group, (*TEXTS, *NUMBERS, *more), problems, kind="dataset")
     columns: dict[str, list[Any]] = {}
     for field in (*TEXTS, *NUMBERS, *more):
         if field in group.datasets:
@@ -311,15 +303,15 @@ def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
         for name, value in attrs.items():
             if value is None:
                 problems.add(f"{one.path}: attribute {name} is missing or no text")
-        find_children(one, ("name", "value"), problems)
+        find_children(one, ("name", "value"), problems, kind="dataset")
         problems.raise_any()
         columns = {
             name: _list(one.datasets[name], "U" if name == "name" else "fi", one.child_path(name), problems) or []
             for name in ("name", "value", "std")
             if name in one.datasets
         }
-        if len({len(values) for values in columns.values()}) > 1 or not {"name", "value"} <= set(columns):
-            problems.add(f"{one.path}: name, value and std are no datasets of one length")
+        if len({len(values) for values in columns.values()}) > 1:
+            problems.add(f"{one.path}: name, value and std differ in length")
         problems.raise_any()
         known = effect(str(attrs["id"]))
         std = {n: s for n, s in zip(columns["name"], columns.get("std", []), strict=False) if not np.isnan(s)}

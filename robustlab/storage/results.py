@@ -108,7 +108,10 @@ def decode_result(tree: Tree) -> Result:
 
 def _value(node: Tree) -> Any:
     if "sequence" in node.attrs:
-        count = int(np.asarray(node.attrs["sequence"]))
+        length = np.asarray(node.attrs["sequence"])
+        if length.dtype.kind != "i" or length.size != 1:
+            raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
+        count = int(length.flat[0])
         names = [str(i) for i in range(min(count, len(node.datasets) + len(node.groups)))]
         return [_child(node, name) for name in names if name in node.datasets or name in node.groups]
     return {signal_name(link): _child(node, link) for link in [*node.datasets, *node.groups]}

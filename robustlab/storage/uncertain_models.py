@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) ->
     InputError
         With all that is missing or does not fit.
     """
-    find_children(tree, ("M", "blocks"), problems)
+    find_children(tree, ("M", "blocks"), problems, kind="group")
     model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
     blocks = _blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
     point = decode_point(tree, problems)
@@ -74,7 +75,7 @@ def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) ->
 
 
 def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
-    find_children(group, FIELDS[:4], problems)
+    find_children(group, FIELDS[:4], problems, kind="dataset")
     columns: dict[str, list[Any]] = {}
     for name in FIELDS:
         if name not in group.datasets:
@@ -104,7 +105,8 @@ def _block(i: int, columns: dict[str, list[Any]], path: str, problems: Problems)
     if kind not in KIND_OF.values():
         problems.add(f"{path}/kind[{i}] is {kind!r}, expected real, complex or full")
         return None
-    if rows != int(rows) or cols != int(cols) or min(rows, cols) < 1 or (kind != "full" and rows != cols):
+    whole = all(math.isfinite(size) and size == int(size) and size >= 1 for size in (rows, cols))
+    if not whole or (kind != "full" and rows != cols):
         problems.add(
             f"{path}: block {name!r} ({kind}) is {rows:g} x {cols:g}, expected whole sizes, square for a scalar block"
         )

@@ -6,7 +6,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError, UnitMismatch
-from robustlab.provenance import Provenance
+from robustlab.provenance import NOT_VERIFIED, Provenance
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage import check_pair, load_pair, read, save
 from robustlab.storage.model_difference import difference
@@ -211,3 +211,43 @@ def test_signals_and_operating_point_must_fit(model, tmp_path):
         file["signals/input/unit"] = ["V", "A"]
     with pytest.raises(InputError, match=r"/signals/input/unit has 2 entries, expected 1 as /signals/input/name"):
         load(tmp_path / "p.h5")
+
+
+# --- where a loaded object comes from --------------------------------------------------------------------------------
+
+
+def test_what_no_hash_verified_says_so_and_hands_it_on(tmp_path):
+    model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    rl.save(tmp_path / "good.h5", model)
+    good = rl.load(tmp_path / "good.h5")
+    assert good.provenance.created_by == "save"
+    assert NOT_VERIFIED not in good.provenance.note
+    with h5py.File(tmp_path / "good.h5", "r+") as file:
+        del file.attrs["content_sha256"]
+    with pytest.warns(UserWarning, match=r"good\.h5: the file carries no content_sha256"):
+        bare = rl.load(tmp_path / "good.h5")
+    assert (bare.provenance.created_by, bare.provenance.note) == ("save", NOT_VERIFIED)
+    rl.save(tmp_path / "again.h5", bare)  # a hash over it proves nothing of where it came from
+    again = read(tmp_path / "again.h5")
+    assert again.verified
+    assert again.object.provenance.note == f"made from a file {NOT_VERIFIED}"
+    with h5py.File(tmp_path / "plain.h5", "w") as file:
+        for name in "ABCD":
+            file[name] = getattr(model, name)
+    assert rl.load(tmp_path / "plain.h5").provenance.note == NOT_VERIFIED
+    assert model.provenance is None
+
+
+def test_every_kind_of_object_carries_it(tmp_path):
+    motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35))
+    things = [
+        motor,
+        motor.uncertain(),
+        rl.Controller(motor.state_space()),
+        rl.Record([0.0, 1.0], {}, {"q": [0.0, 1.0]}),
+    ]
+    for thing in things:
+        rl.save(tmp_path / "x.h5", thing)
+        assert rl.load(tmp_path / "x.h5", isolate=False).provenance.created_by == "save"
+    (tmp_path / "r.csv").write_text("t,q\n0,1\n1,2\n")
+    assert rl.load(tmp_path / "r.csv").provenance.note == NOT_VERIFIED
