@@ -15,7 +15,7 @@ Stability is judged by Rouche's theorem. The characteristic polynomial of the tr
 .. math:: \chi(s) = \det(sI - A_P) \det(sI - A_K) \det(I - P_{22} K) / \det(I - D_{22} D_K)
 
 If it differs from that of the rebuilt loop by less than the latter's modulus everywhere on the stability boundary, both
-have equally many roots outside: none, where the rebuilt loop is proved stable.
+have equally many roots outside: none, where the rebuilt loop is proved stable (`stability`).
 
 References
 ----------
@@ -36,6 +36,7 @@ from robustlab.norms import HinfNorm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.double_double import DoubleDouble, inverse
 from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.synthesis.stability import proved_stable
 from robustlab.synthesis.verified_loop import balanced_states
 
 __all__ = ["AGREEMENT", "SecondVoice", "h2_voice", "hinf_doubt", "hinf_voice"]
@@ -49,14 +50,14 @@ FLOOR = 6e-14
 # Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
 ROUCHE = 0.1
 # A value whose error bound exceeds this share of the largest gain, or of the polynomial, is computed with more digits.
-QUICK, QUICK_ROUCHE = 1e-6, 1e-3
+QUICK, QUICK_ROUCHE = 1e-6, 2e-2
 PER_DECADE, MOST_POINTS = 5, 120
 # Frequencies that hit a pole move by this share of the distance to the loop's poles, which T cannot feel.
 ASIDE = 1e-6
 # Zooms into the highest local maxima of the frequencies evaluated.
 ZOOMS, ZOOM_PEAKS, ZOOM_POINTS, PEAK_SHARE = 2, 3, 7, 0.9
 # Work with many digits that one check may do, in points times states cubed; numbers of a stack that is kept in memory.
-CAREFUL_WORK, CHUNK = 4e6, 4_000_000
+CAREFUL_WORK, CHUNK = 2e6, 4_000_000
 # Quadrature: points of a panel, rounds of bisection, change of a panel that ends it, most points; and how far beyond
 # the slowest and the fastest pole it goes.
 NODES, ROUNDS, QUADRATURE, MOST_NODES, BEYOND = 8, 30, 1e-6, 60_000, 1e4
@@ -75,12 +76,14 @@ class SecondVoice:
     value
         The largest gain itself.
     error
-        Largest error bound at any of the frequencies.
+        ``upper - value`` or ``value - lower``, whichever is larger.
     frequency
         Where the gain is largest, in rad/s; NaN for the H2 norm.
     rouche
         Largest relative difference of the characteristic polynomials of the true and of the rebuilt loop; below 0.1
         the true loop is as stable as the rebuilt one.
+    stable
+        Whether that one is proved stable.
     n_frequencies
         How many were evaluated.
     floor
@@ -93,11 +96,14 @@ class SecondVoice:
     error: float
     frequency: float
     rouche: float
+    stable: bool
     n_frequencies: int
     floor: float = 0.0
 
     def doubt(self, lower: float, upper: float) -> str:
         """Why a norm that is claimed to lie between the two is not verified; empty where the second voice agrees."""
+        if not self.stable:
+            return "stability rests on ill-conditioned eigenvalues and could not be proved"
         if not self.rouche <= ROUCHE:
             return (
                 "the loop of P and K as given is not shown to be stable: evaluated separately, its characteristic "
@@ -130,26 +136,27 @@ def hinf_voice(
     plant, K
         As given, and as returned: ``u = K y``.
     loop
-        The realisation that was rebuilt from them, proved stable elsewhere; only its characteristic polynomial is used.
+        The realisation that was rebuilt from them, of which the poles and the characteristic polynomial are used.
     peaks
         Frequencies in rad/s at which the norm is claimed to be attained.
     """
     separate = _Separate(plant, K, loop)
     omega = separate.frequencies(peaks)
     found = separate.values(omega, polynomial=True)
-    rouche = float(np.max(found.rouche, initial=0.0))
+    rouche, stable = float(np.max(found.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
     for _ in range(ZOOMS):
         between = _between(found.omega, found.gain)
         if not len(between):
             break
-        found = found.joined(separate.values(between, polynomial=False))
+        found = found.joined(separate.values(between, scale=float(found.gain.max())))
     best = int(np.argmax(found.gain)) if len(found.gain) else 0
     if not len(found.gain):
-        return SecondVoice(0.0, 0.0, 0.0, 0.0, 0.0, rouche, 0)
+        return SecondVoice(0.0, 0.0, 0.0, 0.0, 0.0, rouche, stable, 0)
+    low, high = float((found.gain - found.error).max()), float((found.gain + found.error).max())
+    value, floor = float(found.gain[best]), FLOOR * float(found.size.max())
     return SecondVoice(
-        float((found.gain - found.error).max()), float((found.gain + found.error).max()), float(found.gain[best]),
-        float(found.error.max()), float(found.omega[best]), rouche, len(found.omega), FLOOR * float(found.size.max()),
-    )  # fmt: skip
+        low, high, value, max(high - value, value - low), float(found.omega[best]), rouche, stable, len(omega), floor
+    )
 
 
 def hinf_doubt(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, norm: HinfNorm) -> tuple[float, str]:
@@ -215,33 +222,45 @@ class _Separate:
 
     # --- what --------------------------------------------------------------------------------------------------------
 
-    def values(self, omega: Array, polynomial: bool) -> _Values:
-        """In ordinary precision, and with more digits where that is not enough; frequencies on a pole move aside."""
+    def values(self, omega: Array, polynomial: bool = False, everywhere: bool = False, scale: float = 0.0) -> _Values:
+        """In ordinary precision, and with more digits where that is not enough; frequencies on a pole move aside.
+
+        ``scale`` is the largest gain known so far: smaller ones need no digits, unless they are asked for everywhere.
+        """
+
+        def wide(found: _Values) -> Array:
+            if everywhere:
+                return np.asarray(~(found.error <= QUICK * found.gain))
+            top = max(np.max(found.gain[np.isfinite(found.gain)], initial=0.0), scale)
+            return np.asarray(~((found.error <= QUICK * top) | (found.gain + found.error < (1 - QUICK) * top)))
+
         with np.errstate(all="ignore"):
             found = self._evaluated(omega, _Doubles, polynomial)
-            doubtful = self._doubtful(found, QUICK_ROUCHE)
+            apart = ~(found.rouche <= QUICK_ROUCHE)
+            doubtful = wide(found) | apart
             if not doubtful.any():
                 return found
-            again = self._evaluated(self._affordable(found.at(doubtful)), DoubleDouble, polynomial)
+            once_more = polynomial and bool(apart.any())
+            kept = self._affordable(found, np.flatnonzero(doubtful), once_more)
+            again = self._evaluated(found.omega[kept], DoubleDouble, once_more)
+            if not once_more:
+                again = again._replace(rouche=found.rouche[kept])
             found = found.at(~doubtful).joined(again)
-            doubtful = self._doubtful(found, ROUCHE) & np.isfinite(found.omega)
+            doubtful = (wide(found) | ~(found.rouche <= ROUCHE)) & np.isfinite(found.omega)
             if not doubtful.any():
                 return found
             aside = self._evaluated(self._aside(found.omega[doubtful]), DoubleDouble, polynomial)
             return found.at(~doubtful).joined(aside)
 
-    def _doubtful(self, found: _Values, rouche: float) -> Array:
-        scale = np.max(found.gain[np.isfinite(found.gain)], initial=0.0)
-        return np.asarray(~((found.error <= QUICK * scale) & (found.rouche <= rouche)))
-
-    def _affordable(self, found: _Values) -> Array:
-        """All frequencies; of too many those at the ends and those of the largest gains, the others are left out."""
-        most = int(max(CAREFUL_WORK / max(self.P.n_states, self.K.n_states, 1) ** 3, 12))
-        if len(found.omega) <= most:
-            return found.omega
-        ends = (found.omega == 0) | np.isinf(found.omega)
-        order = np.lexsort((-np.nan_to_num(found.gain, nan=np.inf), ~ends))
-        return np.sort(found.omega[order[:most]])
+    def _affordable(self, found: _Values, which: Array, polynomial: bool) -> Array:
+        """All of them; of too many those at the ends and those of the largest gains, the others are left out."""
+        n = self.loop.n_states if polynomial else max(self.P.n_states, self.K.n_states)
+        most = int(max(CAREFUL_WORK / max(n, 1) ** 3, 12))
+        if len(which) <= most:
+            return which
+        omega, gain = found.omega[which], np.nan_to_num(found.gain[which], nan=np.inf)
+        order = np.lexsort((-gain, ~((omega == 0) | np.isinf(omega))))
+        return np.sort(which[order[:most]])
 
     def _aside(self, omega: Array) -> Array:
         poles = self.poles[0]
@@ -456,7 +475,7 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel)
     """
     separate = _Separate(plant, K, loop)
     grid = separate.values(separate.frequencies(()), polynomial=True)
-    rouche = float(np.max(grid.rouche, initial=0.0))
+    rouche, stable = float(np.max(grid.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
     corners = separate.corners()
     low, high = corners[0] / BEYOND, corners[-1] * BEYOND
     if separate.dt:
@@ -467,7 +486,7 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel)
         direct = grid.T[-1]
 
     def squares(omega: Array) -> tuple[Array, Array]:
-        found = separate.values(omega, polynomial=False)
+        found = separate.values(omega, everywhere=True)
         if len(found.omega) < len(omega):  # left out: too many need more digits
             return np.zeros(len(omega)), np.full(len(omega), np.inf)
         T = np.linalg.norm(found.T - direct, axis=(1, 2)) ** 2
@@ -481,7 +500,7 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel)
     scale = separate.dt / np.pi if separate.dt else 1 / np.pi
     norm = float(np.sqrt(scale * value))
     blur = float(np.sqrt(scale * error)) + (0.5 * open_ / value * norm if value > 0 else 0.0)
-    return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, count)
+    return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
 
 
 def _integral(squares: Callable[[Array], tuple[Array, Array]], edges: Array) -> tuple[float, float, float, int]:

@@ -20,6 +20,7 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
 from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.independent_check import hinf_voice
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.verified_loop import named_controller, surely_stable
 from robustlab.uncertainty.coprime import (
@@ -201,10 +202,15 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         reason = margin.reason
     elif gamma > factor * gamma_min * KEPT:
         status, reason = Status.INACCURATE, f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
-    shaped_loop = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs).close(inner)
+    shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
+    shaped_loop = shaped_plant.close(inner)
+    voice = hinf_voice(shaped_plant, inner, shaped_loop, [margin.frequency])
+    doubt = voice.doubt(1 / margin.upper, gamma) or hinf_voice(plant, K, loop).doubt(0.0, np.inf)
+    if doubt and status is Status.CERTIFIED:
+        status, reason = Status.INACCURATE, doubt
     return NcfSynthesis(
         K=K,
-        gamma=gamma,
+        gamma=voice.larger(gamma),
         closed_loop=loop,
         status=status,
         reason=reason,

@@ -14,6 +14,7 @@ from robustlab.synthesis.partition import GeneralizedPlant
 
 __all__ = [
     "balanced_states",
+    "moderate_states",
     "named_controller",
     "rebuilt_loop",
     "separated_modes",
@@ -25,6 +26,8 @@ __all__ = [
 ILL_POSED = 1e10
 # Above this condition number modes are no basis.
 NO_BASIS = 1e12
+# From this on the errors of entries count so much that other states are better.
+HIDDEN = 1e6
 
 
 def with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:
@@ -69,6 +72,29 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
     if not exact or not np.array_equal(C / scale, model.C):  # overflow, or digits lost to underflow
         return model
     return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)
+
+
+def moderate_states(model: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel | None]:
+    """A model in the states that keep its digits, and in others for a second try (None: there are none).
+
+    Balanced states come first, unless slow modes are small differences of large entries there and are not in
+    coordinates of the modes.
+    """
+    balanced, modes = balanced_states(model), separated_modes(model)
+    if modes is None:
+        return balanced, None
+    hidden = _cancellation(balanced.A)
+    if hidden > HIDDEN and _cancellation(modes.A) < 1e-2 * hidden:
+        return modes, balanced
+    return balanced, modes
+
+
+def _cancellation(A: NDArray[np.float64]) -> float:
+    """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
+    try:
+        return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max())
+    except np.linalg.LinAlgError:
+        return float("inf")
 
 
 def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
