@@ -112,7 +112,7 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     if not 1e-12 <= rtol < 1:
         raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
     if not m.n_inputs or not m.n_outputs:
-        return HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
+        return (_unstable(m) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
     if not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
         return HinfNorm(gain, 0.0, gain, gain, Status.CERTIFIED)

@@ -405,10 +405,11 @@ class _Search:
         frequency = omega
         if loop.is_discrete:
             frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
-        doubts = _doubts(stable, None if proved else norm)
+        heard, doubt = self.problem.heard(chosen, loop, norm, cover.pieces if proved else ())
+        doubts = _doubts(stable, None if proved else norm) + [doubt] * bool(doubt)
         return DKSynthesis(
             K=chosen.K,
-            gamma=gamma,
+            gamma=max(gamma, heard),
             closed_loop=loop,
             status=Status.INACCURATE if doubts else Status.CERTIFIED,
             reason="; ".join([*doubts, self._reason(chosen, proved, order_rel)]),

@@ -228,7 +228,7 @@ def _heard(plant: GeneralizedPlant, trials: list[_Trial]) -> tuple[_Trial, float
         for judged in (trial, _in_modes(plant, trial)):
             if judged is None:
                 continue
-            voice = h2_voice(plant, judged.K, judged.loop)
+            voice = h2_voice(plant, judged.K, judged.loop, judged.norm.value)
             doubt = voice.doubt(judged.norm.value, judged.norm.value)
             if not doubt:
                 return judged, judged.norm.value, ""

@@ -32,14 +32,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.norms import HinfNorm
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.norms import H2Norm, HinfNorm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.double_double import DoubleDouble, inverse
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.stability import proved_stable
 from robustlab.synthesis.verified_loop import balanced_states
 
-__all__ = ["AGREEMENT", "SecondVoice", "h2_voice", "hinf_doubt", "hinf_voice"]
+__all__ = ["AGREEMENT", "SecondVoice", "h2_voice", "hinf_voice", "norm_doubt", "separate_responses"]
 
 Array = NDArray[Any]
 
@@ -50,7 +52,7 @@ FLOOR = 6e-14
 # Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
 ROUCHE = 0.1
 # A value whose error bound exceeds this share of the largest gain, or of the polynomial, is computed with more digits.
-QUICK, QUICK_ROUCHE = 1e-6, 2e-2
+QUICK, QUICK_EVERYWHERE, QUICK_ROUCHE = 1e-6, 1e-5, 2e-2
 PER_DECADE, MOST_POINTS = 5, 120
 # Frequencies that hit a pole move by this share of the distance to the loop's poles, which T cannot feel.
 ASIDE = 1e-6
@@ -60,7 +62,9 @@ ZOOMS, ZOOM_PEAKS, ZOOM_POINTS, PEAK_SHARE = 2, 3, 7, 0.9
 CAREFUL_WORK, CHUNK = 2e6, 4_000_000
 # Quadrature: points of a panel, rounds of bisection, change of a panel that ends it, most points; and how far beyond
 # the slowest and the fastest pole it goes.
-NODES, ROUNDS, QUADRATURE, MOST_NODES, BEYOND = 8, 30, 1e-6, 60_000, 1e4
+NODES, ROUNDS, QUADRATURE, MOST_NODES, BEYOND = 8, 30, 1e-6, 20_000, 1e4
+# From so many states of the loop on the rebuilt loop's response is compared in place of quadrature.
+MANY_STATES = 30
 EPS = float(np.finfo(float).eps)
 
 
@@ -109,6 +113,10 @@ class SecondVoice:
                 "the loop of P and K as given is not shown to be stable: evaluated separately, its characteristic "
                 f"polynomial differs by {self.rouche:.2g} (relative) from that of the rebuilt loop"
             )
+        return self.disagreement(lower, upper)
+
+    def disagreement(self, lower: float, upper: float) -> str:
+        """The same of the numbers alone."""
         if not self.error <= AGREEMENT * max(upper, self.upper) + self.floor:
             return f"P and K evaluated separately leave an error bound of {self.error:.2g}: digits were lost"
         if self.upper > upper * (1 + AGREEMENT) + self.floor or self.lower < lower * (1 - AGREEMENT) - self.floor:
@@ -159,10 +167,26 @@ def hinf_voice(
     )
 
 
-def hinf_doubt(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, norm: HinfNorm) -> tuple[float, str]:
-    """The larger one of a loop's H-infinity norm and its second voice, and why it is not verified (empty: it is)."""
+def norm_doubt(
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, norm: HinfNorm | H2Norm
+) -> tuple[float, str]:
+    """The larger one of a loop's norm and its second voice, and why it is not verified (empty: it is)."""
+    if isinstance(norm, H2Norm):
+        voice = h2_voice(plant, K, loop, norm.value)
+        doubt = voice.doubt(norm.value, norm.value)
+        return (voice.larger(norm.value) if doubt else norm.value), doubt
     voice = hinf_voice(plant, K, loop, [norm.frequency])
     return voice.larger(norm.upper), voice.doubt(norm.lower, norm.upper)
+
+
+def separate_responses(
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, omega: Array
+) -> tuple[Array, Array, Array]:
+    """Frequencies, the loop's response (k, n_z, n_w) there, and bounds of the 2-norm of its error; frequencies on a
+    pole have moved aside.
+    """
+    found = _Separate(plant, K, loop).values(np.sort(omega), everywhere=True)
+    return found.omega, found.T, found.error
 
 
 class _Values(NamedTuple):
@@ -230,7 +254,7 @@ class _Separate:
 
         def wide(found: _Values) -> Array:
             if everywhere:
-                return np.asarray(~(found.error <= QUICK * found.gain))
+                return np.asarray(~(found.error <= QUICK_EVERYWHERE * found.gain))
             top = max(np.max(found.gain[np.isfinite(found.gain)], initial=0.0), scale)
             return np.asarray(~((found.error <= QUICK * top) | (found.gain + found.error < (1 - QUICK) * top)))
 
@@ -245,7 +269,10 @@ class _Separate:
             again = self._evaluated(found.omega[kept], DoubleDouble, once_more)
             if not once_more:
                 again = again._replace(rouche=found.rouche[kept])
-            found = found.at(~doubtful).joined(again)
+            rest = ~doubtful
+            rest[doubtful] = everywhere  # those that are left out are kept with the few digits they have
+            rest[kept] = False
+            found = found.at(rest).joined(again)
             doubtful = (wide(found) | ~(found.rouche <= ROUCHE)) & np.isfinite(found.omega)
             if not doubtful.any():
                 return found
@@ -465,13 +492,14 @@ def _between(omega: Array, gain: Array) -> Array:
 # --- the H2 norm -----------------------------------------------------------------------------------------------------
 
 
-def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel) -> SecondVoice:
+def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, claimed: float) -> SecondVoice:
     r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles.
 
     .. math:: \|T\|_2^2 = \frac1\pi \int_0^\infty \|T(j\omega) - T(\infty)\|_F^2 d\omega, \qquad
        \frac{dt}\pi \int_0^{\pi/dt} \|T(e^{j\omega dt})\|_F^2 d\omega
 
-    A direct term of continuous time, where it is more than rounding, must be ruled out before.
+    A direct term of continuous time, where it is more than rounding, must be ruled out before. Of a loop of many states
+    the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response.
     """
     separate = _Separate(plant, K, loop)
     grid = separate.values(separate.frequencies(()), polynomial=True)
@@ -484,11 +512,15 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel)
         direct = np.zeros(grid.T.shape[1:])
     else:
         direct = grid.T[-1]
+    scale = separate.dt / np.pi if separate.dt else 1 / np.pi
+    if loop.n_states > MANY_STATES:
+        blur = float(np.sqrt(scale * _difference(grid, direct, loop)))
+        return SecondVoice(
+            claimed - blur, claimed + blur, claimed, blur, float("nan"), rouche, stable, len(grid.omega)
+        )  # fmt: skip
 
     def squares(omega: Array) -> tuple[Array, Array]:
         found = separate.values(omega, everywhere=True)
-        if len(found.omega) < len(omega):  # left out: too many need more digits
-            return np.zeros(len(omega)), np.full(len(omega), np.inf)
         T = np.linalg.norm(found.T - direct, axis=(1, 2)) ** 2
         return T, np.linalg.norm(found.T_error, axis=(1, 2)) ** 2
 
@@ -497,10 +529,26 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel)
     ends, ends_error = squares(np.array([low, high]))
     value += low * ends[0] + (0.0 if separate.dt else high * ends[1])
     error += low * ends_error[0] + (0.0 if separate.dt else high * ends_error[1])
-    scale = separate.dt / np.pi if separate.dt else 1 / np.pi
     norm = float(np.sqrt(scale * value))
     blur = float(np.sqrt(scale * error)) + (0.5 * open_ / value * norm if value > 0 else 0.0)
     return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
+
+
+def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
+    """Integral over omega of the squared difference between the true and the rebuilt loop's response; of what lies
+    between two frequencies the trapezoid, which at a resonance is too large.
+    """
+    finite = np.isfinite(grid.omega) & (grid.omega > 0)
+    omega = grid.omega[finite]
+    try:
+        rebuilt = frequency_response(loop, omega)
+    except NoTrustworthyNumber:
+        return float("inf")
+    difference = np.linalg.norm(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D), axis=(1, 2))
+    squares = (difference + np.linalg.norm(grid.T_error[finite], axis=(1, 2))) ** 2
+    return float(
+        np.trapezoid(squares, omega) + omega[0] * squares[0] + (0 if loop.is_discrete else omega[-1] * squares[-1])
+    )
 
 
 def _integral(squares: Callable[[Array], tuple[Array, Array]], edges: Array) -> tuple[float, float, float, int]:

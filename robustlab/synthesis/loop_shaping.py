@@ -32,7 +32,7 @@ from robustlab.uncertainty.coprime import (
     four_block,
 )
 
-__all__ = ["NcfSynthesis", "ObserverForm", "ncf"]
+__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf"]
 
 Array = NDArray[Any]
 
@@ -192,7 +192,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         raise NoTrustworthyNumber("synth ncf", f"the rebuilt loop was not verified: {margin.reason}")
     full = series(series(behind, _bare(inner)), before)
     K = named_controller(full, g.outputs, g.inputs, g.dt)
-    plant = _plant(g)
+    plant = four_block_plant(g)
     loop = plant.close(K)
     if not surely_stable(loop):
         raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
@@ -243,7 +243,7 @@ def _central(equations: CoprimeRiccati, gamma: float) -> tuple[StateSpaceModel, 
     return K, ObserverForm(gain / states, -equations.rate * states[:, None] * (Z @ m.C.T))
 
 
-def _plant(g: StateSpaceModel) -> GeneralizedPlant:
+def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
     """The plant with noise on y and a disturbance on u, as a generalised plant from (n, d, u) to (y, u + d, y + n)."""
     m = four_block(g)
     inputs = [Signal(f"noise {s.name}", s.unit) for s in g.outputs]

@@ -112,7 +112,8 @@ def _judged(design: FixedSynthesis, cut: bool) -> FixedSynthesis:
         scenarios += "; time limit reached: a smaller gamma may exist"
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
         reason = f"{design.reason}; worst-case gain over the whole set proved; {scenarios}"
-        return replace(design, gamma=worst.upper, reason=reason)
+        gamma = worst.upper if design.status.trustworthy else max(worst.upper, design.gamma)
+        return replace(design, gamma=gamma, reason=reason)
     text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved in time"
     return replace(
         design, gamma=max(design.gamma, worst.lower), status=Status.INCONCLUSIVE, reason=f"{text}; {scenarios}"

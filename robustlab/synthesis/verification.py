@@ -18,7 +18,7 @@ from robustlab.synthesis.verified_loop import moderate_states, named_controller,
 
 __all__ = ["Verified", "Verifier"]
 
-# Candidates that are verified before the search counts as failed, where none of them is certified so many, and the loss
+# Candidates that are verified before the search counts as failed, where no norm of them is sure so many, and the loss
 # against the search's own figure that sends the verification on to the next one.
 TRIES, MOST_TRIES, LOSS = 8, 40, 1.0005
 # A rebuilt loop whose norm is farther (relative) from that of its plant and controller is built again in other states.
@@ -60,6 +60,12 @@ class Verified:
         return self.voice.doubt(self.norm.lower, self.norm.upper)
 
     @property
+    def agreed(self) -> bool:
+        """Whether both voices give the same norm, whatever is known of stability."""
+        norm = self.norm
+        return norm.status is Status.CERTIFIED and not self.voice.disagreement(norm.lower, norm.upper)
+
+    @property
     def drift(self) -> float:
         """How far the rebuilt loop's norm lies from what the second voice finds, relative."""
         return abs(self.voice.value / self.norm.lower - 1) if self.norm.lower > 0 else self.voice.value
@@ -93,7 +99,7 @@ class Verifier:
         """The candidate of smallest verified norm; one without lost digits goes before others."""
         found: list[Verified] = []
         for tried, candidate in enumerate(sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]):
-            if tried >= TRIES and any(verified.certified for verified in found):
+            if tried >= TRIES and any(verified.agreed for verified in found):
                 break
             verified = self(candidate)
             if verified is None:
