@@ -502,7 +502,7 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
     the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response.
     """
     separate = _Separate(plant, K, loop)
-    grid = separate.values(separate.frequencies(()), polynomial=True)
+    grid = separate.values(separate.frequencies(()), polynomial=True, everywhere=True)
     rouche, stable = float(np.max(grid.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
     corners = separate.corners()
     low, high = corners[0] / BEYOND, corners[-1] * BEYOND
@@ -535,9 +535,7 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
 
 
 def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
-    """Integral over omega of the squared difference between the true and the rebuilt loop's response; of what lies
-    between two frequencies the trapezoid, which at a resonance is too large.
-    """
+    """Integral over omega of the squared difference between the true and the rebuilt loop's response."""
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
     omega = grid.omega[finite]
     try:
@@ -546,9 +544,12 @@ def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
         return float("inf")
     difference = np.linalg.norm(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D), axis=(1, 2))
     squares = (difference + np.linalg.norm(grid.T_error[finite], axis=(1, 2))) ** 2
-    return float(
-        np.trapezoid(squares, omega) + omega[0] * squares[0] + (0 if loop.is_discrete else omega[-1] * squares[-1])
-    )
+    width = np.gradient(omega) if len(omega) > 1 else omega
+    # A resonance is as wide as its pole is far from the axis: a Lorentz curve has pi times that under its peak.
+    poles = _in_s(loop.poles(), loop.dt)
+    near = np.abs(1j * omega[:, None] - poles).min(axis=1) if len(poles) else omega
+    ends = omega[0] * squares[0] + (0.0 if loop.is_discrete else omega[-1] * squares[-1])
+    return float((squares * np.minimum(width, 4 * near)).sum() + ends)
 
 
 def _integral(squares: Callable[[Array], tuple[Array, Array]], edges: Array) -> tuple[float, float, float, int]:
