@@ -14,7 +14,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller_candidates import CandidateFamily, candidate_families
 from robustlab.synthesis.design import Synthesis, limiting_channels
-from robustlab.synthesis.loop_shaping import four_block_plant
+from robustlab.synthesis.loop_shaping import with_performance
 from robustlab.synthesis.nonsmooth import descend
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.performance_measure import (
@@ -245,15 +245,7 @@ def _plant_and_controller(
         plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
-    if n_w and n_z:
-        return plant, full
-    if n_w or n_z:
-        raise InputError(
-            WHERE, f"a plant with {n_w} disturbances and {n_z} performance outputs besides {plant.n_con} controls and "
-            f"{plant.n_meas} measurements", "some of both", "or a bare plant, for the four-block gain of its loop",
-        )  # fmt: skip
-    return four_block_plant(plant.model), full
+    return with_performance(plant, WHERE), full
 
 
 def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequence[Block] | None]:

@@ -32,7 +32,7 @@ from robustlab.uncertainty.coprime import (
     four_block,
 )
 
-__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf"]
+__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_performance"]
 
 Array = NDArray[Any]
 
@@ -252,6 +252,24 @@ def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
     outputs += [Signal(f"{s.name} measured", s.unit) for s in g.outputs]
     model = StateSpaceModel(m.A, m.B, m.C, m.D, m.dt, [*inputs, *g.inputs], outputs, g.states, where="synth ncf")
     return GeneralizedPlant(model, g.n_outputs, g.n_inputs)
+
+
+def with_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
+    """The plant itself, or, where all of its inputs are controls and all of its outputs measurements, with noise on y
+    and a disturbance on u as w, and y and the total u as z: a loop without w and z has no gain to judge it by.
+
+    Raises
+    ------
+    InputError
+        Disturbances without performance outputs, or the other way round.
+    """
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    if n_w and n_z:
+        return plant
+    if n_w or n_z:
+        found = f"{n_w} disturbances and {n_z} performance outputs in the plant"
+        raise InputError(where, found, "some of both", "or a bare plant, to judge its loop by the four-block gain")
+    return four_block_plant(plant.model)
 
 
 def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpaceModel:
