@@ -23,6 +23,8 @@ __all__ = ["Verified", "Verifier"]
 TRIES, MOST_TRIES, LOSS = 8, 40, 1.0005
 # A rebuilt loop whose norm is farther (relative) from that of its plant and controller is built again in other states.
 DRIFT = 1e-5
+# Difference (relative) of the two up to which an uncertified norm is credible; how much more a certified one may be.
+CREDIBLE, MUCH = 0.05, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +62,9 @@ class Verified:
         return self.voice.doubt(self.norm.lower, self.norm.upper)
 
     @property
-    def agreed(self) -> bool:
-        """Whether both voices give the same norm, whatever is known of stability."""
-        norm = self.norm
-        return norm.status is Status.CERTIFIED and not self.voice.disagreement(norm.lower, norm.upper)
+    def credible(self) -> bool:
+        """Whether both voices give about the same norm: certified or not, it is not far from the truth."""
+        return self.drift <= CREDIBLE and not self.voice.disagreement(0.0, np.inf)
 
     @property
     def drift(self) -> float:
@@ -96,10 +97,10 @@ class Verifier:
         return self._known[key]
 
     def smallest(self, candidates: list[Candidate]) -> Verified | None:
-        """The candidate of smallest verified norm; one without lost digits goes before others."""
+        """The candidate of smallest verified norm; one without lost digits goes before others not much better."""
         found: list[Verified] = []
         for tried, candidate in enumerate(sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]):
-            if tried >= TRIES and any(verified.agreed for verified in found):
+            if tried >= TRIES and any(verified.credible for verified in found):
                 break
             verified = self(candidate)
             if verified is None:
@@ -107,7 +108,10 @@ class Verifier:
             found.append(verified)
             if self.deadline.passed() or (verified.certified and verified.gamma <= LOSS * candidate.gamma):
                 break
-        return min(found, key=lambda v: (not v.certified, v.gamma), default=None)
+        best = min(found, key=lambda v: (not v.certified, not v.credible, v.gamma), default=None)
+        # A certificate is worth a larger gamma, but not any.
+        near = min((v for v in found if v.credible), key=lambda v: v.gamma, default=best)
+        return near if best is not None and near is not None and best.gamma > MUCH * near.gamma else best
 
     def sanest(self, candidates: list[Candidate], best: Verified, gamma_rel: float) -> Verified:
         """Of those within the ratio of the best gamma, the one of least stiffness that verifies; else the best."""
