@@ -119,7 +119,7 @@ class SecondVoice:
 
     def disagreement(self, lower: float, upper: float) -> str:
         """The same of the numbers alone."""
-        if not self.error <= AGREEMENT * max(upper, self.upper) + self.floor:
+        if not self.error <= AGREEMENT * max(upper, self.value) + self.floor:
             return f"P and K evaluated separately leave an error bound of {self.error:.2g}: digits were lost"
         if self.upper > upper * (1 + AGREEMENT) + self.floor or self.lower < lower * (1 - AGREEMENT) - self.floor:
             at = f" at {self.frequency:.4g} rad/s" if np.isfinite(self.frequency) else ""
@@ -165,7 +165,15 @@ def hinf_voice(
     low, high = float((found.gain - found.error).max()), float((found.gain + found.error).max())
     value, floor = float(found.gain[best]), FLOOR * float(found.size.max())
     return SecondVoice(
-        low, high, value, max(high - value, value - low), float(found.omega[best]), rouche, stable, len(omega), floor
+        low,
+        high,
+        value,
+        max(high - value, value - low),
+        float(found.omega[best]),
+        rouche,
+        stable,
+        len(found.omega),
+        floor,
     )
 
 
@@ -322,10 +330,9 @@ class _Separate:
         gain = np.full(len(omega), np.nan)
         sound = np.isfinite(T).all(axis=(1, 2))
         gain[sound] = np.linalg.norm(T[sound], 2, axis=(1, 2))
-        error = np.linalg.norm(T_error, axis=(1, 2)) + 16 * EPS * gain
-        return _Values(
-            omega, T, T_error, gain, np.where(np.isnan(error), np.inf, error), rouche, np.linalg.norm(size, axis=(1, 2))
-        )
+        error = _frobenius(T_error) + 16 * EPS * gain
+        error = np.where(np.isnan(error), np.inf, error)
+        return _Values(omega, T, T_error, gain, error, rouche, _frobenius(size))
 
 
 # --- the evaluation and the bounds of its errors ---------------------------------------------------------------------
@@ -478,6 +485,13 @@ def _in_s(poles: Array, dt: float) -> Array:
     return np.log(poles[np.abs(poles) > 1e-12]) / dt if dt else poles
 
 
+def _frobenius(stack: Array) -> Array:
+    """Norm of each matrix, without overflow or underflow of squares."""
+    size = np.abs(stack).max(axis=(1, 2))
+    scale = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    return scale * np.linalg.norm(stack / scale[:, None, None], axis=(1, 2))
+
+
 def _on_axis(omega: Array) -> Array:
     s = np.full(len(omega), np.inf + 0j)
     s[np.isfinite(omega)] = 1j * omega[np.isfinite(omega)]
@@ -529,8 +543,8 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
 
     def squares(omega: Array) -> tuple[Array, Array]:
         found = separate.values(omega, everywhere=True)
-        T = np.linalg.norm(found.T - direct, axis=(1, 2)) ** 2
-        return T, np.linalg.norm(found.T_error, axis=(1, 2)) ** 2
+        T = _frobenius(found.T - direct) ** 2
+        return T, _frobenius(found.T_error) ** 2
 
     edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
     value, error, open_, count = _integral(squares, edges)
@@ -550,8 +564,8 @@ def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
         rebuilt = frequency_response(loop, omega)
     except NoTrustworthyNumber:
         return float("inf")
-    difference = np.linalg.norm(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D), axis=(1, 2))
-    squares = (difference + np.linalg.norm(grid.T_error[finite], axis=(1, 2))) ** 2
+    difference = _frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D))
+    squares = (difference + _frobenius(grid.T_error[finite])) ** 2
     width = np.gradient(omega) if len(omega) > 1 else omega
     # A resonance is as wide as its pole is far from the axis: a Lorentz curve has pi times that under its peak.
     poles = _in_s(loop.poles(), loop.dt)

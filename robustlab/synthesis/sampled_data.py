@@ -196,6 +196,7 @@ def sampled_loop_norm(
     n_w, n_z = m.n_inputs - plant.n_con, m.n_outputs - plant.n_meas
     history: list[tuple[int, float, float]] = []
     best: SampledDataNorm | None = None
+    lifted: LiftedPlant | None = None
     for n_intervals in INTERVALS:
         if best is not None and n_intervals * max(n_w, n_z) > MOST_CHANNELS:
             break
@@ -214,7 +215,8 @@ def sampled_loop_norm(
         if not np.isfinite(upper) or upper <= lower * (1 + rtol) or upper == 0 or lower > enough:
             break
     assert best is not None
-    return best if lower > enough or not np.isfinite(upper) else _confirmed(best, lifted, K)
+    assert lifted is not None
+    return best if best.lower > enough or not np.isfinite(best.upper) else _confirmed(best, lifted, K)
 
 
 def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -> SampledDataNorm:

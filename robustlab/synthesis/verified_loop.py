@@ -114,10 +114,10 @@ def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
     A, B, C, T = (DoubleDouble.of(part[None]) for part in (m.A, m.B, m.C, basis))
     with np.errstate(all="ignore"):
         back, _ = inverse(T)
-        parts = [np.real(part.rounded()[0]) for part in (back @ A @ T, back @ B, C @ T)]
-    if not all(np.isfinite(part).all() for part in parts):
+        a, b, c = (np.real(part.rounded()[0]) for part in (back @ A @ T, back @ B, C @ T))
+    if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(c).all()):
         return None
-    return balanced_states(StateSpaceModel(*parts, m.D, m.dt, m.inputs, m.outputs))
+    return balanced_states(StateSpaceModel(a, b, c, m.D, m.dt, m.inputs, m.outputs))
 
 
 def rebuilt_loop(
