@@ -145,7 +145,7 @@ def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
     """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given."""
     m = ordinary.model
     if not m.n_inputs or not m.n_outputs:
-        return HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
+        return (_unstable(m) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, 0.0, Status.CERTIFIED)
     if not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
         return HinfNorm(gain, 0.0, gain, gain, Status.CERTIFIED)

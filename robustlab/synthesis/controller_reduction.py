@@ -14,6 +14,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.controller_candidates import CandidateFamily, candidate_families
 from robustlab.synthesis.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.loop_shaping import with_performance
 from robustlab.synthesis.nonsmooth import descend
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.performance_measure import (
@@ -153,9 +154,12 @@ def reduce_controller(
     Parameters
     ----------
     design_or_plant
-        A `Synthesis`, whose plant and controller are taken; or a generalised plant (see `hinf`), with K.
+        A `Synthesis`, whose plant and controller are taken; or a generalised plant (see `hinf`), with K. Of a bare
+        plant, whose every input is a control and every output a measurement, the four-block gain of the loop is the
+        measure: from noise on y and a disturbance on u to y and u (its inverse is the coprime margin).
     K
-        The controller to reduce, ``u = K y``, where it is not that of the design.
+        The controller to reduce, where it is not that of the design: ``u = K y`` with *positive* feedback, as
+        everywhere in this package. For negative feedback, ``u = -C y``, take ``K = -C``.
     loss
         Largest loss allowed, as a share.
     order
@@ -194,10 +198,11 @@ def reduce_controller(
     Raises
     ------
     InputError
-        A K that does not fit, a negative loss, blocks that do not fit.
+        A K that does not fit, a negative loss, blocks that do not fit, a plant with disturbances but no performance
+        outputs or the other way round.
     NoTrustworthyNumber
-        The loop with the full K is not stable, or its measure cannot be vouched for; or no controller of the ``order``
-        wanted left the loop stable.
+        The loop with the full K is not stable (the message says whether it is with the other sign of K), or its measure
+        cannot be vouched for; or no controller of the ``order`` wanted left the loop stable.
 
     References
     ----------
@@ -240,7 +245,7 @@ def _plant_and_controller(
         plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    return plant, full
+    return with_performance(plant, WHERE), full
 
 
 def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequence[Block] | None]:
@@ -255,6 +260,16 @@ def _default_measure(given: Any, scalings: Any, blocks: Sequence[Block] | None) 
     if scalings is not None or blocks is not None:
         return "mu"
     return "h2" if getattr(given, "method", "") in ("h2", "lqg") else "hinf"
+
+
+def _sign_hint(plant: GeneralizedPlant, K: StateSpaceModel) -> str:
+    """The convention, and whether the other sign is what was meant."""
+    text = "K acts as u = K y, positive feedback"
+    try:
+        turned = plant.close(StateSpaceModel(K.A, K.B, -K.C, -K.D, K.dt))
+    except InputError:
+        return text
+    return f"{text}; with u = -K y the loop is stable: give -K" if turned.is_stable() else text
 
 
 def _loss(value: float, reference: float) -> float:
@@ -278,9 +293,11 @@ class _Descent:
         self.progress = progress
         self.reference = judge.certified(full)
         if not np.isfinite(self.reference.value) or not self.reference.status.trustworthy:
-            reason = getattr(self.reference.evidence, "reason", "") or self.reference.status
+            reason = getattr(self.reference.evidence, "reason", "") or self.reference.doubt or self.reference.status
             raise NoTrustworthyNumber(
-                WHERE, f"the loop with the full controller has no trustworthy {judge.text} ({reason})"
+                WHERE,
+                f"the loop with the full controller has no trustworthy {judge.text} ({reason})",
+                hint=None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full),
             )
         self.limit = np.inf if order is not None else (1 + allowed) * self.reference.value
         self.families = candidate_families(judge.gramian_plant, full)

@@ -400,7 +400,8 @@ class _Search:
         frequency = omega
         if loop.is_discrete:
             frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
-        doubts = _doubts(stable, None if proved else norm)
+        heard, doubt = self.problem.heard(chosen, loop, norm, cover.pieces if proved else ())
+        doubts = _doubts(stable, None if proved else norm) + [doubt] * bool(doubt)
         status, reason = told(
             Status.INACCURATE if doubts else Status.CERTIFIED,
             [*doubts, *self._reasons(chosen, proved, order_rel)],
@@ -409,7 +410,7 @@ class _Search:
         )
         return DKSynthesis(
             K=chosen.K,
-            gamma=gamma,
+            gamma=max(gamma, heard),
             closed_loop=loop,
             status=status,
             reason=reason,

@@ -20,6 +20,7 @@ from robustlab.synthesis.design import design_budget, limiting_channels, told
 from robustlab.synthesis.design_limits import Limit
 from robustlab.synthesis.design_problem import DesignProblem, common_scaling
 from robustlab.synthesis.fixed_result import FixedSynthesis, LimitValue, ParameterValue
+from robustlab.synthesis.independent_check import norm_doubt
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.robust_structure import robust_design
 from robustlab.synthesis.structure_search import Start, multi_start
@@ -289,12 +290,14 @@ class _Task:
             norms = tuple(hinf_norm(loop) if self.objective == "hinf" else h2_norm(loop) for loop in loops)
         except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed
             return None
-        gammas = tuple(norm.upper if isinstance(norm, HinfNorm) else norm.value for norm in norms)
+        bounds = tuple(norm.upper if isinstance(norm, HinfNorm) else norm.value for norm in norms)
         limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in loops)) for c in self.limits)
-        if not np.isfinite(gammas).all() or any(limit.value > KEPT for limit in limits):
+        if not np.isfinite(bounds).all() or any(limit.value > KEPT for limit in limits):
             return None
+        heard = [norm_doubt(plant, K, loop, norm) for plant, loop, norm in zip(plants, loops, norms, strict=True)]
+        gammas = tuple(gamma for gamma, _ in heard)
         worst = int(np.argmax(gammas))
-        status, reason = _trust(norms)
+        status, reason = _trust(norms, [doubt for _, doubt in heard])
         shown = norms[worst]
         peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
         return FixedSynthesis(
@@ -320,10 +323,10 @@ class _Task:
         )
 
 
-def _trust(norms: Sequence[HinfNorm | H2Norm]) -> tuple[Status, str]:
-    bad = [norm for norm in norms if not norm.status.trustworthy]
+def _trust(norms: Sequence[HinfNorm | H2Norm], doubts: Sequence[str]) -> tuple[Status, str]:
+    bad = [norm.reason for norm in norms if not norm.status.trustworthy] + [doubt for doubt in doubts if doubt]
     if bad:
-        return Status.INACCURATE, bad[0].reason
+        return Status.INACCURATE, bad[0]
     proved = all(norm.status is Status.CERTIFIED for norm in norms)
     loops = "loop" if len(norms) == 1 else f"{len(norms)} loops"
     text = f"{loops} rebuilt from K: stable, norm verified"

@@ -14,12 +14,14 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import moderated
 from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
+from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.design import Synthesis, design_budget, told
+from robustlab.synthesis.independent_check import h2_voice
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
 from robustlab.synthesis.scaling import Scaling, by_magnitude, equilibrated, paths_first
-from robustlab.synthesis.verified_loop import rebuilt_loop
+from robustlab.synthesis.verified_loop import rebuilt_loop, separated_modes
 
 __all__ = ["WORK", "H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 
@@ -33,6 +35,8 @@ REGULAR = 1e-6
 SETTLED = 1e-4
 # A direct term from w to z below this share of D11 is rounding of the cancellation by D_K.
 CANCELLED = 1e-10
+# Trials, best first, that the second voice is asked about.
+HEARD = 6
 # Riccati equations of singular plants lose digits; the rebuilt loop decides.
 RESIDUAL = 1e-3
 
@@ -214,7 +218,41 @@ def _synthesized(
         )
     allowed = [t for t in trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
     chosen = max(allowed, key=lambda t: t.eps)
-    return _finished(plant, chosen, matrices, budget, method, best.norm.value)
+    chosen, gamma, doubt = _heard(plant, [chosen, *sorted(trials, key=lambda t: t.norm.value)[:HEARD]])
+    return _finished(plant, chosen, gamma, doubt, matrices, budget, method, best.norm.value)
+
+
+def _heard(plant: GeneralizedPlant, trials: list[_Trial]) -> tuple[_Trial, float, str]:
+    """The first trial whose norm the second voice confirms, in coordinates of K's modes if need be, with that norm; or
+    else the first of all, with the larger number and the reason why it is not verified.
+    """
+    first: tuple[_Trial, float, str] | None = None
+    for trial in trials:
+        for judged in (trial, _in_modes(plant, trial)):
+            if judged is None:
+                continue
+            voice = h2_voice(plant, judged.K, judged.loop, judged.norm.value)
+            doubt = voice.doubt(judged.norm.value, judged.norm.value)
+            if not doubt:
+                return judged, judged.norm.value, ""
+            first = first or (judged, voice.larger(judged.norm.value), doubt)
+    assert first is not None
+    return first
+
+
+def _in_modes(plant: GeneralizedPlant, trial: _Trial) -> _Trial | None:
+    """The same trial with K in coordinates of its modes; None where its loop is not sound."""
+    modes = separated_modes(trial.K)
+    rebuilt = None if modes is None else rebuilt_loop(plant, modes, np.zeros_like(plant.D22))
+    if rebuilt is None:
+        return None
+    K, loop = rebuilt
+    if not loop.is_discrete:
+        loop = cancelled_direct_term(loop, plant.matrices().D11, K.D)
+        if loop is None:
+            return None
+    norm = h2_norm(loop)
+    return replace(trial, K=K, loop=loop, norm=norm) if norm.status.trustworthy and np.isfinite(norm.value) else None
 
 
 def _ladder(
@@ -364,9 +402,16 @@ def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scali
 
 
 def _finished(
-    plant: GeneralizedPlant, best: _Trial, matrices: PlantMatrices, budget: Budget, method: str, smallest: float
+    plant: GeneralizedPlant,
+    best: _Trial,
+    gamma: float,
+    doubt: str,
+    matrices: PlantMatrices,
+    budget: Budget,
+    method: str,
+    smallest: float,
 ) -> H2Synthesis:
-    parts = ["loop rebuilt from K is stable, and both Gramians give its norm"]
+    parts = [doubt or "loop rebuilt from K is stable; both Gramians and P(jw), K(jw) on their own give its norm"]
     regularised = best.norm.value
     channels: tuple[str, ...] = ()
     if best.eps:
@@ -376,10 +421,10 @@ def _finished(
         channels = _lacking(plant, matrices)
     else:
         parts.append("the plant is regular: this is the optimum")
-    status, reason = told(best.norm.status, parts, budget, "a smaller norm")
+    status, reason = told(Status.INACCURATE if doubt else best.norm.status, parts, budget, "a smaller norm")
     return H2Synthesis(
         K=best.K,
-        gamma=best.norm.value,
+        gamma=gamma,
         closed_loop=best.loop,
         status=status,
         reason=reason,

@@ -248,7 +248,8 @@ def _finished(
 ) -> HinfSynthesis:
     loop = chosen.loop
     status = Status.CERTIFIED if chosen.certified else Status.INACCURATE
-    parts = ["loop rebuilt from K is stable and its norm was verified" if status.trustworthy else chosen.doubt]
+    text = "loop rebuilt from K is stable, its norm was verified, and P(jw), K(jw) on their own give the same"
+    parts = [text if status.trustworthy else chosen.doubt]
     parts.append(f"by {by}")
     if chosen is not best:
         parts.append(

@@ -21,6 +21,7 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
 from robustlab.synthesis.design import Synthesis, limiting_channels
+from robustlab.synthesis.independent_check import hinf_voice
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.verified_loop import named_controller, surely_stable
 from robustlab.uncertainty.coprime import (
@@ -32,7 +33,7 @@ from robustlab.uncertainty.coprime import (
     four_block,
 )
 
-__all__ = ["NcfSynthesis", "ObserverForm", "ncf"]
+__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_performance"]
 
 Array = NDArray[Any]
 
@@ -190,7 +191,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         raise NoTrustworthyNumber("synth ncf", f"the rebuilt loop was not verified: {margin.reason}")
     full = series(series(behind, _bare(inner)), before)
     K = named_controller(full, g.outputs, g.inputs, g.dt)
-    plant = _plant(g)
+    plant = four_block_plant(g)
     loop = plant.close(K)
     if not surely_stable(loop):
         raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
@@ -200,10 +201,15 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         reason = margin.reason
     elif gamma > factor * gamma_min * KEPT:
         status, reason = Status.INACCURATE, f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
-    shaped_loop = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs).close(inner)
+    shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
+    shaped_loop = shaped_plant.close(inner)
+    voice = hinf_voice(shaped_plant, inner, shaped_loop, [margin.frequency])
+    doubt = voice.doubt(1 / margin.upper, gamma) or hinf_voice(plant, K, loop).doubt(0.0, np.inf)
+    if doubt and status is Status.CERTIFIED:
+        status, reason = Status.INACCURATE, doubt
     return NcfSynthesis(
         K=K,
-        gamma=gamma,
+        gamma=voice.larger(gamma),
         closed_loop=loop,
         status=status,
         reason=reason,
@@ -236,7 +242,7 @@ def _central(equations: CoprimeRiccati, gamma: float) -> tuple[StateSpaceModel, 
     return K, ObserverForm(gain / states, -equations.rate * states[:, None] * (Z @ m.C.T))
 
 
-def _plant(g: StateSpaceModel) -> GeneralizedPlant:
+def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
     """The plant with noise on y and a disturbance on u, as a generalised plant from (n, d, u) to (y, u + d, y + n)."""
     m = four_block(g)
     inputs = [Signal(f"noise {s.name}", s.unit) for s in g.outputs]
@@ -245,6 +251,24 @@ def _plant(g: StateSpaceModel) -> GeneralizedPlant:
     outputs += [Signal(f"{s.name} measured", s.unit) for s in g.outputs]
     model = StateSpaceModel(m.A, m.B, m.C, m.D, m.dt, [*inputs, *g.inputs], outputs, g.states, where="synth ncf")
     return GeneralizedPlant(model, g.n_outputs, g.n_inputs)
+
+
+def with_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
+    """The plant itself, or, where all of its inputs are controls and all of its outputs measurements, with noise on y
+    and a disturbance on u as w, and y and the total u as z: a loop without w and z has no gain to judge it by.
+
+    Raises
+    ------
+    InputError
+        Disturbances without performance outputs, or the other way round.
+    """
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    if n_w and n_z:
+        return plant
+    if n_w or n_z:
+        found = f"{n_w} disturbances and {n_z} performance outputs in the plant"
+        raise InputError(where, found, "some of both", "or a bare plant, to judge its loop by the four-block gain")
+    return four_block_plant(plant.model)
 
 
 def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpaceModel:

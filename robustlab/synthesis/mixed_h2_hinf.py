@@ -18,6 +18,7 @@ from robustlab.synthesis.common_lyapunov import Channel, CommonLyapunov, solver_
 from robustlab.synthesis.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.h2_synthesis import cancelled_direct_term, cancelling_gain, synthesize_h2
 from robustlab.synthesis.hinf_synthesis import synthesize
+from robustlab.synthesis.independent_check import norm_doubt
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
 from robustlab.synthesis.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.verified_loop import rebuilt_loop
@@ -38,6 +39,8 @@ REFINEMENTS = 5
 SHARES = (3.0, 1 / 3)
 GAIN = 0.01
 ROOM = 1.02
+# Controllers, best first, that the second voice is asked about.
+HEARD = 6
 # Weights of the H-infinity channel in H2 designs.
 WEIGHTS = tuple(float(x) for x in 10 ** (np.arange(-4, 13) / 4))
 
@@ -181,6 +184,7 @@ class _Verified:
 
     K: StateSpaceModel
     loop: StateSpaceModel
+    noisy: StateSpaceModel  # the loop's H2 channel
     h2: H2Norm
     hinf: HinfNorm
     how: str
@@ -220,14 +224,29 @@ class _Mixed:
                     f"gamma above {smallest:.6g}, the smallest norm found",
                 )
             self._search()
-        best = min(self.found, key=lambda v: v.h2.value, default=None)
-        if best is None:
+        if not self.found:
             raise NoTrustworthyNumber(
                 where,
                 "no controller that keeps the bound was verified with a finite H2 norm",
                 hint=f"a gamma clearly above {smallest:.6g} leaves more room",
             )
-        return self._finished(best, free.gamma, smallest, optimal)
+        return self._finished(*self._heard(), free.gamma, smallest, optimal)
+
+    def _heard(self) -> tuple[_Verified, float, str]:
+        """The controller of smallest H2 norm that the second voice confirms; or else the one of smallest H2 norm, with
+        the larger number and the reason why it is not verified.
+        """
+        first: tuple[_Verified, float, str] | None = None
+        for verified in sorted(self.found, key=lambda v: v.h2.value)[:HEARD]:
+            gamma, doubt = norm_doubt(self.alone["h2"], verified.K, verified.noisy, verified.h2)
+            if not doubt:
+                loop = _selected(verified.loop, *self.channels.hinf)
+                _, doubt = norm_doubt(self.alone["hinf"], verified.K, loop, verified.hinf)
+            first = first or (verified, gamma, doubt)
+            if not doubt:
+                return verified, gamma, doubt
+        assert first is not None
+        return first
 
     def _robust(self) -> float:
         """The smallest H-infinity norm found; where nothing keeps the bound yet, its designs are candidates."""
@@ -269,7 +288,7 @@ class _Mixed:
         h2_found, hinf_found = h2_norm(noisy), hinf_norm(_selected(loop, z, w))
         sound = h2_found.status.trustworthy and hinf_found.status.trustworthy and np.isfinite(h2_found.value)
         if sound and hinf_found.upper <= self.gamma:
-            self.found.append(_Verified(named, loop, h2_found, hinf_found, how))
+            self.found.append(_Verified(named, loop, noisy, h2_found, hinf_found, how))
         return (h2_found, hinf_found) if sound else None
 
     def _weighted_h2(self) -> None:
@@ -373,17 +392,21 @@ class _Mixed:
                 share *= factor
         return True
 
-    def _finished(self, best: _Verified, h2_optimum: float, smallest: float, optimal: bool) -> MixedSynthesis:
-        parts = ["loop rebuilt from K is stable; both norms were verified", best.how]
+    def _finished(
+        self, best: _Verified, gamma: float, doubt: str, h2_optimum: float, smallest: float, optimal: bool
+    ) -> MixedSynthesis:
+        parts = [doubt or "loop rebuilt from K is stable; both norms were verified", best.how]
         if not optimal:
             parts.append("a better controller may exist")
         parts += [self.skipped] if self.skipped else []
-        status, reason = told(Status.CONVERGED, parts, self.budget, "a better controller")
+        status, reason = told(
+            Status.INACCURATE if doubt else Status.CONVERGED, parts, self.budget, "a better controller"
+        )
         (z, w), bound = self.channels.hinf, f"H-infinity norm {best.hinf.upper:.4g} of {self.gamma:.4g} allowed"
         peak = limiting_channels(_selected(best.loop, z, w), best.hinf.frequency)
         return MixedSynthesis(
             K=best.K,
-            gamma=best.h2.value,
+            gamma=gamma,
             closed_loop=best.loop,
             status=status,
             reason=reason,

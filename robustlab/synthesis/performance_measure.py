@@ -26,6 +26,7 @@ from robustlab.mu_analysis.worst_gain import PERFORMANCE, with_performance
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
+from robustlab.synthesis.independent_check import norm_doubt
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
@@ -51,16 +52,19 @@ MARGIN_WORK = 30 * MILLION  # at most, of the proof of one candidate without sca
 
 @dataclass(frozen=True)
 class Performance:
-    """A verified upper bound of the measure, its evidence, and the frequency of the peak (NaN where there is none)."""
+    """A verified upper bound of the measure, its evidence, the frequency of the peak (NaN where there is none), and why
+    plant and controller, evaluated separately, do not confirm it (empty where they do).
+    """
 
     value: float
     evidence: Evidence
     frequency: float
+    doubt: str = ""
 
     @property
     def status(self) -> Status:
         """How much the value can be trusted."""
-        return self.evidence.status
+        return Status.INACCURATE if self.doubt else self.evidence.status
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,16 +112,18 @@ class PerformanceMeasure:
             The loop is not well posed.
         """
         if self.name == "mu" and self.scaled is None:
-            return self._margin(self.plant.close(K))
-        loop = (self.scaled or self.plant).close(K)
-        self.budget.spend(dense(loop.n_states, 1 if self.name == "h2" else 10))
-        if self.name == "h2":
-            norm = h2_norm(loop)
-            return Performance(norm.value, norm, np.nan)
-        norm = hinf_norm(loop)
-        return Performance(norm.upper, norm, norm.frequency)
+            return self._margin(self.plant.close(K), K)
+        plant = self.scaled or self.plant
+        loop = plant.close(K)
+        self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
+        norm = h2_norm(loop) if self.name == "h2" else hinf_norm(loop)
+        value, frequency = (norm.value, np.nan) if isinstance(norm, H2Norm) else (norm.upper, norm.frequency)
+        if not np.isfinite(value):
+            return Performance(value, norm, frequency)
+        value, doubt = norm_doubt(plant, K, loop, norm)
+        return Performance(value, norm, frequency, doubt)
 
-    def _margin(self, loop: StateSpaceModel) -> Performance:
+    def _margin(self, loop: StateSpaceModel, K: StateSpaceModel) -> Performance:
         try:
             part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
             margin = margin_within(with_performance(_uncertain(loop, self.blocks)), part, tolerance=1e-3)
@@ -125,7 +131,8 @@ class PerformanceMeasure:
             norm = hinf_norm(loop)
             return Performance(np.inf, norm, np.nan)
         value = 1 / margin.lower if margin.lower > 0 else np.inf
-        return Performance(value, margin, float("nan") if margin.frequency is None else margin.frequency)
+        _, doubt = norm_doubt(self.plant, K, loop, hinf_norm(loop))
+        return Performance(value, margin, float("nan") if margin.frequency is None else margin.frequency, doubt)
 
     def estimate(self, K: StateSpaceModel) -> float:
         """A quick estimate from below, on a grid; inf where the loop is not stable or not well posed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +12,12 @@ from numpy.typing import NDArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
+from robustlab.mu_analysis.certificate import level as certificate_level
+from robustlab.mu_analysis.intervals import Piece
+from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.dynamic_scalings import DynamicScalings
+from robustlab.synthesis.independent_check import AGREEMENT, hinf_voice, separate_responses
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.riccati_level import LevelSearch
 from robustlab.synthesis.scaled_plant import proved_level, scaled_plant
@@ -190,6 +194,44 @@ class RobustProblem:
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
             return None
         return Iterate(K, loop, scalings, level) if np.isfinite(level) else None
+
+    def heard(
+        self, iterate: Iterate, loop: StateSpaceModel, norm: HinfNorm, pieces: Sequence[Piece]
+    ) -> tuple[float, str]:
+        """What P(jw) and K(jw), each evaluated on its own, say of an iterate's level: the level that they give at
+        single frequencies where it is the larger number (else 0), and why it is not verified (empty: it is).
+
+        ``loop`` is the one in the plant's own time domain, ``norm`` that of the scaled loop; ``pieces`` are those that
+        prove the level where the scalings alone do not.
+        """
+        doubt = hinf_voice(self.plant, iterate.K, loop).doubt(0.0, np.inf)
+        K = self._mapped(iterate.K)
+        if not pieces:
+            # The norm of the scaled loop: with G at the level, where it is at most one, without it at one.
+            beta = iterate.level if iterate.scalings.mixed else 1.0
+            plant = self._scaled(iterate.scalings, beta)
+            voice = hinf_voice(plant, K, plant.close(K), [norm.frequency])
+            gamma = voice.larger(norm.upper)
+            return (gamma * beta if gamma > norm.upper else 0.0), doubt or voice.doubt(norm.lower, norm.upper)
+        level, beta = 0.0, max(piece.beta for piece in pieces)
+        low, high = np.array([(piece.low, piece.high) for piece in pieces]).T
+        inside = np.where(np.isfinite(high), np.sqrt(np.maximum(low, 1e-3 * high) * high), 2 * low + 1)
+        inside, which = np.unique(inside, return_index=True)
+        _, T, error = separate_responses(self._continuous, K, iterate.loop, inside)
+        for k, response, blur in zip(which, T, error, strict=True):
+            bound = pieces[k].bound
+            if pieces[k].members is None and np.isfinite(blur):
+                level = max(level, certificate_level(response, bound.Dw, bound.Dz, bound.G))
+        if level > beta * (1 + AGREEMENT):
+            doubt = doubt or f"P and K evaluated separately give mu up to {level:.6g}, the rebuilt loop {beta:.6g}"
+        return (level if level > beta else 0.0), doubt
+
+    def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
+        """The scaled plant, D22 included."""
+        model = scaled_plant(self.bare, scalings, beta).model()
+        D, D22 = model.D.copy(), self._continuous.D22
+        D[D.shape[0] - D22.shape[0] :, D.shape[1] - D22.shape[1] :] = D22
+        return GeneralizedPlant(StateSpaceModel(model.A, model.B, model.C, D), self.plant.n_meas, self.plant.n_con)
 
     def regularise(self, iterate: Iterate, share: float) -> None:
         r"""Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations.

@@ -108,9 +108,11 @@ def _judged(design: FixedSynthesis, budget: Budget) -> FixedSynthesis:
     assert worst is not None
     scenarios = f"{len(design.scenarios)} scenarios"
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
+        gamma = worst.upper if design.status.trustworthy else max(worst.upper, design.gamma)
+        sound = Status.INACCURATE if design.status is Status.INACCURATE else Status.CERTIFIED
         parts = [design.reason, "worst-case gain over the whole set proved", scenarios]
-        status, reason = told(Status.CERTIFIED, parts, budget)
-        return replace(design, gamma=worst.upper, status=status, reason=reason)
+        status, reason = told(sound, parts, budget)
+        return replace(design, gamma=gamma, status=status, reason=reason)
     text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
     status, reason = told(Status.INCONCLUSIVE, [text, scenarios], budget)
     return replace(design, gamma=max(design.gamma, worst.lower), status=status, reason=reason)

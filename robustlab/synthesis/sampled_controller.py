@@ -19,6 +19,7 @@ from robustlab.synthesis.design import Synthesis, design_budget, told
 from robustlab.synthesis.discretisation import METHODS, MergedModes, discretise, merged_modes
 from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.lifting import lift
+from robustlab.synthesis.loop_shaping import with_performance
 from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.performance_measure import given_scalings, scaled_plant
 from robustlab.synthesis.sampled_data import (
@@ -183,7 +184,8 @@ def discretise_controller(
     Parameters
     ----------
     design_or_plant
-        A `Synthesis`, or a continuous generalised plant (see `hinf`) with K.
+        A `Synthesis`, or a continuous generalised plant (see `hinf`) with K. Of a bare plant, whose every input is a
+        control and every output a measurement, the four-block loop is judged, as by `reduce_controller`.
     dt
         Sample time in s.
     K
@@ -242,6 +244,7 @@ def discretise_controller(
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    plant = with_performance(plant, WHERE)
     known = ("auto", "direct", *METHODS)
     if method not in known:
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))

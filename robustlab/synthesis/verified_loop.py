@@ -1,4 +1,4 @@
-"""A controller for the plant as given, from one for its bare matrices: direct term, names, and the rebuilt loop."""
+"""A controller for the plant as given, from one for its bare matrices: direct term, states, names, the rebuilt loop."""
 
 from __future__ import annotations
 
@@ -10,12 +10,25 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors, refuse_overflow
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.double_double import DoubleDouble, inverse
 from robustlab.synthesis.partition import GeneralizedPlant
 
-__all__ = ["named_controller", "rebuilt_loop", "surely_stable", "with_direct_term"]
+__all__ = [
+    "balanced_states",
+    "moderate_states",
+    "named_controller",
+    "rebuilt_loop",
+    "separated_modes",
+    "surely_stable",
+    "with_direct_term",
+]
 
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
+# Above this condition number modes are no basis.
+NO_BASIS = 1e12
+# From this on the errors of entries count so much that other states are better.
+HIDDEN = 1e6
 
 
 def with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:
@@ -39,9 +52,76 @@ def with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpace
 
 
 def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
-    """K with the signals that it connects, and states k1, k2, ..."""
+    """K with the signals that it connects, and balanced states k1, k2, ..."""
     names = [f"k{i + 1}" for i in range(K.n_states)]
+    K = balanced_states(K)
     return StateSpaceModel(K.A, K.B, K.C, K.D, dt, inputs, outputs, names)
+
+
+def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
+    """The same response, exactly: states scaled by powers of two, so that rows of [A B] and columns of [A; C] have
+    about the same size.
+    """
+    from scipy.linalg import matrix_balance
+
+    n, m, p = model.n_states, model.n_inputs, model.n_outputs
+    if not n:
+        return model
+    whole = np.zeros((n + m + p,) * 2)
+    whole[:n, :n], whole[:n, n : n + m], whole[n + m :, :n] = model.A, model.B, model.C
+    with np.errstate(invalid="ignore", over="ignore"):  # scipy casts scale factors to int as if they were a permutation
+        scale = np.asarray(matrix_balance(whole, permute=False, separate=True)[1][0])[:n]
+        A, B, C = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
+    exact = np.array_equal(A / scale * scale[:, None], model.A) and np.array_equal(B * scale[:, None], model.B)
+    if not exact or not np.array_equal(C / scale, model.C):  # overflow, or digits lost to underflow
+        return model
+    return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)
+
+
+def moderate_states(model: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel | None]:
+    """A model in the states that keep its digits, and in others for a second try (None: there are none).
+
+    Balanced states come first, unless slow modes are small differences of large entries there and are not in
+    coordinates of the modes.
+    """
+    balanced, modes = balanced_states(model), separated_modes(model)
+    if modes is None:
+        return balanced, None
+    hidden = _cancellation(balanced.A)
+    if hidden > HIDDEN and _cancellation(modes.A) < 1e-2 * hidden:
+        return modes, balanced
+    return balanced, modes
+
+
+def _cancellation(A: NDArray[np.float64]) -> float:
+    """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
+    try:
+        return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max())
+    except np.linalg.LinAlgError:
+        return float("inf")
+
+
+def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
+    """The same response in coordinates of the modes, computed with about 30 digits; None where these are no basis.
+
+    Where a fast mode fills all of A with large entries, the slow ones are small differences of these: a loop that is
+    built of them is another loop. In these coordinates every entry has the size of its own mode.
+    """
+    if model.n_states < 2:
+        return None
+    m = balanced_states(model)
+    values, vectors = np.linalg.eig(m.A)
+    # Of a conjugate pair the real and the imaginary part.
+    basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
+    if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
+        return None
+    A, B, C, T = (DoubleDouble.of(part[None]) for part in (m.A, m.B, m.C, basis))
+    with np.errstate(all="ignore"):
+        back, _ = inverse(T)
+        a, b, c = (np.real(part.rounded()[0]) for part in (back @ A @ T, back @ B, C @ T))
+    if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(c).all()):
+        return None
+    return balanced_states(StateSpaceModel(a, b, c, m.D, m.dt, m.inputs, m.outputs))
 
 
 def rebuilt_loop(

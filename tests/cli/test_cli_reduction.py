@@ -106,3 +106,12 @@ def test_the_real_command(files):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("measure")
     assert done.stderr == ""
+
+
+def test_an_unstable_loop_of_a_bare_plant_is_exit_code_4(tmp_path, capsys):
+    """No disturbance, no performance output: the four-block gain of the loop is judged, and there is none."""
+    g, k = tmp_path / "g.h5", tmp_path / "k.h5"
+    rl.save(g, rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    rl.save(k, rl.StateSpaceModel([[-10.0]], [[1.0]], [[5.0]], [[0.0]]))
+    assert run(synth.app, "reduce", str(g), str(k)) == 4
+    assert "pole 1.43717+0j is unstable" in capsys.readouterr().err

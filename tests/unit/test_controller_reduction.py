@@ -165,3 +165,48 @@ def test_a_loop_that_is_not_stable_has_nothing_to_lose():
         rl.reduce_controller(PLANT, rl.StateSpaceModel([[5.0]], [[1.0]], [[1.0]], [[0.0]]))
     with pytest.raises(rl.InputError, match="K is missing"):
         rl.reduce_controller(PLANT)
+
+
+UNSTABLE = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])
+
+
+def lag(gain: float) -> rl.StateSpaceModel:
+    return rl.StateSpaceModel([[-10.0]], [[1.0]], [[gain]], [[0.0]])
+
+
+def four_block_gain(K: rl.StateSpaceModel) -> float:
+    """Peak of |[G; 1] (1 - K G)^-1 [K 1]| for G = 1/(s - 1), by formula on a fine grid."""
+    s = 1j * np.concatenate([[0.0], np.geomspace(1e-3, 1e4, 20001)])
+    g, k = 1 / (s - 1), rl.frequency_response(K, s.imag)[:, 0, 0]
+    return float((np.sqrt(1 + np.abs(g) ** 2) * np.sqrt(1 + np.abs(k) ** 2) / np.abs(1 - k * g)).max())
+
+
+@pytest.mark.parametrize("order", [None, 0, 1])
+def test_an_unstable_loop_of_a_bare_plant_is_refused(order):
+    """G = 1/(s - 1), K = 5/(s + 10): poles +1.437 and -10.437; once answered by gamma 0, certified."""
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"pole 1\.43717.*unstable") as caught:
+        rl.reduce_controller(UNSTABLE, lag(5.0), order=order)
+    assert "u = K y, positive feedback" in str(caught.value)
+    assert "give -K" not in str(caught.value)
+    with pytest.raises(rl.NoTrustworthyNumber, match="with u = -K y the loop is stable: give -K"):
+        rl.reduce_controller(UNSTABLE, lag(50.0), order=order)
+    with pytest.raises(rl.NoTrustworthyNumber, match="continuous loop is not stable"):
+        rl.discretise_controller(UNSTABLE, 0.01, lag(5.0))
+
+
+def test_a_bare_plant_is_judged_by_the_four_block_gain_of_its_loop():
+    K = rl.StateSpaceModel([[-10.0, 1.0], [0.0, -100.0]], [[1.0], [3.0]], [[-50.0, 2.0]], [[-3.0]])
+    for order in (None, 0, 1):
+        small = rl.reduce_controller(UNSTABLE, K, order=order)
+        assert small.original_gamma == pytest.approx(four_block_gain(K), rel=1e-5)
+        assert small.gamma == pytest.approx(four_block_gain(small.K), rel=1e-5)
+        assert small.status is Status.CERTIFIED
+        assert small.closed_loop.is_stable()
+    digital = rl.discretise_controller(UNSTABLE, 0.001, K, method="tustin")
+    assert digital.gamma == pytest.approx(four_block_gain(K), rel=0.05)
+
+
+def test_disturbances_without_performance_outputs_are_refused():
+    P = rl.StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]])
+    with pytest.raises(rl.InputError, match="1 disturbances and 0 performance outputs"):
+        rl.reduce_controller(P, lag(-50.0))

@@ -144,3 +144,12 @@ def test_a_peak_between_two_neighbouring_numbers_is_not_certified(damping):
         assert norm.lower <= expected * (1 + 1e-12)
         assert norm.upper >= expected
     assert (norm.status is Status.CERTIFIED) == (damping > 1e-13)
+
+
+def test_an_unstable_model_without_channels_has_no_finite_norm():
+    """Reachable or not: a model that nobody excites or looks at is unstable all the same."""
+    none_in, none_out = np.zeros((1, 0)), np.zeros((0, 1))
+    unstable = StateSpaceModel([[1.0]], none_in, none_out, np.zeros((0, 0)))
+    stable = StateSpaceModel([[-1.0]], none_in, none_out, np.zeros((0, 0)))
+    assert hinf_norm(unstable).upper == np.inf
+    assert hinf_norm(stable).upper == 0.0
