@@ -267,7 +267,7 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
     # An upper bound of zero says that nothing is singular: a ball as large as sensible is tried.
     radius = (1 - 1e-7) / upper if upper > 0 else 1e3 / size
     if np.isfinite(upper) and (found := singular_inside(M, parts, radius, rng)):
-        yield f"FALSE: a singular Delta of size {found:.9g} inside the proved ball of {1 / upper if upper else np.inf:.9g}"
+        yield f"FALSE: a singular Delta of size {found:.9g}, upper bound {upper:.9g}"
     if lower <= 0:
         if upper > 0:
             yield "note: no Delta found"
@@ -333,7 +333,6 @@ def _half_plane(model: Model, omega: float) -> acb_mat:
 def _gain(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
     model, parts = data["M"], data["parts"]
     lower, upper, delta, omega = claim["lower"], claim["upper"], claim["delta"], claim["frequency"]
-    q, p = sum(b.rows for b in parts), sum(b.cols for b in parts)
     if lower > upper:
         yield f"FALSE: lower {lower!r} above upper {upper!r}"
     if lower > 0 and (not structure_holds(parts, delta) or block_norm(parts, delta) > 1 + NEAR):

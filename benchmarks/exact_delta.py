@@ -6,6 +6,7 @@ Nothing of robustlab is used here: blocks are rows of a structure of our own, De
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,7 +56,7 @@ class Part(NamedTuple):
 def slices(parts: Sequence[Part]) -> list[tuple[slice, slice]]:
     """Rows and columns of Delta of each part."""
     ends = np.cumsum([(0, 0), *((p.rows, p.cols) for p in parts)], axis=0)
-    return [(slice(a[0], b[0]), slice(a[1], b[1])) for a, b in zip(ends, ends[1:], strict=False)]
+    return [(slice(a[0], b[0]), slice(a[1], b[1])) for a, b in pairwise(ends)]
 
 
 def count(parts: Sequence[Part]) -> int:
@@ -182,7 +183,7 @@ def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tup
             near = (loop + unit * acb("1e-90")).inv()
         except ZeroDivisionError:
             return moved()
-        table, largest = near.tolist(), max((abs(v).mid() for v in near.entries()))
+        table, largest = near.tolist(), max(abs(v).mid() for v in near.entries())
         if not largest.is_finite():
             return moved()
         # The inverse is nearly x y: x and y are the null directions, sharpened by one more product with it.
@@ -213,6 +214,10 @@ def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tup
                 values[row][col] = (values[row][col] + step).mid()
         now = acb_mat(values)
     return None
+
+
+def _rescaled(size: float | None, scale: float) -> float | None:
+    return None if size is None else size * scale
 
 
 def _normalised(v: acb_mat) -> acb_mat:
@@ -248,6 +253,13 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
     def smallest(v: Matrix) -> Matrix:
         values = np.linalg.eigvals(unit - M @ assembled(parts, v.T, radius))
         return np.abs(values).min(axis=1)
+
+    largest = float(np.abs(M).max())
+    if not largest:
+        return None
+    if not 1e-100 < largest < 1e100:  # by a power of two, which changes nothing but the size of Delta
+        scale = 2.0 ** -np.clip(np.rint(np.log2(largest)), -1000, 1000)
+        return _rescaled(singular_inside(M * scale, parts, radius / scale, rng), scale)
 
     found: list[Matrix] = []
     if all(b.kind == "real" for b in parts) and len(parts) <= 8:

@@ -18,6 +18,7 @@ A test whose sign no precision decides answers None.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -417,7 +418,7 @@ def _positive_roots(c: list[arb]) -> int | None:
         if not all(v > 0 or v < 0 for v in values):
             return None
         signs = [bool(v > 0) for v in values]
-        counts.append(sum(a != b for a, b in zip(signs, signs[1:], strict=False)))
+        counts.append(sum(a != b for a, b in pairwise(signs)))
     return counts[0] - counts[1]
 
 
@@ -465,7 +466,7 @@ def gain(M: Matrix) -> arb:
         return arb(0)
     if not all(v.is_finite() for v in M.entries()):
         raise ZeroDivisionError("no response at this frequency, or too few digits")
-    size = max((abs(v).mid() for v in M.entries()))
+    size = max(abs(v).mid() for v in M.entries())
     if not size > 0:
         return arb(0)
     table = np.array([[complex((v / size).mid()) for v in row] for row in M.tolist()])
