@@ -210,9 +210,9 @@ def _size(rng: Rng) -> int:
 
 
 def _generalised(family: str, rng: Rng, h2: bool) -> dict[str, Any]:
-    n, n_w, n_u, n_y = _size(rng), int(rng.integers(1, 3)), int(rng.integers(1, 3)), int(rng.integers(1, 3))
+    n, n_w, n_u, n_y = _size(rng), int(rng.integers(1, 4)), int(rng.integers(1, 3)), int(rng.integers(1, 3))
     n_z = int(rng.integers(1, 3))
-    A, B, C = _plant(family, rng, n, n_w + n_u, n_z + n_y, 0.4)
+    A, B, C = _plant(family, rng, n, n_w + n_u, n_z + n_y, rng.choice([0.0, 0.4, 1.0], p=[0.15, 0.55, 0.3]))
     A, B, dt = _sampled(rng, A, B)
     regular = rng.random() < (0.3 if family.startswith("poles") else 0.7)
     zeros, n = np.zeros, len(A)

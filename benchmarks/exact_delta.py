@@ -177,7 +177,7 @@ def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tup
         plain = [p._replace(below=1.0) for p in parts]
         return block_norm(plain, change) / norm, end
 
-    for _ in range(12):
+    for _ in range(80):  # a double zero, as of a Jordan block, is halved only
         loop = unit - m * now
         try:
             near = (loop + unit * acb("1e-90")).inv()
@@ -193,7 +193,7 @@ def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tup
         yM, xs = (y * m).tolist()[0], [row[0] for row in x.tolist()]
         gains = [sum((yM[r] * xs[c] for r, c in entries), acb(0)) * acb(complex(f)) for entries, f in directions]
         scale = sum((abs(v).mid() for v in gains), arb(0))
-        if abs(residual).mid() <= arb("1e-40") * arb(norm) * scale:
+        if abs(residual).mid() <= arb("1e-20") * arb(norm) * scale:
             return moved()
         g = [(v.real.mid(), v.imag.mid()) for v in gains]
         a = sum((p * p for p, _ in g), arb(0))
@@ -222,7 +222,7 @@ def _rescaled(size: float | None, scale: float) -> float | None:
 
 def _normalised(v: acb_mat) -> acb_mat:
     """The vector over its largest entry."""
-    return v * (acb(1) / max(v.entries(), key=lambda entry: float(abs(entry).mid().log())).mid())
+    return v * (acb(1) / max(v.entries(), key=lambda entry: abs(entry).mid()).mid())
 
 
 def last_places(M: Matrix, delta: Matrix) -> float:

@@ -150,20 +150,21 @@ def _within_reach(
     """Whether a loop that is singular to rounding is so for a Delta within ``NEARBY``, or for M with other last bits.
 
     With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
-    jumps. That part has to be told from rounding by exact arithmetic: it counts as none where it is less than what
-    every entry of M may change by in its last place.
+    jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
+    exact arithmetic: the residual counts as none where it is less than what every entry of M may change by in its last
+    place.
     """
-    if not layout.real.all() or not (M.imag.any() or delta.imag.any()):
+    if not layout.real.all():
         return True
     gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
     along = np.exp(-0.5j * np.angle((gains**2).sum()))
     size, off = float(np.abs(gains).sum()), float(np.abs((gains * along).imag).sum())
     if off > 1e-6 * size:
         return True
-    reach = float(layout.sizes(delta[None]).max())
-    residual = abs((_exact_residual(M, delta, x, y) * along).imag)
+    reach = NEARBY * float(layout.sizes(delta[None]).max())
+    residual = _exact_residual(M, delta, x, y) * along
     last_places = EPS * float(np.abs(y) @ np.abs(M) @ np.abs(delta) @ np.abs(x))
-    return bool(residual <= max(NEARBY * off * reach, last_places))
+    return abs(residual.imag) <= max(off * reach, last_places) and abs(residual.real) <= max(size * reach, last_places)
 
 
 def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array) -> complex:
