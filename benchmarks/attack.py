@@ -137,8 +137,8 @@ def claim_of(case: Case, result: Any) -> dict[str, Any]:
     if case.function == "mu":
         return claim | {key: np.array(getattr(result, key)) for key in ("delta", "D", "D_z", "G")}
     claim |= {"delta": _delta(case.data["parts"], result.delta), "frequency": result.frequency}
-    whole = [p for p in result.proof if getattr(p, "members", 0) is None]
-    claim["pieces"] = [(p.low, p.high, p.beta, p.bound.Dw, p.bound.Dz, p.bound.G) for p in whole]
+    pieces = [p for p in result.proof if hasattr(p, "members")]  # else regions of branch and bound
+    claim["pieces"] = [(p.members, p.low, p.high, p.beta, p.bound.Dw, p.bound.Dz, p.bound.G) for p in pieces]
     return claim
 
 

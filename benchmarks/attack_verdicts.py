@@ -23,6 +23,7 @@ from exact_delta import (
     proves,
     scalings_fit,
     singular_inside,
+    slices,
     structure_holds,
     unstable_inside,
 )
@@ -314,10 +315,18 @@ def _margin(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Fin
 
 def _piece_holds(model: Model, parts: tuple[Part, ...], piece: tuple[Any, ...], rng: np.random.Generator) -> Findings:
     """D and G of an interval prove frequencies in it; of a discrete model those of ``s = (z - 1)/(z + 1)``."""
-    low, high, beta, Dw, Dz, G = piece
+    members, low, high, beta, Dw, Dz, G = piece
+    where = slices(parts)
+    chosen = range(len(parts)) if members is None else members
+    w = np.concatenate([np.arange(where[i][0].start, where[i][0].stop) for i in chosen])
+    z = np.concatenate([np.arange(where[i][1].start, where[i][1].stop) for i in chosen])
+    own = Model(model.A, model.B[:, w], model.C[z], model.D[np.ix_(z, w)], model.dt)
+    if not scalings_fit([parts[i] for i in chosen], Dw, Dz, G):
+        yield f"FALSE: D, G of the interval {low:.9g} .. {high:.9g} do not have the structure"
+        return
     end = high if np.isfinite(high) else 1e6 * max(low, 1.0)
     for omega in [low, high, *rng.uniform(low, end, 2), float(np.sqrt(max(low, 1e-9 * end) * end))]:
-        if not proves(lambda omega=omega: _half_plane(model, omega), Dw, Dz, G, beta):
+        if not proves(lambda omega=omega: _half_plane(own, omega), Dw, Dz, G, beta):
             yield f"FALSE: D, G do not prove mu <= {beta:.9g} at {omega:.9g} in their interval {low:.9g} .. {high:.9g}"
             return
 

@@ -36,6 +36,8 @@ __all__ = [
     "proves",
     "scalings_fit",
     "singular_inside",
+    "slices",
+    "structure_holds",
     "unstable_inside",
 ]
 
@@ -74,25 +76,30 @@ def block_norm(parts: Sequence[Part], delta: Matrix) -> float:
     return max(sizes, default=0.0)
 
 
-def assembled(parts: Sequence[Part], v: Matrix, radius: float) -> Matrix:
-    """Deltas (k, q, p) of at most this radius from free numbers (k, m): what is too large is cut."""
+def assembled(parts: Sequence[Part], v: Matrix, radius: float, smooth: bool = False) -> Matrix:
+    """Deltas (k, q, p) of at most this radius from free numbers (k, m): what is too large is cut, or, smooth, all of
+    space is drawn into the ball, so that a descent knows its way everywhere.
+    """
     q, p = sum(b.rows for b in parts), sum(b.cols for b in parts)
     delta = np.zeros((len(v), q, p), dtype=complex)
     at = 0
+
+    def kept(size: Matrix) -> Matrix:
+        return np.sqrt(1 + size**2) if smooth else np.maximum(1, size)
+
     for b, (w, z) in zip(parts, slices(parts), strict=True):
         if b.kind == "real":
-            number = np.clip(v[:, at], -1, 1)
+            number = v[:, at] / kept(np.abs(v[:, at]))
             delta[:, w, z] = (number * np.where(number < 0, b.below, 1.0))[:, None, None] * np.eye(b.rows)
             at += 1
         elif b.kind == "complex":
             number = v[:, at] + 1j * v[:, at + 1]
-            delta[:, w, z] = (number / np.maximum(1, np.abs(number)))[:, None, None] * np.eye(b.rows)
+            delta[:, w, z] = (number / kept(np.abs(number)))[:, None, None] * np.eye(b.rows)
             at += 2
         else:
             m = b.rows * b.cols
             block = (v[:, at : at + m] + 1j * v[:, at + m : at + 2 * m]).reshape(-1, b.rows, b.cols)
-            size = np.linalg.norm(block, 2, axis=(1, 2))
-            delta[:, w, z] = block / np.maximum(1, size)[:, None, None]
+            delta[:, w, z] = block / kept(np.linalg.norm(block, 2, axis=(1, 2)))[:, None, None]
             at += 2 * m
     return radius * delta
 
@@ -216,10 +223,6 @@ def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tup
     return None
 
 
-def _rescaled(size: float | None, scale: float) -> float | None:
-    return None if size is None else size * scale
-
-
 def _normalised(v: acb_mat) -> acb_mat:
     """The vector over its largest entry."""
     return v * (acb(1) / max(v.entries(), key=lambda entry: abs(entry).mid()).mid())
@@ -239,51 +242,64 @@ def last_places(M: Matrix, delta: Matrix) -> float:
 def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.random.Generator) -> float | None:
     """Size of an exactly singular Delta within this radius that brute force finds, or None.
 
-    All vertices of real numbers, least squares from random starts, differential evolution.
+    All vertices of real numbers; the largest spectral radius of ``M Delta`` where every block is complex; least squares
+    for an eigenvalue of one from random starts and from differential evolution.
     """
-    from scipy.optimize import differential_evolution, least_squares
-
-    m, unit = count(parts), np.eye(len(M))
-
-    def nearest(v: Matrix) -> Matrix:
-        values = np.linalg.eigvals(unit - M @ assembled(parts, v[None], radius)[0])
-        value = values[np.abs(values).argmin()]
-        return np.array([value.real, value.imag])
-
-    def smallest(v: Matrix) -> Matrix:
-        values = np.linalg.eigvals(unit - M @ assembled(parts, v.T, radius))
-        return np.abs(values).min(axis=1)
+    from scipy.optimize import differential_evolution, least_squares, minimize
 
     largest = float(np.abs(M).max())
     if not largest:
         return None
     if not 1e-100 < largest < 1e100:  # by a power of two, which changes nothing but the size of Delta
         scale = 2.0 ** -np.clip(np.rint(np.log2(largest)), -1000, 1000)
-        return _rescaled(singular_inside(M * scale, parts, radius / scale, rng), scale)
+        found = singular_inside(M * scale, parts, radius / scale, rng)
+        return None if found is None else found * scale
+    m = count(parts)
 
-    found: list[Matrix] = []
+    def eigenvalues(v: Matrix) -> Matrix:
+        return np.linalg.eigvals(M @ assembled(parts, v, radius, smooth=True))
+
+    def nearest(v: Matrix) -> Matrix:
+        values = 1 - eigenvalues(v[None])[0]
+        value = values[np.abs(values).argmin()]
+        return np.array([value.real, value.imag])
+
+    def smallest(v: Matrix) -> Matrix:
+        return np.abs(1 - eigenvalues(v.T)).min(axis=1)
+
+    met: list[Matrix] = []
+    guesses = [3 * rng.standard_normal(m) for _ in range(3)]
     if all(b.kind == "real" for b in parts) and len(parts) <= 8:
         bits = 1.0 - 2.0 * ((np.arange(2 ** len(parts))[:, None] >> np.arange(len(parts))) & 1)
         corners = assembled(parts, bits, radius)
         values = np.linalg.eigvals(M @ corners)
-        real = np.abs(values.imag) <= 1e-13 * np.abs(values)
-        best = np.where(real, values.real, 0.0).max(axis=1)
+        best = np.where(np.abs(values.imag) <= 1e-13 * np.abs(values), values.real, 0.0).max(axis=1)
         k = int(best.argmax())
         if best[k] >= 1:
-            found.append(corners[k] / best[k])
-    guesses = [rng.uniform(-1, 1, m) * 1.2 for _ in range(3)]
+            met.append(corners[k] / best[k])
+    if all(b.kind != "real" for b in parts):
+        for guess in guesses[:2]:  # any phase can be turned away
+
+            def size(v: Matrix) -> float:
+                return -float(np.log(np.abs(eigenvalues(v[None])).max() + 1e-300))
+
+            end = assembled(parts, minimize(size, guess, method="L-BFGS-B", options={"maxiter": 25}).x[None], radius)[0]
+            values = np.linalg.eigvals(M @ end)
+            value = values[np.abs(values).argmax()]
+            if abs(value) >= 1:
+                met.append(end / value)
     if m <= 8:
         options = {"maxiter": 20, "popsize": 6, "polish": False, "vectorized": True, "updating": "deferred"}
-        guesses.append(differential_evolution(smallest, [(-1.2, 1.2)] * m, rng=rng, **options).x)
+        guesses.append(differential_evolution(smallest, [(-4, 4)] * m, rng=rng, **options).x)
     for guess in guesses:
         end = least_squares(nearest, guess, method="trf", max_nfev=25, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         if np.hypot(*end.fun) <= 1e-9:
-            found.append(assembled(parts, end.x[None], radius)[0])
-    for delta in found:
+            met.append(assembled(parts, end.x[None], radius, smooth=True)[0])
+    for delta in met:
         moved, at = distance_to_singular(M, parts, delta)
-        size = block_norm(parts, at)
-        if moved < 1e-3 and size < radius:
-            return size
+        size_at = block_norm(parts, at)
+        if moved < 1e-3 and size_at < radius:
+            return size_at
     return None
 
 

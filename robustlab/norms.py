@@ -14,7 +14,16 @@ from robustlab.matrix_equations import gramians
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
-__all__ = ["H2Norm", "HinfNorm", "bilinear_to_continuous", "bilinear_to_discrete", "h2_norm", "hinf_norm"]
+__all__ = [
+    "QUIET",
+    "H2Norm",
+    "HinfNorm",
+    "bilinear_to_continuous",
+    "bilinear_to_discrete",
+    "gain_rounding",
+    "h2_norm",
+    "hinf_norm",
+]
 
 Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
@@ -140,7 +149,8 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     if blind:
         trusted, reason = False, f"the peak at {omega:.6g} rad/s is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
-    error = float(_rounding(m, np.array([omega]))[0])
+    point = np.exp(1j * omega * m.dt) if m.is_discrete else 1j * omega if np.isfinite(omega) else np.inf
+    error = gain_rounding(m.A, m.B, m.C, m.D, complex(point))
     if error > LOUD * attained:
         trusted, reason = False, f"rounding alone may move the gain at the peak by {error:.2g}: digits were lost"
         upper += error
@@ -149,21 +159,18 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     return HinfNorm(lower, omega, lower, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 
 
-def _rounding(m: StateSpaceModel, omega: Array) -> Array:
-    r"""Bound of the rounding errors of ``sigma_max`` at each frequency, to first order, shape (n_omega,).
+def gain_rounding(A: Array, B: Array, C: Array, D: Array, s: complex) -> float:
+    r"""Bound of the rounding error of ``sigma_max(C (sI - A)^{-1} B + D)``, to first order; s may be infinite.
 
     With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
     ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that.
     """
-    finite = np.isfinite(omega)
-    n, D = m.n_states, np.abs(m.D)
-    error = np.broadcast_to(D, (len(omega), *D.shape)).copy()
-    point = np.exp(1j * omega[finite] * m.dt) if m.is_discrete else 1j * omega[finite]
-    F = point[:, None, None] * np.eye(n) - m.A
-    inverse = np.linalg.inv(F)
-    X, terms = np.abs(inverse @ m.B), np.abs(m.A) + np.abs(point)[:, None, None] * np.eye(n)
-    error[finite] += np.abs(m.C) @ (X + np.abs(inverse) @ (terms @ X + np.abs(m.B)))
-    return n * EPS * np.linalg.norm(error, axis=(1, 2))
+    n, error = len(A), np.abs(D)
+    if n and np.isfinite(s):
+        inverse = np.linalg.inv(s * np.eye(n) - A)
+        X, terms = np.abs(inverse @ B), np.abs(A) + abs(s) * np.eye(n)
+        error = error + np.abs(C) @ (X + np.abs(inverse) @ (terms @ X + np.abs(B)))
+    return max(n, 1) * EPS * float(np.linalg.norm(error))
 
 
 def _unstable(m: StateSpaceModel) -> HinfNorm | None:
