@@ -53,6 +53,8 @@ ROUNDS = 12
 # Structures of so few real blocks alone get scattered starts as well, so many.
 FEW = 5
 SCATTERED = 48
+# The farthest that rows and columns are scaled: what lies beyond it is none, and two such factors do not overflow.
+FARTHEST = 2.0**500
 # Numbers that one stack of paths may hold.
 STACK = 4_000_000
 
@@ -128,7 +130,9 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
     for _ in range(3):
         scale_rows /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=1))
+        scale_rows = np.clip(scale_rows, 1 / FARTHEST, FARTHEST)
         scale_cols /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=0))
+        scale_cols = np.clip(scale_cols, 1 / FARTHEST, FARTHEST)
     u, sigma, vh = np.linalg.svd(loop * scale_rows[:, None] * scale_cols)
     y, x, smallest = scale_rows * u[:, -1], scale_cols * np.conj(vh[-1]), sigma[-1]
     rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)

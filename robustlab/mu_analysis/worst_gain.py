@@ -189,9 +189,10 @@ def _with_blocks(
         return _result(uncertain, nominal, known, ("a member of the set is unstable",), grid)
     known = _largest_member(uncertain, model, blocks, seeds, seed)
     _prove(known, model, blocks, seeds, tolerance, until, uncertain)
-    error = _rounding(known, uncertain)
-    if error > QUIET * known.lower:
-        known.lower = max(known.lower - error, 0.0)
+    with np.errstate(all="ignore"):
+        error = _rounding(known, uncertain)
+    if not error <= QUIET * known.lower:
+        known.lower = max(known.lower - error, 0.0) if np.isfinite(error) else 0.0
     return _result(uncertain, nominal, known, known.notes, grid, model, blocks, seed)
 
 

@@ -35,6 +35,18 @@ def test_real_mu_of_a_nearly_defective_matrix():
     assert run_case(make_case(1, 38))["outcome"] == "held"
 
 
+def test_mu_of_a_matrix_with_denormal_entries():
+    # a bare LinAlgError of the singular values; by hand: both scalars are one, mu is the larger eigenvalue's modulus
+    data = {"matrix": np.array([[1.5 - 2j, 2e-322], [2e-322, -1.0]]), "parts": (Part("complex", 2, 2),)}
+    record = run_case(Case(0, 0, "mu", "denormals and huge entries", data))
+    assert record["outcome"] == "held"
+    assert abs(record["figures"]["lower"] - 2.5) < 1e-8
+
+
+def test_gain_of_a_member_whose_response_loses_digits():
+    assert run_case(make_case(3, 429))["outcome"] == "held"
+
+
 # --- the judge on closed forms ---------------------------------------------------------------------------------------
 
 
