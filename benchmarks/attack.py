@@ -182,7 +182,7 @@ def run_case(case: Case, between: Any = None) -> Record:
     return record
 
 
-def _work(pipe: Connection) -> None:
+def _work(pipe: Connection, limit: int, judge_limit: int) -> None:
     """Cases until the pipe closes, each under its limit of CPU time: the kernel ends a call that takes more."""
 
     def allow(seconds: int) -> None:
@@ -192,11 +192,11 @@ def _work(pipe: Connection) -> None:
 
     def judged(record: Record) -> None:
         pipe.send(("judging", record))
-        allow(JUDGE_LIMIT)
+        allow(judge_limit)
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     while (task := pipe.recv()) is not None:
-        allow(LIMIT)
+        allow(limit)
         try:
             record = run_case(make_case(*task), judged)
         except Exception as error:  # noqa: BLE001 - a fault of the judge is not one of what it judges
@@ -207,12 +207,13 @@ def _work(pipe: Connection) -> None:
 class Worker:
     """A process that takes cases one by one and is replaced where one of them ends it."""
 
-    def __init__(self) -> None:
+    def __init__(self, limit: int = LIMIT) -> None:
+        self.limit = limit
         self._start()
 
     def _start(self) -> None:
         self.pipe, far = get_context("spawn").Pipe()
-        self.process = get_context("spawn").Process(target=_work, args=(far,), daemon=False)
+        self.process = get_context("spawn").Process(target=_work, args=(far, self.limit, JUDGE_LIMIT))
         self.process.start()
         far.close()
 
@@ -224,7 +225,7 @@ class Worker:
         judging: Record | None = None
         while True:
             try:
-                if not self.pipe.poll(20 * (LIMIT + JUDGE_LIMIT)):  # asleep: no CPU time, no answer
+                if not self.pipe.poll(20 * (self.limit + JUDGE_LIMIT)):  # asleep: no CPU time, no answer
                     self.process.kill()
                 kind, record = self.pipe.recv()
             except EOFError:
@@ -234,8 +235,8 @@ class Worker:
                 if judging is not None:
                     return known | judging | {"outcome": "judge failed", "said": f"ended with {code}"}
                 hung = code in (-24, -9)  # SIGXCPU
-                said = f"more than {LIMIT} s of CPU time" if hung else f"the process ended with {code}"
-                return known | {"outcome": "hang" if hung else "crash", "said": said, "cpu": float(LIMIT)}
+                said = f"more than {self.limit} s of CPU time" if hung else f"the process ended with {code}"
+                return known | {"outcome": "hang" if hung else "crash", "said": said, "cpu": float(self.limit)}
             if kind == "done":
                 return known | record
             judging = record
