@@ -259,21 +259,27 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
     lower, upper = claim["lower"], claim["upper"]
     if lower > upper:
         yield f"FALSE: lower {lower!r} above upper {upper!r}"
-    size = float(np.abs(M).max()) or 1.0
     if 0 < upper < np.inf:
         if not scalings_fit(parts, claim["D"], claim["D_z"], claim["G"]):
             yield "FALSE: D, G do not have the structure"
         elif not proves(M, claim["D"], claim["D_z"], claim["G"], upper):
             yield f"FALSE: D, G do not prove the upper bound {upper:.9g}"
-    # An upper bound of zero says that nothing is singular: a ball as large as sensible is tried.
-    radius = (1 - 1e-7) / upper if upper > 0 else 1e3 / size
-    if np.isfinite(upper) and (found := singular_inside(M, parts, radius, rng)):
-        yield f"FALSE: a singular Delta of size {found:.9g}, upper bound {upper:.9g}"
+    # M of size one, by a power of two, so that no radius overflows. An upper bound of zero says that nothing is
+    # singular: a ball as large as sensible is tried.
+    exponent = int(np.frexp(np.abs(M).max())[1])
+    unit = np.ldexp(M.real, -exponent) + 1j * np.ldexp(M.imag, -exponent)
+    top = float(np.ldexp(upper, -exponent))
+    radius = min((1 - 1e-7) / top, 1e60) if top > 0 else 1e3
+    if np.isfinite(upper) and unit.any() and (found := singular_inside(unit, parts, radius, rng)):
+        yield f"FALSE: a singular Delta of size {found:.9g} times 2^{-exponent}, upper bound {upper:.9g}"
     if lower <= 0:
         if upper > 0:
             yield "note: no Delta found"
         return
     delta = claim["delta"]
+    if not np.isfinite(delta).all():
+        yield "FALSE: Delta is not finite"
+        return
     moved, _ = distance_to_singular(M, parts, delta)
     if not structure_holds(parts, delta):
         yield "FALSE: Delta does not have the structure"

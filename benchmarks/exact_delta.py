@@ -242,18 +242,11 @@ def last_places(M: Matrix, delta: Matrix) -> float:
 def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.random.Generator) -> float | None:
     """Size of an exactly singular Delta within this radius that brute force finds, or None.
 
-    All vertices of real numbers; the largest spectral radius of ``M Delta`` where every block is complex; least squares
+    M is of moderate size. All vertices of real numbers; the largest spectral radius of ``M Delta`` where every block is complex; least squares
     for an eigenvalue of one from random starts and from differential evolution.
     """
     from scipy.optimize import differential_evolution, least_squares, minimize
 
-    largest = float(np.abs(M).max())
-    if not largest:
-        return None
-    if not 1e-100 < largest < 1e100:  # by a power of two, which changes nothing but the size of Delta
-        scale = 2.0 ** -np.clip(np.rint(np.log2(largest)), -1000, 1000)
-        found = singular_inside(M * scale, parts, radius / scale, rng)
-        return None if found is None else found * scale
     m = count(parts)
 
     def eigenvalues(v: Matrix) -> Matrix:

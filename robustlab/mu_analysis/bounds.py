@@ -144,15 +144,19 @@ def mu(
     lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
     if (lower > upper).any():
         raise _contradiction(int(np.argmax(lower - upper)), lower, upper)
+    size = scale[:, None, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        delta = _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size
+    beyond = ~np.isfinite(delta).all(axis=(1, 2))  # M is so small that no floats hold such a Delta: none was found
+    lower, delta[beyond] = np.where(beyond, 0.0, lower), 0.0
     sure = np.isfinite(upper).all()
     attained = ((lower > 0) | (upper == 0)).all()
     status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
-    size = scale[:, None, None]
     parts: dict[str, Any] = {
         "lower": lower / scale,
         "upper": upper / scale,
         "scaled": upper / scale,
-        "delta": _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size,
+        "delta": delta,
         "D": _stacked([b.Dw for b in uppers], (q, q)),
         "G": _stacked([b.G for b in uppers], (q, p)) / size,
         "D_z": _stacked([b.Dz for b in uppers], (p, p)),

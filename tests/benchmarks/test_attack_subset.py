@@ -43,6 +43,17 @@ def test_mu_of_a_matrix_with_denormal_entries():
     assert abs(record["figures"]["lower"] - 2.5) < 1e-8
 
 
+def test_mu_below_the_inverse_of_the_largest_float():
+    # A Delta of size 1e322 was given, whose entries were infinite, as one that is singular.
+    data = {"matrix": np.array([[1.2e-322]]) + 0j, "parts": (Part("complex", 1, 1),)}
+    case = Case(0, 0, "mu", "denormals and huge entries", data)
+    bounds = call(case)
+    assert bounds.lower == 0
+    assert np.isfinite(bounds.delta).all()
+    assert bounds.upper >= 1.2e-322
+    assert run_case(case)["outcome"] == "held"
+
+
 def test_gain_of_a_member_whose_response_loses_digits():
     assert run_case(make_case(3, 429))["outcome"] == "held"
 
