@@ -242,8 +242,8 @@ def last_places(M: Matrix, delta: Matrix) -> float:
 def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.random.Generator) -> float | None:
     """Size of an exactly singular Delta within this radius that brute force finds, or None.
 
-    M is of moderate size. All vertices of real numbers; the largest spectral radius of ``M Delta`` where every block is complex; least squares
-    for an eigenvalue of one from random starts and from differential evolution.
+    M is of moderate size. All vertices of real numbers; the largest spectral radius of ``M Delta`` where every block is
+    complex; least squares for an eigenvalue of one from random starts and from differential evolution.
     """
     from scipy.optimize import differential_evolution, least_squares, minimize
 

@@ -153,9 +153,9 @@ def mu(
     attained = ((lower > 0) | (upper == 0)).all()
     status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
     parts: dict[str, Any] = {
-        "lower": lower / scale,
-        "upper": upper / scale,
-        "scaled": upper / scale,
+        "lower": _outward(lower, scale, 0.0),
+        "upper": _outward(upper, scale, np.inf),
+        "scaled": _outward(upper, scale, np.inf),
         "delta": delta,
         "D": _stacked([b.Dw for b in uppers], (q, q)),
         "G": _stacked([b.G for b in uppers], (q, p)) / size,
@@ -173,6 +173,13 @@ def mu(
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
     return MuBounds(**parts, status=status, blocks=structure)
+
+
+def _outward(bound: NDArray[np.float64], scale: NDArray[np.float64], towards: float) -> NDArray[np.float64]:
+    """A bound in M's own size; where that is no float of full length, rounded to the safe side."""
+    own = bound / scale
+    unsafe = own * scale < bound if towards > 0 else own * scale > bound
+    return np.where(unsafe, np.nextafter(own, towards), own)
 
 
 def _close(
