@@ -65,7 +65,7 @@ def _rl_model(m: Model | None) -> Any:
 
 
 def _plain(m: Any) -> Model:
-    return Model(*(np.array(x) for x in (m.A, m.B, m.C, m.D)), m.dt)
+    return Model(np.array(m.A), np.array(m.B), np.array(m.C), np.array(m.D), m.dt)
 
 
 def _blocks(parts: Iterable[Part]) -> list[Any]:
@@ -89,7 +89,7 @@ def _delta(parts: tuple[Part, ...], values: Any) -> np.ndarray:
     row = col = 0
     for k, p in enumerate(parts):
         value = np.asarray(values.get(f"d{k}", 0.0), dtype=complex)
-        if p.kind == "real" and value.real < 0:
+        if p.kind == "real" and np.real(value) < 0:
             value = value * p.below
         block = value if value.ndim == 2 else value * np.eye(p.rows, p.cols)
         delta[row : row + p.rows, col : col + p.cols] = block

@@ -162,7 +162,8 @@ def repeated(w: Model, n: int) -> Model:
     """A weight of one channel on each of n; any other as it is."""
     if w.D.shape != (1, 1) or n == 1:
         return w
-    return Model(*(np.kron(np.eye(n), m) for m in w[:4]), w.dt)
+    A, B, C, D = (np.kron(np.eye(n), m) for m in w[:4])
+    return Model(A, B, C, D, w.dt)
 
 
 def _stable(loop: System) -> bool | None:

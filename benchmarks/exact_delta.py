@@ -282,7 +282,13 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
             if abs(value) >= 1:
                 met.append(end / value)
     if m <= 8:
-        options = {"maxiter": 20, "popsize": 6, "polish": False, "vectorized": True, "updating": "deferred"}
+        options: dict[str, Any] = {
+            "maxiter": 20,
+            "popsize": 6,
+            "polish": False,
+            "vectorized": True,
+            "updating": "deferred",
+        }
         guesses.append(differential_evolution(smallest, [(-4, 4)] * m, rng=rng, **options).x)
     for guess in guesses:
         end = least_squares(nearest, guess, method="trf", max_nfev=25, xtol=1e-15, ftol=1e-15, gtol=1e-15)
@@ -338,7 +344,7 @@ def instability(model: Model, deltas: Matrix) -> Matrix:
         return np.full(len(deltas), -1.0)
     if model.dt:
         return np.abs(found).max(axis=1) - 1
-    return (found.real / (np.abs(found) + 1e-300)).max(axis=1)
+    return (np.real(found) / (np.abs(found) + 1e-300)).max(axis=1)
 
 
 def unstable_inside(
@@ -358,7 +364,7 @@ def unstable_inside(
     if all(b.kind == "real" for b in parts) and m <= 7:
         tries.append(1.0 - 2.0 * ((np.arange(2**m)[:, None] >> np.arange(m)) & 1))
     points = np.concatenate(tries)
-    options = {"maxiter": 25, "popsize": 5, "polish": False, "vectorized": True, "updating": "deferred"}
+    options: dict[str, Any] = {"maxiter": 25, "popsize": 5, "polish": False, "vectorized": True, "updating": "deferred"}
 
     def worst(v: Matrix) -> Matrix:
         return -instability(model, assembled(parts, v.T, radius))

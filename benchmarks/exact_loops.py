@@ -169,7 +169,7 @@ def is_positive(n: Matrix) -> bool:
 
 def system(model: Model) -> System:
     """The model in balls."""
-    return System(*(exact(m) for m in model[:4]), model.dt > 0)
+    return System(exact(model.A), exact(model.B), exact(model.C), exact(model.D), model.dt > 0)
 
 
 # --- loops -----------------------------------------------------------------------------------------------------------
