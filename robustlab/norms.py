@@ -16,10 +16,12 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = [
+    "QUIET",
     "H2Norm",
     "HinfNorm",
     "bilinear_to_continuous",
     "bilinear_to_discrete",
+    "gain_rounding",
     "h2_norm",
     "hinf_norm",
     "norm_as_given",
@@ -35,6 +37,8 @@ ZOOM_POINTS, ZOOM_STEPS, ZOOM_PEAKS = 13, 8, 6
 OUTSIDE = 1e15
 # A bracket is left where the fall from its top to the points beside it, times this, no longer matters.
 ZOOM_RISE, ZOOM_FLAT = 4.0, 1e-9
+# Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified.
+QUIET, LOUD = 1e-9, 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,8 @@ class HinfNorm:
     lower
         ``sigma_max`` of the given model at ``frequency``, evaluated.
     upper
-        Level that no singular value crosses, by the Hamiltonian test; ``lower <= norm <= upper``.
+        Level that no singular value crosses, by the Hamiltonian test; ``lower <= norm <= upper``. Where rounding may
+        move the gain at the peak by more than 1e-9 of it, both ends are that much further out.
     status
         CERTIFIED, or INACCURATE where rounding leaves the sign of a pole or a level test open.
     reason
@@ -170,8 +175,16 @@ def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
     if blind:
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
-    upper = max(upper, attained)
-    return HinfNorm(attained, omega, attained, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
+    lower, upper = attained, max(upper, attained)
+    point = np.exp(1j * omega * m.dt) if m.is_discrete else 1j * omega if np.isfinite(omega) else np.inf
+    error = gain_rounding(m.A, m.B, m.C, m.D, complex(point))
+    if error > LOUD * attained:
+        share = error / attained if attained else np.inf
+        trusted, reason = False, f"rounding alone may move the gain at the peak by {share:.2g} of it: digits were lost"
+        upper += error
+    elif error > QUIET * attained:
+        lower, upper = attained - error, upper + error
+    return HinfNorm(lower, omega, lower, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
 
 
 def _unstable(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:

@@ -177,15 +177,19 @@ def _bounds(
     lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
     if (lower > upper).any():
         raise _contradiction(int(np.argmax(lower - upper)), lower, upper)
+    size = scale[:, None, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        delta = _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size
+    beyond = ~np.isfinite(delta).all(axis=(1, 2))  # M is so small that no floats hold such a Delta: none was found
+    lower, delta[beyond] = np.where(beyond, 0.0, lower), 0.0
     sure = np.isfinite(upper).all()
     attained = ((lower > 0) | (upper == 0)).all()
     status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
-    size = scale[:, None, None]
     parts: dict[str, Any] = {
-        "lower": lower / scale,
-        "upper": upper / scale,
-        "scaled": upper / scale,
-        "delta": _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size,
+        "lower": _outward(lower, scale, 0.0),
+        "upper": _outward(upper, scale, np.inf),
+        "scaled": _outward(upper, scale, np.inf),
+        "delta": delta,
         "D": _stacked([b.Dw for b in uppers], (q, q)),
         "G": _stacked([b.G for b in uppers], (q, p)) / size,
         "D_z": _stacked([b.Dz for b in uppers], (p, p)),
@@ -193,6 +197,13 @@ def _bounds(
     if certify:
         _confirm(stack / size, parts, structure)
     return parts, status
+
+
+def _outward(bound: NDArray[np.float64], scale: NDArray[np.float64], towards: float) -> NDArray[np.float64]:
+    """A bound in M's own size; where that is no float of full length, rounded to the safe side."""
+    own = bound / scale
+    unsafe = own * scale < bound if towards > 0 else own * scale > bound
+    return np.where(unsafe, np.nextafter(own, towards), own)
 
 
 def _close(

@@ -53,6 +53,8 @@ ROUNDS = 12
 # Structures of so few real blocks alone get scattered starts as well, so many.
 FEW = 5
 SCATTERED = 48
+# The farthest that rows and columns are scaled: what lies beyond it is none, and two such factors do not overflow.
+FARTHEST = 2.0**500
 # Numbers that one stack of paths may hold.
 STACK = 4_000_000
 
@@ -130,7 +132,9 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
     for _ in range(3):
         scale_rows /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=1))
+        scale_rows = np.clip(scale_rows, 1 / FARTHEST, FARTHEST)
         scale_cols /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=0))
+        scale_cols = np.clip(scale_cols, 1 / FARTHEST, FARTHEST)
     u, sigma, vh = np.linalg.svd(loop * scale_rows[:, None] * scale_cols)
     y, x, smallest = scale_rows * u[:, -1], scale_cols * np.conj(vh[-1]), sigma[-1]
     rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
@@ -152,10 +156,11 @@ def _within_reach(
     """Whether a loop that is singular to rounding is so for a Delta within ``NEARBY``, or for M with other last bits.
 
     With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
-    jumps. That part has to be told from rounding by exact arithmetic: it counts as none where it is less than what
-    every entry of M may change by in its last place.
+    jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
+    exact arithmetic: the residual counts as none where it is less than what every entry of M may change by in its last
+    place.
     """
-    if not layout.real.all() or not (M.imag.any() or delta.imag.any()):
+    if not layout.real.all():
         return True
     gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
     size = float(np.abs(gains).sum())
@@ -163,10 +168,10 @@ def _within_reach(
     off = float(np.abs((gains * along).imag).sum())
     if off > 1e-6 * size:
         return True
-    reach = float(layout.sizes(delta[None]).max())
-    residual = abs((_exact_residual(M, delta, x, y) * along).imag)
+    reach = NEARBY * float(layout.sizes(delta[None]).max())
+    residual = _exact_residual(M, delta, x, y) * along
     last_places = EPS * float(np.abs(y) @ np.abs(M) @ np.abs(delta) @ np.abs(x))
-    return bool(residual <= max(NEARBY * off * reach, last_places))
+    return abs(residual.imag) <= max(off * reach, last_places) and abs(residual.real) <= max(size * reach, last_places)
 
 
 def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array) -> complex:

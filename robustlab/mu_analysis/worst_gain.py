@@ -28,10 +28,10 @@ from robustlab.mu_analysis.pole_migration import Destabilising, smallest_destabi
 from robustlab.mu_analysis.skew import skew_upper
 from robustlab.mu_analysis.stability import robust_stability
 from robustlab.mu_analysis.upper import compile_kernels, points_below, points_work
-from robustlab.norms import hinf_norm
+from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, delta_values
+from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
@@ -206,6 +206,10 @@ def _with_blocks(
         return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
     known = _largest_member(uncertain, model, blocks, seeds, seed)
     _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
+    with np.errstate(all="ignore"):
+        error = _rounding(known, uncertain)
+    if not error <= QUIET * known.lower:
+        known.lower = max(known.lower - error, 0.0) if np.isfinite(error) else 0.0
     return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
 
 
@@ -325,6 +329,19 @@ def _member_gain(
     chosen = gains[k]
     frequency = model_frequency(uncertain, float(at[k]))
     return _Known(0.0 if chosen is None else chosen.value, float("inf"), values, frequency)
+
+
+def _rounding(known: _Known, uncertain: UncertainModel) -> float:
+    """What rounding may have added to the lower bound; 0 where there is none."""
+    if not 0 < known.lower < np.inf or known.frequency is None:
+        return 0.0
+    M, delta = uncertain.M, np.asarray(delta_matrix(uncertain.blocks, known.delta))
+    q, p = delta.shape
+    left = delta @ np.linalg.inv(np.eye(p) - M.D[:p, :q] @ delta)
+    A, B = M.A + M.B[:, :q] @ left @ M.C[:p], M.B[:, q:] + M.B[:, :q] @ left @ M.D[:p, q:]
+    C, D = M.C[p:] + M.D[p:, :q] @ left @ M.C[:p], M.D[p:, q:] + M.D[p:, :q] @ left @ M.D[:p, q:]
+    s = np.exp(1j * known.frequency * M.dt) if M.is_discrete else 1j * known.frequency
+    return gain_rounding(A, B, C, D, complex(s) if np.isfinite(known.frequency) else complex(np.inf))
 
 
 def _mapped(uncertain: UncertainModel, omega: float) -> float:

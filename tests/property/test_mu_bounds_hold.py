@@ -112,7 +112,7 @@ def test_real_mu_jumps_and_its_lower_bound_with_it(eps):
 
 
 def nasty_matrices():
-    """A fixed part of the campaign in benchmarks/mu_attack.py."""
+    """A fixed part of the campaign in benchmarks/attack.py."""
     rng = np.random.default_rng(2026)
     for rows in ([[-1, 0]] * 6, [[-2, 0], [1, 0], [2, 2]], [[1, 2], [2, 1], [-1, 0]], [[3, 0], [-3, 0]]):
         blocks = as_blocks(rows)

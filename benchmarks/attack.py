@@ -1,0 +1,373 @@
+"""An attack on every certificate: nasty random cases, judged in balls of 200 digits by code that shares none with it.
+
+Families (`attack_cases`): stiff, nearly uncontrollable, huge D11, light damping with fast poles, Jordan blocks, near
+cancellations, denormal and huge entries, units, poles and zeros on the axis, ordinary; over hinf, mixsyn, h2, ncf,
+robust_stability (margin), worst_case_gain (gain), mu, and hinf_norm with h2_norm (norm). Case i of seed s needs no
+other case. The judge (`attack_verdicts`, `exact_loops`, `exact_delta`; needs python-flint) uses nothing of robustlab.
+
+A false certificate: a loop of K and P that is unstable, or whose norm (Hamiltonian in balls: all frequencies) or whose
+gain anywhere (P and K evaluated on their own) exceeds gamma by 1e-3, an H2 norm off by 1e-3; a bracket of a norm off by
+1e-6; D, G that do not prove their bound, a Delta that is not singular to within 1e-8, a singular or unstable Delta
+inside a proved ball (brute force, confirmed in balls), a gain above the proved one or a lower one that is not attained
+(1e-5). Crashes (any exception but a RobustlabError) and hangs (more CPU time than LIMIT) are listed beside them.
+
+How to run: a campaign in pieces, each of which may be stopped and started again (cases in the file are skipped)::
+
+    nice -n 10 python benchmarks/attack.py --seed 1 --first 0 --count 1000 --out attack-1.jsonl
+    nice -n 10 python benchmarks/attack.py --seed 2 --first 0 --count 1000 --out attack-2.jsonl
+    python benchmarks/attack.py --summary attack-1.jsonl attack-2.jsonl > benchmarks/results/attack.txt
+
+One case, with all that came out: ``python benchmarks/attack.py --seed 1 --case 17``; its plant, in Python with
+benchmarks/ on the path: ``attack_cases.make_case(1, 17).data``.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import re
+import resource
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Iterable
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from attack_cases import FAMILIES, FUNCTIONS, Case, make_case
+from attack_verdicts import judge
+from exact_delta import Part, assembled, count
+from exact_loops import Model
+
+__all__ = ["attack", "claim_of", "run_case", "summary"]
+
+# CPU seconds that a call may take before it counts as hung, and that its judge may.
+LIMIT, JUDGE_LIMIT = 120, 300
+Record = dict[str, Any]
+
+
+# --- what is attacked ------------------------------------------------------------------------------------------------
+
+
+def _rl_model(m: Model | None) -> Any:
+    import robustlab as rl
+
+    return None if m is None else rl.StateSpaceModel(*m[:4], dt=m.dt)
+
+
+def _plain(m: Any) -> Model:
+    return Model(np.array(m.A), np.array(m.B), np.array(m.C), np.array(m.D), m.dt)
+
+
+def _blocks(parts: Iterable[Part]) -> list[Any]:
+    import robustlab as rl
+
+    made: list[Any] = []
+    for k, p in enumerate(parts):
+        if p.kind == "real":
+            scale = None if p.below == 1 else rl.ParameterRange(0.0, 1.0, below=p.below)
+            made.append(rl.RealScalar(f"d{k}", p.rows, scale))
+        else:
+            made.append(
+                rl.FullBlock(f"d{k}", p.rows, p.cols) if p.kind == "full" else rl.ComplexScalar(f"d{k}", p.rows)
+            )
+    return made
+
+
+def _delta(parts: tuple[Part, ...], values: Any) -> np.ndarray:
+    """Delta from one value per block name."""
+    delta = assembled(parts, np.zeros((1, count(parts))), 1.0)[0]
+    row = col = 0
+    for k, p in enumerate(parts):
+        value = np.asarray(values.get(f"d{k}", 0.0), dtype=complex)
+        if p.kind == "real" and np.real(value) < 0:
+            value = value * p.below
+        block = value if value.ndim == 2 else value * np.eye(p.rows, p.cols)
+        delta[row : row + p.rows, col : col + p.cols] = block
+        row, col = row + p.rows, col + p.cols
+    return delta
+
+
+def call(case: Case) -> Any:
+    """The function on its case, with its default settings."""
+    import robustlab as rl
+    from robustlab.norms import h2_norm
+
+    data = case.data
+    if case.function in ("hinf", "h2"):
+        return getattr(rl, case.function)(_rl_model(data["P"]), data["n_meas"], data["n_con"])
+    if case.function == "mixsyn":
+        return rl.mixsyn(*(_rl_model(data[k]) for k in ("G", "W1", "W2", "W3")))
+    if case.function == "ncf":
+        return rl.ncf(*(_rl_model(data[k]) for k in ("G", "W1", "W2")))
+    if case.function == "mu":
+        return rl.mu(data["matrix"], _blocks(data["parts"]))
+    if case.function == "norm":
+        G = _rl_model(data["G"])
+        return rl.hinf_norm(G), h2_norm(G)
+    uncertain = rl.UncertainModel(_rl_model(data["M"]), _blocks(data["parts"]))
+    return rl.robust_stability(uncertain) if case.function == "margin" else rl.worst_case_gain(uncertain)
+
+
+def claim_of(case: Case, result: Any) -> dict[str, Any]:
+    """What was said, as plain numbers and arrays."""
+    if case.function == "norm":
+        norm, h2 = result
+        claim = {key: getattr(norm, key) for key in ("lower", "upper", "frequency")}
+        said = {"trusted": norm.status.trustworthy, "h2": h2.value, "h2_trusted": h2.status.trustworthy}
+        return claim | said | {"status": f"{norm.status}, {h2.status}"}
+    claim = {"status": str(result.status), "trusted": result.status.trustworthy}
+    if case.function in ("hinf", "mixsyn", "h2", "ncf"):
+        claim |= {"gamma": result.gamma, "K": _plain(result.K)}
+        bound = getattr(result, "lower_bound", None)
+        claim["lower_bound"] = bound.value if bound is not None and bound.proved else 0.0
+        if case.function == "ncf":
+            claim["K_shaped"] = _plain(result.K_shaped)
+        return claim
+    claim |= {"lower": result.lower, "upper": result.upper}
+    if case.function == "mu":
+        return claim | {key: np.array(getattr(result, key)) for key in ("delta", "D", "D_z", "G")}
+    claim |= {"delta": _delta(case.data["parts"], result.delta), "frequency": result.frequency}
+    pieces = [p for p in result.proof if hasattr(p, "members")]  # else regions of branch and bound
+    claim["pieces"] = [(p.members, p.low, p.high, p.beta, p.bound.Dw, p.bound.Dz, p.bound.G) for p in pieces]
+    return claim
+
+
+# --- a case ----------------------------------------------------------------------------------------------------------
+
+
+def run_case(case: Case, between: Any = None) -> Record:
+    """Call and judge one case; ``between`` is told when the call is over."""
+    from robustlab.errors import RobustlabError
+
+    record: Record = {"seed": case.seed, "index": case.index, "function": case.function, "family": case.family}
+    model = case.model
+    record["size"] = len(case.data["matrix"]) if model is None else len(model.A)
+    record["discrete"] = model is not None and model.dt > 0
+    begin = time.process_time()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            claim = claim_of(case, call(case))
+    except RobustlabError as error:
+        record |= {"outcome": "refused", "said": str(error).splitlines()[0], "kind": type(error).__name__}
+        return record | {"cpu": time.process_time() - begin}
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is told and the campaign goes on
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        inside = [f for f in traceback.extract_tb(error.__traceback__) if "robustlab/" in f.filename] or [where]
+        at = f"{Path(inside[-1].filename).name}:{inside[-1].lineno}"
+        record |= {"outcome": "crash", "said": f"{type(error).__name__} {error} ({at})"}
+        return record | {"cpu": time.process_time() - begin}
+    record["cpu"] = time.process_time() - begin
+    if between is not None:
+        between(record)
+    begin = time.process_time()
+    rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.index, 1)))
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        findings = judge(case, claim, rng)
+    record |= {"status": claim["status"], "judge_cpu": time.process_time() - begin, "findings": findings}
+    record["figures"] = {k: claim[k] for k in ("gamma", "lower", "upper", "h2") if k in claim}
+    false = any(f.startswith("FALSE") for f in findings)
+    record["outcome"] = "false" if false else "held" if claim["trusted"] else "not certified"
+    return record
+
+
+def _work(pipe: Connection, limit: int, judge_limit: int) -> None:
+    """Cases until the pipe closes, each under its limit of CPU time: the kernel ends a call that takes more."""
+
+    def allow(seconds: int) -> None:
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        soft = int(used.ru_utime + used.ru_stime) + seconds + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.getrlimit(resource.RLIMIT_CPU)[1]))
+
+    def judged(record: Record) -> None:
+        pipe.send(("judging", record))
+        allow(judge_limit)
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    while (task := pipe.recv()) is not None:
+        allow(limit)
+        try:
+            record = run_case(make_case(*task), judged)
+        except Exception as error:  # noqa: BLE001 - a fault of the judge is not one of what it judges
+            record = {"outcome": "judge failed", "said": "".join(traceback.format_exception(error)[-4:])}
+        pipe.send(("done", record))
+
+
+class Worker:
+    """A process that takes cases one by one and is replaced where one of them ends it."""
+
+    def __init__(self, limit: int = LIMIT) -> None:
+        self.limit = limit
+        self._start()
+
+    def _start(self) -> None:
+        self.pipe, far = get_context("spawn").Pipe()
+        self.process = get_context("spawn").Process(target=_work, args=(far, self.limit, JUDGE_LIMIT))
+        self.process.start()
+        far.close()
+
+    def run(self, seed: int, index: int) -> Record:
+        """The record of one case, also where it never came back."""
+        case = make_case(seed, index)
+        known: Record = {"seed": seed, "index": index, "function": case.function, "family": case.family}
+        self.pipe.send((seed, index))
+        judging: Record | None = None
+        while True:
+            try:
+                if not self.pipe.poll(20 * (self.limit + JUDGE_LIMIT)):  # asleep: no CPU time, no answer
+                    self.process.kill()
+                kind, record = self.pipe.recv()
+            except EOFError:
+                self.process.join()
+                code = self.process.exitcode
+                self._start()
+                if judging is not None:
+                    return known | judging | {"outcome": "judge failed", "said": f"ended with {code}"}
+                hung = code in (-24, -9)  # SIGXCPU
+                said = f"more than {self.limit} s of CPU time" if hung else f"the process ended with {code}"
+                return known | {"outcome": "hang" if hung else "crash", "said": said, "cpu": float(self.limit)}
+            if kind == "done":
+                return known | record
+            judging = record
+
+    def close(self) -> None:
+        """End the process."""
+        self.pipe.send(None)
+        self.process.join()
+
+
+def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] = ()) -> None:
+    """Run cases first .. first + number - 1 of a seed that are not in the file yet; append a line for each."""
+    known = {(r["seed"], r["index"]) for r in read([out])} if out.exists() else set()
+    worker = Worker()
+    try:
+        for index in range(first, first + number):
+            function = FUNCTIONS[index % len(FUNCTIONS)]
+            if (seed, index) in known or (only and function not in only):
+                continue
+            record = worker.run(seed, index)
+            with out.open("a") as file:
+                file.write(json.dumps(record, default=float) + "\n")
+            if record["outcome"] not in ("held", "refused", "not certified"):
+                print(line_of(record), flush=True)
+    finally:
+        worker.close()
+
+
+# --- the table -------------------------------------------------------------------------------------------------------
+
+
+def read(files: Iterable[Path]) -> list[Record]:
+    """Records of all files; the last one where a case is met twice."""
+    records: dict[tuple[int, int], Record] = {}
+    for path in files:
+        for line in path.read_text().splitlines():
+            try:
+                record = json.loads(line)
+            except json.JSONDecodeError:  # the line that a kill cut short
+                continue
+            records[record["seed"], record["index"]] = record
+    return list(records.values())
+
+
+def line_of(record: Record) -> str:
+    """One line about a case, and a line for each finding."""
+    head = (
+        f"seed {record['seed']} case {record['index']}: {record['function']}, {record['family']}: {record['outcome']}"
+    )
+    lines = [head + (f": {record['said']}" if record.get("said") else "")]
+    return "\n".join([*lines, *(f"    {f}" for f in record.get("findings", []))])
+
+
+OUTCOMES = ("held", "not certified", "refused", "false", "crash", "hang", "judge failed")
+
+
+def summary(records: list[Record]) -> str:
+    """The table of a campaign, all that was false, crashed or hung, and the refusals by kind."""
+    rows = [f"{'':28s}{'cases':>7s}" + "".join(f"{o:>15s}" for o in OUTCOMES) + f"{'CPU s':>9s}"]
+
+    def row(name: str, chosen: list[Record]) -> str:
+        number = Counter(r["outcome"] for r in chosen)
+        cpu = sum(r.get("cpu", 0.0) for r in chosen) / max(len(chosen), 1)
+        return f"{name:28s}{len(chosen):7d}" + "".join(f"{number[o]:15d}" for o in OUTCOMES) + f"{cpu:9.2f}"
+
+    for key, names in (("function", FUNCTIONS), ("family", FAMILIES)):
+        rows += [row(name, [r for r in records if r[key] == name]) for name in names] + [""]
+    rows += [row("all", records), "", "CPU s: mean of the calls, the judge on top.", ""]
+    seeds = sorted({r["seed"] for r in records})
+    discrete = sum(bool(r.get("discrete")) for r in records)
+    rows.append(f"seeds {', '.join(map(str, seeds))}; {discrete} discrete")
+    for title, outcome in (
+        ("False certificates", "false"),
+        ("Crashes", "crash"),
+        ("Hangs", "hang"),
+        ("Cases without a judgement", "judge failed"),
+    ):
+        listed = [line_of(r) for r in records if r["outcome"] == outcome]
+        rows += ["", f"{title}: {len(listed)}", *listed]
+    kinds = Counter(f"{r['function']}: {_kind(r['said'])}" for r in records if r["outcome"] == "refused")
+    rows += ["", "Refusals by kind:", *(f"{number:6d}  {kind}" for kind, number in kinds.most_common())]
+    notes = Counter(f"{r['function']}: {_kind(f)}" for r in records for f in r.get("findings", []) if f[:4] == "note")
+    rows += ["", "Notes:", *(f"{number:6d}  {note}" for note, number in notes.most_common())]
+    return "\n".join(rows)
+
+
+def _kind(text: str) -> str:
+    """A message without its numbers and names of states."""
+    text = re.sub(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?j?|\binf\b|\bnan\b", "#", text)
+    return re.sub(r"(#[^a-zA-Z(]*){2,}", "# ", text)[:150]
+
+
+def _header() -> str:
+    import platform
+    from importlib.metadata import version
+
+    import flint
+
+    processor = next(
+        (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        platform.machine(),
+    )
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("robustlab", "numpy", "scipy", "slycot"))
+    return (
+        f"# python benchmarks/attack.py, {time.strftime('%Y-%m-%d')}, {processor}, Python {platform.python_version()}, "
+        f"{libraries}, python-flint {flint.__version__}\n"
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; exit code 1 where a certificate is false."""
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=80)
+    parser.add_argument("--out", type=Path, default=Path("attack.jsonl"))
+    parser.add_argument("--only", action="append", default=[], choices=FUNCTIONS, help="this function; may be repeated")
+    parser.add_argument("--case", type=int, help="run this case here and print all of it")
+    parser.add_argument("--summary", type=Path, nargs="+", help="print the table of these files")
+    options = parser.parse_args(arguments)
+    if options.summary:
+        records = read(options.summary)
+        print(_header() + "\n" + summary(records))
+        return int(any(r["outcome"] == "false" for r in records))
+    if options.case is not None:
+        record = run_case(make_case(options.seed, options.case))
+        print(json.dumps(record, indent=1, default=float))
+        return int(record["outcome"] == "false")
+    attack(options.seed, options.first, options.count, options.out, tuple(options.only))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

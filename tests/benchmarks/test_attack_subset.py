@@ -1,0 +1,213 @@
+"""A small fixed part of the attack on certificates, the judge on closed forms, and lies that it has to catch."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("flint")
+
+from attack import call, claim_of, run_case
+from attack_cases import FAMILIES, FUNCTIONS, Case, make_case
+from attack_verdicts import judge
+from exact_delta import Part, distance_to_singular, member_is_stable, proves, singular_inside
+from exact_loops import Model, closed, exact, gain, h2_norm, is_stable, norm_is_below, response, system, with_precision
+
+# Half of a round through all families and functions, like a chess board.
+SUBSET = [k for k in range(80) if (k // len(FUNCTIONS) + k % len(FUNCTIONS)) % 2 == 0]
+LAG = Model(*map(np.array, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]])))
+
+
+@pytest.mark.parametrize("index", SUBSET)
+def test_no_certificate_of_the_subset_is_false(index):
+    record = run_case(make_case(1, index))
+    assert record["outcome"] in ("held", "refused", "not certified"), record
+
+
+# --- what the attack has found ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("index", [311, 511])
+def test_rounding_at_the_peak_counts_in_a_norm(index):
+    # Poles 1e-11 from the axis beside fast ones: the gain was off by 2e-5 and 1e-6 and certified to 1e-6.
+    assert run_case(make_case(2, index))["outcome"] != "false"
+
+
+def test_real_mu_of_a_nearly_defective_matrix():
+    assert run_case(make_case(1, 38))["outcome"] == "held"
+
+
+def test_mu_of_a_matrix_with_denormal_entries():
+    # a bare LinAlgError of the singular values; by hand: both scalars are one, mu is the larger eigenvalue's modulus
+    data = {"matrix": np.array([[1.5 - 2j, 2e-322], [2e-322, -1.0]]), "parts": (Part("complex", 2, 2),)}
+    record = run_case(Case(0, 0, "mu", "denormals and huge entries", data))
+    assert record["outcome"] == "held"
+    assert abs(record["figures"]["lower"] - 2.5) < 1e-8
+
+
+def test_mu_below_the_inverse_of_the_largest_float():
+    # A Delta of size 1e322 was given, whose entries were infinite, as one that is singular.
+    data = {"matrix": np.array([[1.2e-322]]) + 0j, "parts": (Part("complex", 1, 1),)}
+    case = Case(0, 0, "mu", "denormals and huge entries", data)
+    bounds = call(case)
+    assert bounds.lower == 0
+    assert np.isfinite(bounds.delta).all()
+    assert bounds.upper >= 1.2e-322
+    assert run_case(case)["outcome"] == "held"
+
+
+def test_gain_of_a_member_whose_response_loses_digits():
+    assert run_case(make_case(3, 429))["outcome"] == "held"
+
+
+# --- the judge on closed forms ---------------------------------------------------------------------------------------
+
+
+def exactly(test):
+    return with_precision(test)
+
+
+@pytest.mark.parametrize(
+    ("A", "dt", "stable"),
+    [
+        ([[-1.0, 1e6], [0.0, -1.0]], 0, True),
+        ([[0.0, 1.0], [0.0, -1.0]], 0, False),  # an integrator
+        ([[-5e-324, 1.0], [0.0, -1.0]], 0, True),
+        ([[1e-300, 1e300], [0.0, -1.0]], 0, False),
+        ([[0.0, 1.0], [-1.0, -1e-200]], 0, True),
+        ([[0.0, 1.0], [-1.0, 1e-200]], 0, False),
+        ([[1 - 2**-53, 1.0], [0.0, 0.5]], 1, True),
+        ([[1.0, 1.0], [0.0, 0.5]], 1, False),
+        ([[-1.0]], 1, False),
+        ([[1j * 3 - 1]], 0, True),
+        ([[1j * 3 + 1e-30]], 0, False),
+    ],
+)
+def test_stability_is_exact(A, dt, stable):
+    assert (exactly(lambda: is_stable(exact(np.array(A)), dt > 0)) is True) == stable
+
+
+@pytest.mark.parametrize("zeta", [0.3, 1e-4, 1e-9])
+def test_norm_of_an_oscillator(zeta):
+    model = Model(*map(np.array, ([[0.0, 1.0], [-1.0, -2 * zeta]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])))
+    peak = 1 / (2 * zeta * np.sqrt(1 - zeta**2))
+    assert exactly(lambda: norm_is_below(system(model), peak * (1 + 1e-12))) is True
+    assert exactly(lambda: norm_is_below(system(model), peak * (1 - 1e-12))) is False
+    omega = np.sqrt(1 - 2 * zeta**2)
+    assert abs(float(exactly(lambda: gain(response(model, omega)))) / peak - 1) < 1e-6
+    assert abs(float(exactly(lambda: h2_norm(system(model)))) / np.sqrt(1 / (4 * zeta)) - 1) < 1e-12
+
+
+def test_norms_of_a_discrete_lag():
+    model = Model(*map(np.array, ([[0.5]], [[1.0]], [[1.0]], [[0.0]])), 0.1)
+    assert exactly(lambda: norm_is_below(system(model), 2 + 1e-12)) is True
+    assert exactly(lambda: norm_is_below(system(model), 2 - 1e-12)) is False
+    assert abs(float(exactly(lambda: h2_norm(system(model)))) - np.sqrt(4 / 3)) < 1e-14
+
+
+def test_loop_of_a_lag():
+    # dx = -x + w + u, z = y = x, u = -3 y: a lag of 1 / (s + 4)
+    P = Model(*map(np.array, ([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)).tolist())))
+    K = Model(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[-3.0]]))
+    assert exactly(lambda: norm_is_below(closed(system(P), system(K)), 0.25 + 1e-12)) is True
+    assert exactly(lambda: norm_is_below(closed(system(P), system(K)), 0.25 - 1e-12)) is False
+
+
+def test_singular_deltas():
+    M, parts = np.array([[0, 4.0], [1.0, 0]]) + 0j, (Part("complex", 1, 1), Part("complex", 1, 1))
+    delta = np.diag([0.5, 0.5]) + 0j
+    assert distance_to_singular(M, parts, delta)[0] < 1e-15
+    assert 1e-7 < distance_to_singular(M, parts, delta * (1 + 1e-6))[0] < 1e-5
+    rng = np.random.default_rng(0)
+    assert singular_inside(M, parts, 0.499, rng) is None
+    assert abs(singular_inside(M, parts, 0.51, rng) - 0.505) < 0.0051
+    D = np.diag([1.0, 4.0]) + 0j
+    assert proves(M, D, D, np.zeros((2, 2)) + 0j, 2 * (1 + 1e-12))
+    assert not proves(M, D, D, np.zeros((2, 2)) + 0j, 2 * (1 - 1e-12))
+
+
+def test_members():
+    # A + B delta C = -1 + delta
+    assert member_is_stable(LAG, np.array([[1 - 2**-53]]))
+    assert not member_is_stable(LAG, np.array([[1.0]]))
+    assert not member_is_stable(LAG, np.array([[1 + 1e-15 + 1j]]))
+
+
+def test_cases_need_no_other_case():
+    assert [make_case(1, k).function for k in range(8)] == list(FUNCTIONS)
+    assert {make_case(1, 8 * k).family for k in range(10)} == set(FAMILIES)
+    one, two = make_case(1, 77), make_case(1, 77)
+    assert all(np.array_equal(a, b) for a, b in zip(one.data["M"], two.data["M"], strict=True))
+
+
+# --- planted lies ----------------------------------------------------------------------------------------------------
+
+ORDINARY = 8 * FAMILIES.index("ordinary")
+
+
+def found(case, claim, **lies):
+    findings = judge(case, claim | lies, np.random.default_rng(1))
+    return [f for f in findings if f.startswith("FALSE")]
+
+
+def told(function, seed=11):
+    """An ordinary case and a certified claim about it that holds."""
+    case = make_case(seed, ORDINARY + FUNCTIONS.index(function))
+    claim = claim_of(case, call(case))
+    assert claim["trusted"]
+    assert not found(case, claim)
+    return case, claim
+
+
+@pytest.mark.parametrize("function", ["hinf", "mixsyn", "h2", "ncf"])
+def test_designs_that_lie(function):
+    case, claim = told(function)
+    assert found(case, claim, gamma=0.99 * claim["gamma"])
+    K = claim["K"]
+    # A controller with an unstable mode of its own that nothing sees or moves.
+    n, hidden = len(K.A), np.zeros((len(K.A), 1))
+    unstable = Model(
+        np.block([[K.A, hidden], [hidden.T, np.array([[1e-9 if not K.dt else 1 + 1e-9]])]]),
+        np.vstack([K.B, np.zeros((1, K.B.shape[1]))]),
+        np.hstack([K.C, np.zeros((len(K.C), 1))]),
+        K.D,
+        K.dt,
+    )
+    assert len(unstable.A) == n + 1
+    lie = {"K": unstable} | ({"K_shaped": unstable} if function == "ncf" else {})
+    assert any("not stable" in f for f in found(case, claim, **lie))
+
+
+def test_norms_that_lie():
+    case, claim = told("norm")
+    assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
+    assert found(case, claim, lower=1.01 * claim["upper"], upper=1.02 * claim["upper"])
+    assert found(case, claim, lower=np.inf, upper=np.inf)
+    outside = Model(*map(np.array, ([[1e-9]], [[1.0]], [[1.0]], [[0.0]])))
+    lie = {"trusted": True, "lower": 1.0, "upper": 1.0, "frequency": 0.0, "h2_trusted": True, "h2": 1.0}
+    assert len(found(Case(0, 0, "norm", "ordinary", {"G": outside}), lie)) == 2
+    assert found(Case(0, 0, "norm", "ordinary", {"G": LAG}), lie | {"h2": 0.7})
+
+
+def test_mu_that_lies():
+    case, claim = told("mu", 14)
+    assert claim["lower"] > 0.98 * claim["upper"]
+    assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
+    assert found(case, claim, delta=0.99 * claim["delta"])
+    assert found(case, claim, delta=0.99 * claim["delta"], lower=claim["lower"] / 0.99, upper=claim["upper"] / 0.98)
+    assert found(case, claim, D=claim["D"] + np.full(claim["D"].shape, 1e-12))
+
+
+def test_margins_that_lie():
+    case, claim = told("margin", 21)
+    assert np.isfinite(claim["upper"])
+    assert found(case, claim, delta=0.99 * claim["delta"])
+    assert found(case, claim, delta=0.99 * claim["delta"], upper=0.99 * claim["upper"], lower=0.9 * claim["lower"])
+    assert found(case, claim, lower=1.02 * claim["upper"], upper=np.inf)
+    members, low, high, beta, *scalings = claim["pieces"][0]
+    assert found(case, claim, pieces=[(members, low, high, 0.5 * beta, *scalings)])
+
+
+def test_gains_that_lie():
+    case, claim = told("gain")
+    assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
+    assert found(case, claim, lower=1.01 * claim["upper"], upper=1.02 * claim["upper"])
+    assert found(case, claim, lower=np.inf, upper=np.inf)
