@@ -25,7 +25,7 @@ Rump, "Verification methods: rigorous results using floating-point arithmetic", 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -38,6 +38,7 @@ from robustlab.norms import H2Norm, HinfNorm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.double_double import DoubleDouble, inverse
 from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.synthesis.quadrature import integral_over_decades
 from robustlab.synthesis.stability import proved_stable
 from robustlab.synthesis.verified_loop import balanced_states
 
@@ -60,9 +61,8 @@ ASIDE = 1e-6
 ZOOMS, ZOOM_PEAKS, ZOOM_POINTS, PEAK_SHARE = 2, 3, 7, 0.9
 # Work with many digits that one check may do, in points times states cubed; numbers of a stack that is kept in memory.
 CAREFUL_WORK, CHUNK = 2e6, 4_000_000
-# Quadrature: points of a panel, rounds of bisection, change of a panel that ends it, most points; and how far beyond
-# the slowest and the fastest pole it goes.
-NODES, ROUNDS, QUADRATURE, MOST_NODES, BEYOND = 8, 30, 1e-6, 20_000, 1e4
+# How far quadrature goes beyond the slowest and the fastest pole.
+BEYOND = 1e4
 # From so many states of the loop on the rebuilt loop's response is compared in place of quadrature.
 MANY_STATES = 30
 # Steps towards an enclosure of the error.
@@ -547,7 +547,7 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
         return T, _frobenius(found.T_error) ** 2
 
     edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
-    value, error, open_, count = _integral(squares, edges)
+    value, error, open_, count = integral_over_decades(squares, edges)
     ends, ends_error = squares(np.array([low, high]))
     value += low * ends[0] + (0.0 if separate.dt else high * ends[1])
     error += low * ends_error[0] + (0.0 if separate.dt else high * ends_error[1])
@@ -572,42 +572,3 @@ def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
     near = np.abs(1j * omega[:, None] - poles).min(axis=1) if len(poles) else omega
     ends = omega[0] * squares[0] + (0.0 if loop.is_discrete else omega[-1] * squares[-1])
     return float((squares * np.minimum(width, 4 * near)).sum() + ends)
-
-
-def _integral(squares: Callable[[Array], tuple[Array, Array]], edges: Array) -> tuple[float, float, float, int]:
-    """Integrals over omega between the edges (logarithms) of both functions, what is open of the first, evaluations.
-
-    Gauss-Legendre on panels of ln omega, each bisected until its halves change next to nothing.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
-
-    def panels(left: Array, right: Array) -> tuple[Array, Array]:
-        half = 0.5 * (right - left)[:, None]
-        omega = np.exp(left[:, None] + half * (1 + nodes))
-        value, error = squares(omega.ravel())
-        factor = half * weights * omega
-        return (factor * value.reshape(omega.shape)).sum(axis=1), (factor * error.reshape(omega.shape)).sum(axis=1)
-
-    left, right = edges[:-1], edges[1:]
-    coarse, _ = panels(left, right)
-    value, error, left_open, count = 0.0, 0.0, 0.0, NODES * len(left)
-    for _ in range(ROUNDS):
-        middle = 0.5 * (left + right)
-        # Interleaved, so that frequencies go up.
-        starts, stops = np.stack([left, middle], axis=1).ravel(), np.stack([middle, right], axis=1).ravel()
-        fine, fine_error = panels(starts, stops)
-        count += NODES * len(starts)
-        both, both_error = fine.reshape(-1, 2).sum(axis=1), fine_error.reshape(-1, 2).sum(axis=1)
-        change = np.abs(both - coarse)
-        done = change <= QUADRATURE * (value + both.sum())
-        if not np.isfinite(both).all():
-            return float("nan"), float("inf"), float("inf"), count
-        last = count > MOST_NODES
-        done |= last
-        value, error = value + float(both[done].sum()), error + float(both_error[done].sum())
-        left_open += float(change[done].sum())
-        again = np.repeat(~done, 2)
-        left, right, coarse = starts[again], stops[again], fine[again]
-        if not len(left):
-            break
-    return value + float(coarse.sum()), error, left_open + float(coarse.sum()), count
