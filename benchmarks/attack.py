@@ -325,7 +325,7 @@ def summary(records: list[Record]) -> str:
 
 def _kind(text: str) -> str:
     """A message without its numbers and names of states."""
-    text = re.sub(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?j?|\binf\b|\bnan\b", "#", text)
+    text = re.sub(r"(?<![A-Za-z])[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?j?|\binf\b|\bnan\b", "#", text)
     return re.sub(r"(#[^a-zA-Z(]*){2,}", "# ", text)[:150]
 
 
