@@ -98,6 +98,46 @@ print(found.verdict, digest(found))
     assert found.startswith("named ")
 
 
+RECIPE = """
+schema = "robustlab.recipe/1"
+name = "loop"
+[step.motor]
+do = "plant"
+plant = "dc-motor"
+[step.set]
+do = "uncertain"
+of = "motor"
+tolerances = { Kf = 0.35, R = 0.1, J = 0.1 }
+outputs = ["omega"]
+[step.margin]
+do = "robust-stability"
+of = "set"
+effort = 0.0005
+[step.worst]
+do = "worst-case"
+of = "set"
+metric = "hinf"
+effort = 0.0002
+"""
+
+
+@pytest.mark.slow
+def test_a_recipe_is_the_same_under_load():
+    found = same_under_load(f"""
+import contextlib, io, json, os, tempfile
+from robustlab.cli.console import main_guard
+from robustlab.cli.main import run
+with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+    os.chdir(folder)
+    open("loop.toml", "w").write({RECIPE!r})
+    code = main_guard(lambda: run(["run", "loop.toml", "--out", "out"]))
+    steps = json.load(open("out/result.json"))["steps"]
+    os.chdir("/")
+print(code, [(s["name"], s["status"]) for s in steps], digest(steps))
+""")
+    assert "inconclusive" in found
+
+
 # --- the time limit is told, and effort is what it says ---------------------------------------------------------------
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,12 +22,40 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["validate_by_lines"]
+__all__ = ["fits_frequency_domain", "validate_by_lines"]
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 SMALLEST = 1e-6
+
+
+def fits_frequency_domain(
+    data: Record | FrequencyData,
+    domain: str,
+    norm: str | None,
+    delta: str,
+    window: float | None,
+    at_rest: bool,
+    missing: Mapping[str, Sequence[int]] | None,
+    noise: Mapping[str, ArrayLike] | None,
+) -> None:
+    """Refuse what has no meaning there."""
+    where = f"validate {data.name}"
+    if domain == "time":
+        raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
+    if norm == "peak" and isinstance(data, Record):
+        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound",
+                         'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
+    if norm == "rms" and isinstance(data, FrequencyData):
+        raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
+    if delta != "time-invariant":
+        raise InputError(where, f"{delta} blocks in the frequency domain", "time-invariant ones", 'domain="time"')
+    for name, given in (("windows", window), ("a start at rest", at_rest or None), ("missing samples", missing)):
+        if given:
+            raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
+    if noise is None and isinstance(data, FrequencyData):
+        raise NoTrustworthyNumber(where, "no noise bound was given", None, "noise={output: bound}, in its unit")
 
 
 def validate_by_lines(

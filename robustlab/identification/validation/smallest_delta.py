@@ -22,7 +22,7 @@ from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.certificate import largest_disproved
 from robustlab.identification.validation.constant_parameters import smallest_parameters
-from robustlab.identification.validation.frequency_domain import validate_by_lines
+from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
 from robustlab.identification.validation.mixed_delta import smallest_mixed
 from robustlab.identification.validation.result import BlockSize, Validation
 from robustlab.identification.validation.sampled_problem import (
@@ -171,7 +171,7 @@ def validate(
         raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
     say = progress or (lambda _line: None)
     if domain == "frequency" or isinstance(record, FrequencyData):
-        _fits_frequency_domain(record, domain, noise_norm, delta, window, at_rest, missing, noise)
+        fits_frequency_domain(record, domain, noise_norm, delta, window, at_rest, missing, noise)
         with one_thread():
             if isinstance(record, Record):
                 noise = noise if noise is not None else _estimated(uncertain, record, "rms")
@@ -189,34 +189,6 @@ def validate(
         found, alone = job.run(per_block)
         assumptions = _assumptions(recorded, delta, estimated)
         return _result(record, recorded, found, alone, assumptions, precision, job)
-
-
-def _fits_frequency_domain(
-    data: Record | FrequencyData,
-    domain: str,
-    norm: str | None,
-    delta: str,
-    window: float | None,
-    at_rest: bool,
-    missing: Mapping[str, Sequence[int]] | None,
-    noise: Mapping[str, ArrayLike] | None,
-) -> None:
-    """Refuse what has no meaning there."""
-    where = f"validate {data.name}"
-    if domain == "time":
-        raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
-    if norm == "peak" and isinstance(data, Record):
-        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound",
-                         'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
-    if norm == "rms" and isinstance(data, FrequencyData):
-        raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
-    if delta != "time-invariant":
-        raise InputError(where, f"{delta} blocks in the frequency domain", "time-invariant ones", 'domain="time"')
-    for name, given in (("windows", window), ("a start at rest", at_rest or None), ("missing samples", missing)):
-        if given:
-            raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
-    if noise is None and isinstance(data, FrequencyData):
-        raise NoTrustworthyNumber(where, "no noise bound was given", None, "noise={output: bound}, in its unit")
 
 
 def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
