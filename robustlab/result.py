@@ -23,9 +23,11 @@ class Status(StrEnum):
     INFEASIBLE
         It was shown that no solution exists; the evidence says why.
     INCONCLUSIVE
-        Neither a value nor an impossibility could be shown.
+        Neither a value nor an impossibility could be shown, or the work budget ended a search before its end; a larger
+        effort may do.
     TIMEOUT
-        The time limit ended the search; what was proved by then is kept.
+        The user's time limit ended the search; what was proved by then is kept. It depends on the machine and its load:
+        not repeatable.
     FAILED
         The method broke down; there is no value.
     """

@@ -33,6 +33,7 @@ from robustlab.mu_analysis.disk_margin import (
     disk_margin_of,
     gain_and_phase,
 )
+from robustlab.mu_analysis.pole_migration import search_work
 from robustlab.mu_analysis.stability import Margin, margin_within
 from robustlab.mu_analysis.upper import compile_kernels
 from robustlab.result import Status
@@ -256,6 +257,7 @@ class _Search:
         scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt)
         disks: list[Block] = [ComplexScalar(f"disk: {name}") for name in self.names]
         loop = UncertainModel(scaled, [*self.blocks, *disks])
+        self.budget.spend(search_work(m.n_states, loop.blocks))
         return margin_within(loop, self.budget, accuracy=MARGIN_ACCURACY, seed=self.seed)
 
     def _take(self, margin: Margin, found: Mapping[str, Any]) -> None:
@@ -278,6 +280,8 @@ class _Search:
             model = perturbed_model(self.loop, made)
         except NoTrustworthyNumber:  # ill-posed
             return None
+        if len(self.names) > 1:
+            self.budget.spend(search_work(model.n_states, [ComplexScalar(name) for name in self.names]))
         try:
             return disk_margin_of(model, self.names, self.skew, self.budget, self.seed)
         except NoTrustworthyNumber:

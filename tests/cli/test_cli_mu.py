@@ -58,6 +58,10 @@ def test_no_time_ends_in_exit_code_4(model_file, capsys):
     captured = capsys.readouterr()
     assert "timeout" in captured.out
     assert "grid only" in captured.out
+    assert "not repeatable" in captured.out
+    assert call(model_file, "--effort", "1e-9") == 4
+    assert "inconclusive" in (text := capsys.readouterr().out)
+    assert "work budget used up; a larger effort may prove more" in text
 
 
 def test_a_model_without_uncertainty_is_bad_input(tmp_path, capsys):

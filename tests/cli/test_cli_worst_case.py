@@ -64,6 +64,7 @@ def test_time_limit_ends_in_four(motor, capsys):
     code, text, _ = call(capsys, motor, "--metric", "hinf", "--output", "omega", "--time-limit", "0")
     assert code == 4
     assert "status: timeout" in text
+    assert "not repeatable" in text
 
 
 def test_probability_of_a_violation(motor, tmp_path, capsys):
