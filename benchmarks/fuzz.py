@@ -606,7 +606,8 @@ def main(count: int, seed: int = 1) -> int:
     import robustlab.provenance as origin
 
     versions = origin.library_versions()
-    print(f"benchmarks/fuzz.py {count}, seed {seed}; {platform.machine()}, {os.cpu_count()} cores")
+    day = time.strftime("%Y-%m-%d")
+    print(f"python benchmarks/fuzz.py {count} {seed}, on {day}; {platform.machine()}, {os.cpu_count()} cores")
     print(
         ", ".join(f"{name} {versions[name]}" for name in ("robustlab", "python", "numpy", "scipy", "h5py")), flush=True
     )

@@ -341,7 +341,7 @@ def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
 
 def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
     """``data`` against a pattern: types, tables of patterns, or a list with the pattern of every entry."""
-    kind = type(parts) if isinstance(parts, (dict, list)) else parts
+    kind: Any = type(parts) if isinstance(parts, (dict, list)) else parts
     if not isinstance(data, kind) or (isinstance(data, bool) and kind is NUMBER):
         raise InputError(where, f"{at or 'result'} is missing or has another form", "the JSON that robustlab run wrote")
     for key, part in parts.items() if isinstance(parts, dict) else ():

@@ -43,7 +43,8 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
 
     base = obj.plant if isinstance(obj, ExtendedPlant) else obj
     own = not _is_rebuilt(base)
-    if own and not _is_linear(base):
+    equations = base.affine_equations() if own and _is_linear(base) else None
+    if own and equations is None:
         raise InputError(
             f"{base.name}: save",
             "a plant of your own making that is not linear: its equations are a program, which a file cannot hold",
@@ -58,12 +59,11 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
     for field in (*TEXTS, *NUMBERS, *(MORE_TEXTS if own else ())):
         kind = np.float64 if field in NUMBERS else np.str_
         group.group("parameters").put(field, np.array([getattr(p, field) for p in base.parameters.values()], kind))
-    if own:
-        equations = base.affine_equations()
+    if equations is not None:
         for name, values in equations.coefficients.items():
             group.group("equations").put(name, values)
         group.group("equations").put("parameters", np.array(equations.names, np.str_))
-        encode_model(group.group("base"), base.state_space())
+        encode_model(group.group("base"), _linear(base))
     elif base.name == BARE:
         encode_model(group.group("base"), _bare_model(base))
     effects = tree.group("effects")
@@ -213,9 +213,12 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
     names = _list(held.datasets["parameters"], "U", held.child_path("parameters"), problems) or []
     arrays = {key: held.datasets[key].values for key in MATRICES}
     for key, values in arrays.items():
-        numbers = isinstance(values, np.ndarray) and values.dtype.kind in "fi" and values.ndim == 3
-        if not numbers or len(values) != 1 + len(names):
+        shape = values.shape if isinstance(values, np.ndarray) and values.dtype.kind in "fi" else ()
+        if len(shape) != 3 or shape[0] != 1 + len(names):
             problems.add(f"{held.child_path(key)}: expected real numbers, one matrix more than {len(names)} parameters")
+    for sign in columns.get("sign", ()):
+        if sign not in ("any", "positive", "nonnegative"):
+            problems.add(f"{group.path}/parameters/sign: {sign!r}, expected any, positive or nonnegative")
     problems.raise_any()
     assert model is not None
     parameters = {
