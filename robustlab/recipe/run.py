@@ -310,7 +310,8 @@ def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
 def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
     """``data`` against a pattern: types, tables of patterns, or a list with the pattern of every entry."""
     kind: Any = type(parts) if isinstance(parts, (dict, list)) else parts
-    if not isinstance(data, kind) or (isinstance(data, bool) and kind is NUMBER):
+    wrong = type(data) is bool and kind is NUMBER  # a bool is an int to Python
+    if wrong or not isinstance(data, kind):
         raise InputError(where, f"{at or 'result'} is missing or has another form", "the JSON that robustlab run wrote")
     for key, part in parts.items() if isinstance(parts, dict) else ():
         _check_parts(data.get(key), part, f"{at}.{key}".lstrip("."), where)
