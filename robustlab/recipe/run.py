@@ -342,7 +342,8 @@ def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
 def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
     """``data`` against a pattern: types, tables of patterns, or a list with the pattern of every entry."""
     kind: Any = type(parts) if isinstance(parts, (dict, list)) else parts
-    if not isinstance(data, kind) or (isinstance(data, bool) and kind is NUMBER):
+    fits: bool = isinstance(data, kind)
+    if not fits or (kind is NUMBER and str(data) in ("True", "False")):  # a bool is an int to Python
         raise InputError(where, f"{at or 'result'} is missing or has another form", "the JSON that robustlab run wrote")
     for key, part in parts.items() if isinstance(parts, dict) else ():
         _check_parts(data.get(key), part, f"{at}.{key}".lstrip("."), where)
