@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard, get_args
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from robustlab.files.tree import Dataset, Tree, Unread
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import decode_model, encode_model, find_children
 from robustlab.storage.problems import Problems
+from robustlab.uncertainty.blocks import Sign
 
 if TYPE_CHECKING:
     from robustlab.dynamics.linear_plant import LinearPlant
@@ -217,8 +218,8 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
         if len(shape) != 3 or shape[0] != 1 + len(names):
             problems.add(f"{held.child_path(key)}: expected real numbers, one matrix more than {len(names)} parameters")
     for sign in columns.get("sign", ()):
-        if sign not in ("any", "positive", "nonnegative"):
-            problems.add(f"{group.path}/parameters/sign: {sign!r}, expected any, positive or nonnegative")
+        if sign not in get_args(Sign):
+            problems.add(f"{group.path}/parameters/sign: {sign!r}, expected one of {', '.join(get_args(Sign))}")
     problems.raise_any()
     assert model is not None
     parameters = {
