@@ -38,7 +38,7 @@ def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -
     m, n_u, n_y = plant.model, plant.n_con, plant.n_meas
     into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
     out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
-    B, C, D = m.B[:, into], m.C[out], m.D[np.ix_(out, into)]
+    B, C, D = m.B[:, into], m.C[out], m.D[out][:, into]
     try:
         bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
         first = synthesize(bare, "hinf", GAMMA_REL, budget.share(0.5))
