@@ -25,7 +25,7 @@ from typing import NoReturn
 
 from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, plain_text
 
-__all__ = ["EXIT_READER_GONE", "main_guard", "require_surroundings", "ready_streams"]
+__all__ = ["EXIT_READER_GONE", "answer", "main_guard", "ready_streams", "require_surroundings"]
 
 EXIT_READER_GONE = 141  # 128 + SIGPIPE
 
@@ -99,10 +99,8 @@ def require_surroundings() -> None:
 def main_guard(run: Callable[[], int | None]) -> int:
     """Run a command and turn every way it can end into its exit code."""
     try:
-        code = _answer(run)
+        code = int(run() or 0)
         sys.stdout.flush()
-        if code == EXIT_INTERRUPTED:  # the parser has caught Ctrl-C already
-            _say("interrupted")
         return code
     except BaseException as error:  # noqa: BLE001  the outermost handler
         code = _code_of(error)
@@ -110,14 +108,14 @@ def main_guard(run: Callable[[], int | None]) -> int:
         return code
 
 
-def _answer(run: Callable[[], int | None]) -> int:
-    """The exit code of a command that ends on purpose."""
+def answer(command: Callable[[], int | None]) -> int:
+    """The exit code of a command that ends on purpose, by returning or by the parser's Exit."""
     try:
-        return int(run() or 0)
+        return int(command() or 0)
     except SystemExit as stop:  # the campaign's way to leave after Ctrl-C, when it has said what is saved
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except Exception as stop:
-        code = getattr(stop, "exit_code", None)  # the parser's Exit: its class is click's, or typer's own copy of it
+        code = getattr(stop, "exit_code", None)  # Exit: its class is click's, or typer's own copy of it
         if isinstance(stop, RobustlabError) or hasattr(stop, "show") or not isinstance(code, int):
             raise
         return code

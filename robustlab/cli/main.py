@@ -81,7 +81,7 @@ def run(arguments: Sequence[str]) -> int:
         kind = "option" if name.startswith("-") else "command"
         hint = did_you_mean(name, list(GROUPS)) or "robustlab --help lists the commands"
         raise UsageError("robustlab", f"no such {kind} {name!r}", f"one of {', '.join(GROUPS)}", hint)
-    from robustlab.cli.ending import require_surroundings
+    from robustlab.cli.ending import answer, require_surroundings
 
     require_surroundings()
     for variable in _THREADS:
@@ -92,8 +92,12 @@ def run(arguments: Sequence[str]) -> int:
 
     # Not app(): the parser's own frame turns a reader of stdout that went away into exit code 1.
     command = get_command(app)
-    with command.make_context(f"robustlab {name}", rest) as context:
-        return command.invoke(context)
+
+    def called() -> int | None:
+        with command.make_context(f"robustlab {name}", rest) as context:
+            return command.invoke(context)
+
+    return answer(called)
 
 
 def main() -> None:
