@@ -46,7 +46,7 @@ def test_text_figures_and_result_file(run, record_file, tmp_path):
     code, out, err = run("compare", "servo-axis", record_file, "--figures", folder, "--out", out_file)
     assert code == 0
     assert "free run" in out
-    assert "percent of the measured range" in out
+    assert "percent of the record's range" in out
     assert sorted(p.name for p in folder.glob("*.svg")) == [
         "residual-q.svg",
         "response-q.svg",

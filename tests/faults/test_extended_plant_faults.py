@@ -208,7 +208,9 @@ def test_a_changed_byte_is_seen(tmp_path):
         rl.load(tmp_path / "p.h5")
 
 
-def test_effects_on_a_plant_of_ones_own_cannot_be_saved(tmp_path):
-    with pytest.raises(rl.InputError, match="your own making"):
-        rl.save(tmp_path / "p.h5", rl.with_effects(tank(), {"input-gain": {"s": 1.1}}))
-    assert not (tmp_path / "p.h5").exists()
+def test_effects_on_a_plant_of_ones_own_are_kept_with_it(tmp_path):
+    extended = rl.with_effects(tank(), {"input-gain": {"s": 1.1}})
+    rl.save(tmp_path / "p.h5", extended)
+    again = rl.load(tmp_path / "p.h5")
+    assert again.parameters == extended.parameters
+    assert [e.to_json() for e in again.effects] == [e.to_json() for e in extended.effects]
