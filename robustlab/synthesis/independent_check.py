@@ -32,13 +32,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.norms import H2Norm, HinfNorm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.double_double import DoubleDouble, inverse
-from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.synthesis.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.quadrature import integral_over_decades
+from robustlab.synthesis.scaling import by_magnitude, is_ordinary
 from robustlab.synthesis.stability import proved_stable
 from robustlab.synthesis.verified_loop import balanced_states
 
@@ -151,7 +152,7 @@ def hinf_voice(
         Frequencies in rad/s at which the norm is claimed to be attained.
     """
     separate = _Separate(plant, K, loop)
-    omega = separate.frequencies(peaks)
+    omega = separate.frequencies(_shifted_by(np.asarray(list(peaks), dtype=float), -separate.rate))
     found = separate.values(omega, polynomial=True)
     rouche, stable = float(np.max(found.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
     for _ in range(ZOOMS):
@@ -164,17 +165,10 @@ def hinf_voice(
         return SecondVoice(0.0, 0.0, 0.0, 0.0, 0.0, rouche, stable, 0)
     low, high = float((found.gain - found.error).max()), float((found.gain + found.error).max())
     value, floor = float(found.gain[best]), FLOOR * float(found.size.max())
-    return SecondVoice(
-        low,
-        high,
-        value,
-        max(high - value, value - low),
-        float(found.omega[best]),
-        rouche,
-        stable,
-        len(found.omega),
-        floor,
-    )
+    sizes = _shifted_by(np.array([low, high, value, max(high - value, value - low), floor]), -separate.gain)
+    low, high, value, error, floor = (float(size) for size in sizes)
+    frequency = float(_shifted_by(found.omega[best], separate.rate))
+    return SecondVoice(low, high, value, error, frequency, rouche, stable, len(found.omega), floor)
 
 
 def norm_doubt(
@@ -195,8 +189,10 @@ def separate_responses(
     """Frequencies, the loop's response (k, n_z, n_w) there, and bounds of the 2-norm of its error; frequencies on a
     pole have moved aside.
     """
-    found = _Separate(plant, K, loop).values(np.sort(omega), everywhere=True)
-    return found.omega, found.T, found.error
+    separate = _Separate(plant, K, loop)
+    found = separate.values(np.sort(_shifted_by(omega, -separate.rate)), everywhere=True)
+    T = _shifted_by(np.ascontiguousarray(found.T, dtype=complex).view(float), -separate.gain).view(complex)
+    return _shifted_by(found.omega, separate.rate), T, _shifted_by(found.error, -separate.gain)
 
 
 class _Values(NamedTuple):
@@ -221,9 +217,14 @@ class _Values(NamedTuple):
 
 
 class _Separate:
-    """P and K as they are given, never as one model."""
+    """P and K as they are given, never as one model.
+
+    Where their entries are too large or too small to be multiplied, in other units: frequencies are ``2^rate`` and
+    gains ``2^-gain`` times what is found here.
+    """
 
     def __init__(self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel) -> None:
+        plant, K, loop, self.rate, self.gain = _in_ordinary_units(plant, K, loop)
         self.dt = plant.model.dt
         self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
         self.n_y, self.n_u = plant.n_meas, plant.n_con
@@ -236,8 +237,9 @@ class _Separate:
     def corners(self) -> Array:
         """Frequencies of all poles and of their resonances, increasing."""
         poles = np.concatenate(self.poles)
-        resonance = np.sqrt(np.maximum(np.imag(poles) ** 2 - np.real(poles) ** 2, 0.0))
-        own = np.unique(np.concatenate([np.abs(poles), np.abs(np.imag(poles)), resonance]))
+        re, im = np.abs(np.real(poles)), np.abs(np.imag(poles))
+        resonance = np.sqrt(np.maximum(im - re, 0.0)) * np.sqrt(im + re)  # no squares
+        own = np.unique(np.concatenate([np.abs(poles), im, resonance]))
         own = own[np.isfinite(own) & (own > 0)]
         return own[own > 1e-20 * own[-1]] if len(own) else np.ones(1)
 
@@ -481,6 +483,35 @@ def _put(matrix: Any, rows: slice, columns: slice, part: Any) -> None:
         matrix[:, rows, columns] = part
 
 
+def _in_ordinary_units(
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel
+) -> tuple[GeneralizedPlant, StateSpaceModel, StateSpaceModel, int, int]:
+    """All three with entries that can be multiplied, and the exponents of the units of time and of T; as they are where
+    they are ordinary. Powers of two cost no digit, and the second voice has its own bounds for what rounds here.
+    """
+    matrices, dt = plant.matrices(), plant.model.dt
+    if is_ordinary(matrices):
+        return plant, K, loop, 0, 0
+    try:
+        scaling = by_magnitude(matrices, dt > 0)
+        k = scaling.controller_from_plant(Realisation(K.A, K.B, K.C, K.D))
+        K_scaled = StateSpaceModel(k.A, k.B, k.C, k.D, dt)
+        model, rebuilt = (
+            scaling.apply_to_model(plant.model, plant.n_meas, plant.n_con),
+            scaling.apply_to_model(loop, 0, 0),
+        )
+    except (NoTrustworthyNumber, InputError):  # there are no such units
+        return plant, K, loop, 0, 0
+    rate, gain = int(np.frexp(scaling.rate)[1]) - 1, int(np.frexp(scaling.w)[1] + np.frexp(scaling.z)[1]) - 2
+    return GeneralizedPlant(model, plant.n_meas, plant.n_con), K_scaled, rebuilt, rate, gain
+
+
+def _shifted_by(x: Array | float, exponent: int) -> Array:
+    """``x * 2^exponent``; inf and 0 where that is no floating-point number."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.ldexp(x, exponent)
+
+
 def _in_s(poles: Array, dt: float) -> Array:
     return np.log(poles[np.abs(poles) > 1e-12]) / dt if dt else poles
 
@@ -521,11 +552,20 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
        \frac{dt}\pi \int_0^{\pi/dt} \|T(e^{j\omega dt})\|_F^2 d\omega
 
     A direct term of continuous time, where it is more than rounding, must be ruled out before. Of a loop of many states
-    the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response.
+    the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response. Squares
+    are taken in units of ``claimed``.
     """
     separate = _Separate(plant, K, loop)
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows in these units is no confirmation
+        norm, blur, rouche, count = _by_quadrature(separate, claimed)
+    stable = proved_stable(loop.A, loop.is_discrete)
+    return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
+
+
+def _by_quadrature(separate: _Separate, claimed: float) -> tuple[float, float, float, int]:
+    """The H2 norm, the bound of its error, Rouche's relative difference, and the number of frequencies."""
     grid = separate.values(separate.frequencies(()), polynomial=True, everywhere=True)
-    rouche, stable = float(np.max(grid.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
+    rouche = float(np.max(grid.rouche, initial=0.0))
     corners = separate.corners()
     low, high = corners[0] / BEYOND, corners[-1] * BEYOND
     if separate.dt:
@@ -535,16 +575,19 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
     else:
         direct = grid.T[-1]
     scale = separate.dt / np.pi if separate.dt else 1 / np.pi
-    if loop.n_states > MANY_STATES:
-        blur = float(np.sqrt(scale * _difference(grid, direct, loop)))
-        return SecondVoice(
-            claimed - blur, claimed + blur, claimed, blur, float("nan"), rouche, stable, len(grid.omega)
-        )  # fmt: skip
+    # A discrete sum has no unit of time.
+    power = 0.0 if separate.dt else 0.5 * separate.rate
+    exponent = np.frexp(claimed)[1] if 0 < claimed < np.inf else 0
+    # Of T as it is evaluated, a power of two near the claimed norm.
+    unit = int(exponent + separate.gain - np.floor(power))
+    if separate.loop.n_states > MANY_STATES:
+        blur = float(np.sqrt(scale * _difference(grid, direct, separate.loop, unit)))
+        return claimed, _in_units_given(blur, unit, separate.gain, power), rouche, len(grid.omega)
 
     def squares(omega: Array) -> tuple[Array, Array]:
         found = separate.values(omega, everywhere=True)
-        T = _frobenius(found.T - direct) ** 2
-        return T, _frobenius(found.T_error) ** 2
+        T, error = _frobenius(found.T - direct), _frobenius(found.T_error)
+        return _shifted_by(T, -unit) ** 2, _shifted_by(error, -unit) ** 2
 
     edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
     value, error, open_, count = integral_over_decades(squares, edges)
@@ -553,11 +596,18 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
     error += low * ends_error[0] + (0.0 if separate.dt else high * ends_error[1])
     norm = float(np.sqrt(scale * value))
     blur = float(np.sqrt(scale * error)) + (0.5 * open_ / value * norm if value > 0 else 0.0)
-    return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
+    norm, blur = (_in_units_given(x, unit, separate.gain, power) for x in (norm, blur))
+    return norm, blur, rouche, count
 
 
-def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
-    """Integral over omega of the squared difference between the true and the rebuilt loop's response."""
+def _in_units_given(size: float, unit: int, gain: int, power: float) -> float:
+    """``size * 2^(unit - gain + power)``; half a power is left where the unit of time is an odd one."""
+    whole = int(np.floor(power))
+    return float(_shifted_by(size * 2.0 ** (power - whole), unit - gain + whole))
+
+
+def _difference(grid: _Values, direct: Array, loop: StateSpaceModel, unit: int) -> float:
+    """Integral over omega of the squared difference between the true and the rebuilt loop's response, over 4^unit."""
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
     omega = grid.omega[finite]
     try:
@@ -565,7 +615,7 @@ def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
     except NoTrustworthyNumber:
         return float("inf")
     difference = _frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D))
-    squares = (difference + _frobenius(grid.T_error[finite])) ** 2
+    squares = _shifted_by(difference + _frobenius(grid.T_error[finite]), -unit) ** 2
     width = np.gradient(omega) if len(omega) > 1 else omega
     # A resonance is as wide as its pole is far from the axis: a Lorentz curve has pi times that under its peak.
     poles = _in_s(loop.poles(), loop.dt)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import TINY, balancing_exponents, is_moderate
+from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.partition import PlantMatrices, Realisation
 
-__all__ = ["Scaling", "by_magnitude", "equilibrated", "paths_first"]
+__all__ = ["Scaling", "by_magnitude", "equilibrated", "is_ordinary", "paths_first"]
 
 Array = NDArray[Any]
 
@@ -60,6 +61,21 @@ class Scaling:
             _times(p.D21, w + y),
         )
 
+    def apply_to_model(self, model: StateSpaceModel, n_y: int, n_u: int) -> StateSpaceModel:
+        """A model from [w; u] to [z; y] with the last ``n_y`` outputs and ``n_u`` inputs scaled, too; its states, which
+        need not be the plant's, stay.
+        """
+        k, w, z = int(_exponent(self.rate)), int(_exponent(self.w)), int(_exponent(self.z))
+        into = np.append(np.full(model.n_inputs - n_u, w), _exponent(self.u)[:n_u])
+        out = np.append(np.full(model.n_outputs - n_y, z), _exponent(self.y)[:n_y])[:, None]
+        parts = (
+            _times(model.A, np.array(-k)),
+            _times(model.B, into - k),
+            _times(model.C, out),
+            _times(model.D, out + into),
+        )
+        return StateSpaceModel(*parts, model.dt, model.inputs, model.outputs)
+
     def controller_to_plant(self, K: Realisation) -> Realisation:
         """The controller for the plant that belongs to one for the scaled plant."""
         k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
@@ -99,11 +115,16 @@ def _rms(x: Array) -> float:
     return float(np.linalg.norm(x) / np.sqrt(max(1, min(x.shape)))) if x.size else 0.0
 
 
-def _start(p: PlantMatrices, discrete: bool) -> Scaling:
+def is_ordinary(p: PlantMatrices) -> bool:
+    """Whether products of the plant's entries neither overflow nor vanish."""
     # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
     sizes = [np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12, p.C2.T, p.D21.T)]
     sizes.append(np.array([np.abs(m).max(initial=0.0) for m in (p.A, p.B1, p.C1, p.D11)]))
-    if not is_moderate(*np.concatenate(sizes)[:, None]):
+    return is_moderate(*np.concatenate(sizes)[:, None])
+
+
+def _start(p: PlantMatrices, discrete: bool) -> Scaling:
+    if not is_ordinary(p):
         return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
