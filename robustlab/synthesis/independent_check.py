@@ -32,14 +32,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
+from robustlab.magnitude import times_power
 from robustlab.norms import H2Norm, HinfNorm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.double_double import DoubleDouble, inverse
-from robustlab.synthesis.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.quadrature import integral_over_decades
-from robustlab.synthesis.scaling import by_magnitude, is_ordinary
+from robustlab.synthesis.scaling import in_ordinary_units
 from robustlab.synthesis.stability import proved_stable
 from robustlab.synthesis.verified_loop import balanced_states
 
@@ -152,7 +153,7 @@ def hinf_voice(
         Frequencies in rad/s at which the norm is claimed to be attained.
     """
     separate = _Separate(plant, K, loop)
-    omega = separate.frequencies(_shifted_by(np.asarray(list(peaks), dtype=float), -separate.rate))
+    omega = separate.frequencies(times_power(np.asarray(list(peaks), dtype=float), -separate.rate))
     found = separate.values(omega, polynomial=True)
     rouche, stable = float(np.max(found.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
     for _ in range(ZOOMS):
@@ -165,9 +166,9 @@ def hinf_voice(
         return SecondVoice(0.0, 0.0, 0.0, 0.0, 0.0, rouche, stable, 0)
     low, high = float((found.gain - found.error).max()), float((found.gain + found.error).max())
     value, floor = float(found.gain[best]), FLOOR * float(found.size.max())
-    sizes = _shifted_by(np.array([low, high, value, max(high - value, value - low), floor]), -separate.gain)
+    sizes = times_power(np.array([low, high, value, max(high - value, value - low), floor]), -separate.gain)
     low, high, value, error, floor = (float(size) for size in sizes)
-    frequency = float(_shifted_by(found.omega[best], separate.rate))
+    frequency = float(times_power(found.omega[best], separate.rate))
     return SecondVoice(low, high, value, error, frequency, rouche, stable, len(found.omega), floor)
 
 
@@ -190,9 +191,9 @@ def separate_responses(
     pole have moved aside.
     """
     separate = _Separate(plant, K, loop)
-    found = separate.values(np.sort(_shifted_by(omega, -separate.rate)), everywhere=True)
-    T = _shifted_by(np.ascontiguousarray(found.T, dtype=complex).view(float), -separate.gain).view(complex)
-    return _shifted_by(found.omega, separate.rate), T, _shifted_by(found.error, -separate.gain)
+    found = separate.values(np.sort(times_power(omega, -separate.rate)), everywhere=True)
+    T = times_power(np.ascontiguousarray(found.T, dtype=complex).view(float), -separate.gain).view(complex)
+    return times_power(found.omega, separate.rate), T, times_power(found.error, -separate.gain)
 
 
 class _Values(NamedTuple):
@@ -224,7 +225,7 @@ class _Separate:
     """
 
     def __init__(self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel) -> None:
-        plant, K, loop, self.rate, self.gain = _in_ordinary_units(plant, K, loop)
+        plant, K, loop, self.rate, self.gain = in_ordinary_units(plant, K, loop)
         self.dt = plant.model.dt
         self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
         self.n_y, self.n_u = plant.n_meas, plant.n_con
@@ -483,35 +484,6 @@ def _put(matrix: Any, rows: slice, columns: slice, part: Any) -> None:
         matrix[:, rows, columns] = part
 
 
-def _in_ordinary_units(
-    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel
-) -> tuple[GeneralizedPlant, StateSpaceModel, StateSpaceModel, int, int]:
-    """All three with entries that can be multiplied, and the exponents of the units of time and of T; as they are where
-    they are ordinary. Powers of two cost no digit, and the second voice has its own bounds for what rounds here.
-    """
-    matrices, dt = plant.matrices(), plant.model.dt
-    if is_ordinary(matrices):
-        return plant, K, loop, 0, 0
-    try:
-        scaling = by_magnitude(matrices, dt > 0)
-        k = scaling.controller_from_plant(Realisation(K.A, K.B, K.C, K.D))
-        K_scaled = StateSpaceModel(k.A, k.B, k.C, k.D, dt)
-        model, rebuilt = (
-            scaling.apply_to_model(plant.model, plant.n_meas, plant.n_con),
-            scaling.apply_to_model(loop, 0, 0),
-        )
-    except (NoTrustworthyNumber, InputError):  # there are no such units
-        return plant, K, loop, 0, 0
-    rate, gain = int(np.frexp(scaling.rate)[1]) - 1, int(np.frexp(scaling.w)[1] + np.frexp(scaling.z)[1]) - 2
-    return GeneralizedPlant(model, plant.n_meas, plant.n_con), K_scaled, rebuilt, rate, gain
-
-
-def _shifted_by(x: Array | float, exponent: int) -> Array:
-    """``x * 2^exponent``; inf and 0 where that is no floating-point number."""
-    with np.errstate(over="ignore", under="ignore"):
-        return np.ldexp(x, exponent)
-
-
 def _in_s(poles: Array, dt: float) -> Array:
     return np.log(poles[np.abs(poles) > 1e-12]) / dt if dt else poles
 
@@ -587,7 +559,7 @@ def _by_quadrature(separate: _Separate, claimed: float) -> tuple[float, float, f
     def squares(omega: Array) -> tuple[Array, Array]:
         found = separate.values(omega, everywhere=True)
         T, error = _frobenius(found.T - direct), _frobenius(found.T_error)
-        return _shifted_by(T, -unit) ** 2, _shifted_by(error, -unit) ** 2
+        return times_power(T, -unit) ** 2, times_power(error, -unit) ** 2
 
     edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
     value, error, open_, count = integral_over_decades(squares, edges)
@@ -603,7 +575,7 @@ def _by_quadrature(separate: _Separate, claimed: float) -> tuple[float, float, f
 def _in_units_given(size: float, unit: int, gain: int, power: float) -> float:
     """``size * 2^(unit - gain + power)``; half a power is left where the unit of time is an odd one."""
     whole = int(np.floor(power))
-    return float(_shifted_by(size * 2.0 ** (power - whole), unit - gain + whole))
+    return float(times_power(size * 2.0 ** (power - whole), unit - gain + whole))
 
 
 def _difference(grid: _Values, direct: Array, loop: StateSpaceModel, unit: int) -> float:
@@ -615,7 +587,7 @@ def _difference(grid: _Values, direct: Array, loop: StateSpaceModel, unit: int) 
     except NoTrustworthyNumber:
         return float("inf")
     difference = _frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D))
-    squares = _shifted_by(difference + _frobenius(grid.T_error[finite]), -unit) ** 2
+    squares = times_power(difference + _frobenius(grid.T_error[finite]), -unit) ** 2
     width = np.gradient(omega) if len(omega) > 1 else omega
     # A resonance is as wide as its pole is far from the axis: a Lorentz curve has pi times that under its peak.
     poles = _in_s(loop.poles(), loop.dt)
