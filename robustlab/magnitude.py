@@ -26,6 +26,7 @@ __all__ = [
     "moderated",
     "refuse_overflow",
     "scaled_down",
+    "times_power",
 ]
 
 Array = NDArray[Any]
@@ -131,7 +132,7 @@ class Moderated:
         into = (rate - self.gain) // 2
         parts = (model.A, model.B, model.C, model.D)
         shifts = (rate, into, rate - self.gain - into, -self.gain)
-        a, b, c, d = (_shifted(m, e) for m, e in zip(parts, shifts, strict=True))
+        a, b, c, d = (times_power(m, e) for m, e in zip(parts, shifts, strict=True))
         refuse_overflow(where, a, b, c, d)
         dt = float(np.ldexp(model.dt, -self.rate))
         return StateSpaceModel(a, b, c, d, dt, model.inputs, model.outputs, model.states, where=where)
@@ -156,14 +157,13 @@ def moderated(model: StateSpaceModel, where: str) -> Moderated:
     if direct is not None and direct + gain > 0:  # the direct term is the larger part
         less = min(direct + gain, NOTHING)
         w, z, gain = w - less // 2, z - (less - less // 2), -direct
-    a = _shifted(m.A, -t[:, None] + t - k)
+    a = times_power(m.A, -t[:, None] + t - k)
     # An entry that vanishes beside the others keeps its sign, which a pole at 0 would not have.
     a = np.where((a == 0) & (m.A != 0), np.copysign(TINY, m.A), a)
     rate = k if not m.is_discrete or plain_dt else -int(np.frexp(m.dt)[1])
-    scaled = StateSpaceModel(
-        a, _shifted(m.B, -t[:, None] + w), _shifted(m.C, t + z), _shifted(m.D, gain), float(np.ldexp(m.dt, rate)),
-        m.inputs, m.outputs, m.states, where=where,
-    )  # fmt: skip
+    b, c, d = times_power(m.B, -t[:, None] + w), times_power(m.C, t + z), times_power(m.D, gain)
+    dt = float(np.ldexp(m.dt, rate))
+    scaled = StateSpaceModel(a, b, c, d, dt, m.inputs, m.outputs, m.states, where=where)
     return Moderated(scaled, rate, gain, t)
 
 
@@ -202,6 +202,12 @@ def scaled_down(size: float, exponent: float, where: str) -> float:
     return value
 
 
+def times_power(matrix: Any, exponents: Any) -> Any:
+    """``matrix * 2^exponents``, entry by entry; inf and 0 where that is no floating-point number, never on the way."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.ldexp(matrix, np.asarray(exponents, dtype=int))
+
+
 def _exponents(matrix: Array) -> Array:
     """Exponent of every entry, -inf for zeros."""
     return np.where(matrix == 0, -np.inf, np.frexp(matrix)[1])
@@ -210,8 +216,3 @@ def _exponents(matrix: Array) -> Array:
 def _top(exponents: Array) -> int:
     top = exponents.max(initial=-np.inf)
     return int(top) if np.isfinite(top) else 0
-
-
-def _shifted(matrix: Array, exponents: Any) -> Array:
-    with np.errstate(over="ignore", under="ignore"):
-        return np.ldexp(matrix, np.asarray(exponents, dtype=int))

@@ -35,9 +35,12 @@ MAX_LEVELS = 60
 ZOOM_POINTS, ZOOM_STEPS, ZOOM_PEAKS = 13, 8, 6
 # Poles in z beyond this all become s = 2/dt to the last digit.
 OUTSIDE = 1e15
+# Frequencies at which a model without any gain is looked at, besides those of its poles.
+NOTHING_POINTS = 200
 # A bracket is left where the fall from its top to the points beside it, times this, no longer matters.
 ZOOM_RISE, ZOOM_FLAT = 4.0, 1e-9
-# Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified.
+# Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
+# unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
 QUIET, LOUD = 1e-9, 1e-3
 
 
@@ -56,7 +59,8 @@ class HinfNorm:
         ``sigma_max`` of the given model at ``frequency``, evaluated.
     upper
         Level that no singular value crosses, by the Hamiltonian test; ``lower <= norm <= upper``. Where rounding may
-        move the gain at the peak by more than 1e-9 of it, both ends are that much further out.
+        move the gain at the peak by more than 1e-9 of it, both ends are that much further out. A norm that is zero but
+        for rounding has zero and the bound of that rounding as its ends.
     status
         CERTIFIED, or INACCURATE where rounding leaves the sign of a pole or a level test open.
     reason
@@ -176,15 +180,24 @@ def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
-    point = np.exp(1j * omega * m.dt) if m.is_discrete else 1j * omega if np.isfinite(omega) else np.inf
-    error = gain_rounding(m.A, m.B, m.C, m.D, complex(point))
+    error = gain_rounding(m.A, m.B, m.C, m.D, _point(m, omega))
     if error > LOUD * attained:
+        upper += error
+        nothing = None if blind else _nothing(m, scaled)
+        if nothing is not None:
+            return nothing
         share = error / attained if attained else np.inf
         trusted, reason = False, f"rounding alone may move the gain at the peak by {share:.2g} of it: digits were lost"
-        upper += error
     elif error > QUIET * attained:
         lower, upper = attained - error, upper + error
     return HinfNorm(lower, omega, lower, upper, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
+
+
+def _point(m: StateSpaceModel, omega: float) -> complex:
+    """The point s or z of a frequency."""
+    if m.is_discrete:
+        return complex(np.exp(1j * omega * m.dt))
+    return 1j * omega if np.isfinite(omega) else complex(np.inf)
 
 
 def gain_rounding(A: Array, B: Array, C: Array, D: Array, s: complex) -> float:
@@ -193,12 +206,40 @@ def gain_rounding(A: Array, B: Array, C: Array, D: Array, s: complex) -> float:
     With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
     ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that.
     """
-    n, error = len(A), np.abs(D)
+    return _terms(A, B, C, D, s)[1]
+
+
+def _terms(A: Array, B: Array, C: Array, D: Array, s: complex) -> tuple[float, float]:
+    """Size of what is added up to the gain at s, ``|C| |X| + |D|``, and `gain_rounding`."""
+    n, size = len(A), np.abs(D)
+    error = size
     if n and np.isfinite(s):
         inverse = np.linalg.inv(s * np.eye(n) - A)
         X, terms = np.abs(inverse @ B), np.abs(A) + abs(s) * np.eye(n)
-        error = error + np.abs(C) @ (X + np.abs(inverse) @ (terms @ X + np.abs(B)))
-    return max(n, 1) * EPS * float(np.linalg.norm(error))
+        size = size + np.abs(C) @ X
+        error = size + np.abs(C) @ np.abs(inverse) @ (terms @ X + np.abs(B))
+    return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
+
+
+def _nothing(m: StateSpaceModel, scaled: StateSpaceModel) -> HinfNorm | None:
+    """The norm of a model without any gain but rounding; None where it is not shown to be one.
+
+    Nowhere may the gain, its rounding included, be more than next to nothing of the terms that cancel in it. No level
+    test is sharper than that, but at the bound of the rounding it must agree.
+    """
+    omega = _grid(m, NOTHING_POINTS)
+    try:
+        sigma = _sigma(m, omega)
+        size, error = np.array([_terms(m.A, m.B, m.C, m.D, _point(m, w)) for w in omega]).T
+        upper = float((sigma + error).max())
+        if not (sigma.max() <= error.max() and upper <= QUIET * size.max()):
+            return None
+        again = np.concatenate([_grid(scaled, NOTHING_POINTS), _candidates(scaled, upper)])
+        if not _sigma(scaled, again).max() <= upper:
+            return None
+    except (np.linalg.LinAlgError, NoTrustworthyNumber):
+        return None
+    return HinfNorm(0.0, float(omega[np.argmax(sigma)]), 0.0, upper, Status.CERTIFIED)
 
 
 def _unstable(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
@@ -381,18 +422,29 @@ def h2_norm(model: Any) -> H2Norm:
         return H2Norm(np.inf, Status.CERTIFIED, "the model is not stable")
     if not m.is_discrete and m.D.any():
         return H2Norm(np.inf, Status.CERTIFIED, "the model has a direct term")
-    direct = float((m.D**2).sum())
     if not m.n_states:
-        return H2Norm(ordinary.value(float(np.sqrt(direct)), "h2_norm"), Status.CERTIFIED)
+        return H2Norm(ordinary.value(float(np.linalg.norm(m.D)), "h2_norm"), Status.CERTIFIED)
     # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
     s, rate = (m, 1.0) if m.is_discrete else _well_scaled(m)
+    found = _by_gramians(ordinary, s, rate)
+    if found.status is not Status.CONVERGED:
+        # States that weigh inputs and outputs alike may make A lopsided, whose Schur form then loses small entries.
+        t = balancing_factors(s.A)
+        again = StateSpaceModel(s.A / t[:, None] * t, s.B / t[:, None], s.C * t, s.D, s.dt)
+        other = _by_gramians(ordinary, again, rate) if (t != t[0]).any() else found
+        found = other if other.status is Status.CONVERGED else found
+    return found
+
+
+def _by_gramians(ordinary: Moderated, s: StateSpaceModel, rate: float) -> H2Norm:
+    """The H2 norm of the model as given from s, which is the ordinary one in other states and in the unit 1/rate."""
     try:
-        reach, see = gramians(s.A, s.B, s.C, m.is_discrete)
+        reach, see = gramians(s.A, s.B, s.C, s.is_discrete)
     except NoTrustworthyNumber as error:
         return H2Norm(np.inf, Status.FAILED, error.line)
     squares = [max(float(np.trace(s.C @ reach @ s.C.T)), 0.0), max(float(np.trace(s.B.T @ see @ s.B)), 0.0)]
     # A discrete sum has no time unit; a continuous integral has that of the ordinary model.
-    power = 0.0 if m.is_discrete else 0.5
+    power, direct = (0.0, float((s.D**2).sum())) if s.is_discrete else (0.5, 0.0)
     one, two = (ordinary.value(float(np.sqrt(rate * x + direct)), "h2_norm", power) for x in squares)
     agree = abs(one - two) <= 1e-6 * max(one, two)
     reason = "" if agree else f"the two Gramians give {one:.9g} and {two:.9g}"

@@ -34,11 +34,13 @@ from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
+from robustlab.magnitude import times_power
 from robustlab.norms import H2Norm, HinfNorm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.double_double import DoubleDouble, inverse
 from robustlab.synthesis.partition import GeneralizedPlant
 from robustlab.synthesis.quadrature import integral_over_decades
+from robustlab.synthesis.scaling import in_ordinary_units
 from robustlab.synthesis.stability import proved_stable
 from robustlab.synthesis.verified_loop import balanced_states
 
@@ -151,7 +153,7 @@ def hinf_voice(
         Frequencies in rad/s at which the norm is claimed to be attained.
     """
     separate = _Separate(plant, K, loop)
-    omega = separate.frequencies(peaks)
+    omega = separate.frequencies(times_power(np.asarray(list(peaks), dtype=float), -separate.rate))
     found = separate.values(omega, polynomial=True)
     rouche, stable = float(np.max(found.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
     for _ in range(ZOOMS):
@@ -164,17 +166,10 @@ def hinf_voice(
         return SecondVoice(0.0, 0.0, 0.0, 0.0, 0.0, rouche, stable, 0)
     low, high = float((found.gain - found.error).max()), float((found.gain + found.error).max())
     value, floor = float(found.gain[best]), FLOOR * float(found.size.max())
-    return SecondVoice(
-        low,
-        high,
-        value,
-        max(high - value, value - low),
-        float(found.omega[best]),
-        rouche,
-        stable,
-        len(found.omega),
-        floor,
-    )
+    sizes = times_power(np.array([low, high, value, max(high - value, value - low), floor]), -separate.gain)
+    low, high, value, error, floor = (float(size) for size in sizes)
+    frequency = float(times_power(found.omega[best], separate.rate))
+    return SecondVoice(low, high, value, error, frequency, rouche, stable, len(found.omega), floor)
 
 
 def norm_doubt(
@@ -195,8 +190,10 @@ def separate_responses(
     """Frequencies, the loop's response (k, n_z, n_w) there, and bounds of the 2-norm of its error; frequencies on a
     pole have moved aside.
     """
-    found = _Separate(plant, K, loop).values(np.sort(omega), everywhere=True)
-    return found.omega, found.T, found.error
+    separate = _Separate(plant, K, loop)
+    found = separate.values(np.sort(times_power(omega, -separate.rate)), everywhere=True)
+    T = times_power(np.ascontiguousarray(found.T, dtype=complex).view(float), -separate.gain).view(complex)
+    return times_power(found.omega, separate.rate), T, times_power(found.error, -separate.gain)
 
 
 class _Values(NamedTuple):
@@ -221,9 +218,14 @@ class _Values(NamedTuple):
 
 
 class _Separate:
-    """P and K as they are given, never as one model."""
+    """P and K as they are given, never as one model.
+
+    Where their entries are too large or too small to be multiplied, in other units: frequencies are ``2^rate`` and
+    gains ``2^-gain`` times what is found here.
+    """
 
     def __init__(self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel) -> None:
+        plant, K, loop, self.rate, self.gain = in_ordinary_units(plant, K, loop)
         self.dt = plant.model.dt
         self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
         self.n_y, self.n_u = plant.n_meas, plant.n_con
@@ -236,8 +238,9 @@ class _Separate:
     def corners(self) -> Array:
         """Frequencies of all poles and of their resonances, increasing."""
         poles = np.concatenate(self.poles)
-        resonance = np.sqrt(np.maximum(np.imag(poles) ** 2 - np.real(poles) ** 2, 0.0))
-        own = np.unique(np.concatenate([np.abs(poles), np.abs(np.imag(poles)), resonance]))
+        re, im = np.abs(np.real(poles)), np.abs(np.imag(poles))
+        resonance = np.sqrt(np.maximum(im - re, 0.0)) * np.sqrt(im + re)  # no squares
+        own = np.unique(np.concatenate([np.abs(poles), im, resonance]))
         own = own[np.isfinite(own) & (own > 0)]
         return own[own > 1e-20 * own[-1]] if len(own) else np.ones(1)
 
@@ -521,11 +524,20 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
        \frac{dt}\pi \int_0^{\pi/dt} \|T(e^{j\omega dt})\|_F^2 d\omega
 
     A direct term of continuous time, where it is more than rounding, must be ruled out before. Of a loop of many states
-    the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response.
+    the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response. Squares
+    are taken in units of ``claimed``.
     """
     separate = _Separate(plant, K, loop)
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows in these units is no confirmation
+        norm, blur, rouche, count = _by_quadrature(separate, claimed)
+    stable = proved_stable(loop.A, loop.is_discrete)
+    return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
+
+
+def _by_quadrature(separate: _Separate, claimed: float) -> tuple[float, float, float, int]:
+    """The H2 norm, the bound of its error, Rouche's relative difference, and the number of frequencies."""
     grid = separate.values(separate.frequencies(()), polynomial=True, everywhere=True)
-    rouche, stable = float(np.max(grid.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
+    rouche = float(np.max(grid.rouche, initial=0.0))
     corners = separate.corners()
     low, high = corners[0] / BEYOND, corners[-1] * BEYOND
     if separate.dt:
@@ -535,16 +547,19 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
     else:
         direct = grid.T[-1]
     scale = separate.dt / np.pi if separate.dt else 1 / np.pi
-    if loop.n_states > MANY_STATES:
-        blur = float(np.sqrt(scale * _difference(grid, direct, loop)))
-        return SecondVoice(
-            claimed - blur, claimed + blur, claimed, blur, float("nan"), rouche, stable, len(grid.omega)
-        )  # fmt: skip
+    # A discrete sum has no unit of time.
+    power = 0.0 if separate.dt else 0.5 * separate.rate
+    exponent = np.frexp(claimed)[1] if 0 < claimed < np.inf else 0
+    # Of T as it is evaluated, a power of two near the claimed norm.
+    unit = int(exponent + separate.gain - np.floor(power))
+    if separate.loop.n_states > MANY_STATES:
+        blur = float(np.sqrt(scale * _difference(grid, direct, separate.loop, unit)))
+        return claimed, _in_units_given(blur, unit, separate.gain, power), rouche, len(grid.omega)
 
     def squares(omega: Array) -> tuple[Array, Array]:
         found = separate.values(omega, everywhere=True)
-        T = _frobenius(found.T - direct) ** 2
-        return T, _frobenius(found.T_error) ** 2
+        T, error = _frobenius(found.T - direct), _frobenius(found.T_error)
+        return times_power(T, -unit) ** 2, times_power(error, -unit) ** 2
 
     edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
     value, error, open_, count = integral_over_decades(squares, edges)
@@ -553,11 +568,18 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
     error += low * ends_error[0] + (0.0 if separate.dt else high * ends_error[1])
     norm = float(np.sqrt(scale * value))
     blur = float(np.sqrt(scale * error)) + (0.5 * open_ / value * norm if value > 0 else 0.0)
-    return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
+    norm, blur = (_in_units_given(x, unit, separate.gain, power) for x in (norm, blur))
+    return norm, blur, rouche, count
 
 
-def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
-    """Integral over omega of the squared difference between the true and the rebuilt loop's response."""
+def _in_units_given(size: float, unit: int, gain: int, power: float) -> float:
+    """``size * 2^(unit - gain + power)``; half a power is left where the unit of time is an odd one."""
+    whole = int(np.floor(power))
+    return float(times_power(size * 2.0 ** (power - whole), unit - gain + whole))
+
+
+def _difference(grid: _Values, direct: Array, loop: StateSpaceModel, unit: int) -> float:
+    """Integral over omega of the squared difference between the true and the rebuilt loop's response, over 4^unit."""
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
     omega = grid.omega[finite]
     try:
@@ -565,7 +587,7 @@ def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
     except NoTrustworthyNumber:
         return float("inf")
     difference = _frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D))
-    squares = (difference + _frobenius(grid.T_error[finite])) ** 2
+    squares = times_power(difference + _frobenius(grid.T_error[finite]), -unit) ** 2
     width = np.gradient(omega) if len(omega) > 1 else omega
     # A resonance is as wide as its pole is far from the axis: a Lorentz curve has pi times that under its peak.
     poles = _in_s(loop.poles(), loop.dt)

@@ -42,10 +42,10 @@ def integral_over_decades(
         fine, fine_error = panels(starts, stops)
         count += NODES * len(starts)
         both, both_error = fine.reshape(-1, 2).sum(axis=1), fine_error.reshape(-1, 2).sum(axis=1)
+        if not (np.isfinite(both).all() and np.isfinite(coarse).all()):
+            return float("nan"), float("inf"), float("inf"), count
         change = np.abs(both - coarse)
         done = change <= QUADRATURE * (value + both.sum())
-        if not np.isfinite(both).all():
-            return float("nan"), float("inf"), float("inf"), count
         last = count > MOST_NODES
         done |= last
         value, error = value + float(both[done].sum()), error + float(both_error[done].sum())

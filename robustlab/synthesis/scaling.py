@@ -6,17 +6,18 @@ undone exactly in the controller.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.errors import NoTrustworthyNumber
-from robustlab.magnitude import TINY, balancing_exponents, is_moderate
-from robustlab.synthesis.partition import PlantMatrices, Realisation
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_power
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation
 
-__all__ = ["Scaling", "by_magnitude", "equilibrated", "paths_first"]
+__all__ = ["Scaling", "by_magnitude", "equilibrated", "in_ordinary_units", "paths_first"]
 
 Array = NDArray[Any]
 
@@ -51,24 +52,26 @@ class Scaling:
         rows = -t[:, None] - k
         return PlantMatrices(
             _signed(p.A, rows + t),
-            _times(p.B1, rows + w),
-            _times(p.B2, rows + u),
-            _times(p.C1, t + z),
-            _times(p.C2, t + y),
-            _times(p.D11, w + z),
-            _times(p.D12, u + z),
-            _times(p.D21, w + y),
+            times_power(p.B1, rows + w),
+            times_power(p.B2, rows + u),
+            times_power(p.C1, t + z),
+            times_power(p.C2, t + y),
+            times_power(p.D11, w + z),
+            times_power(p.D12, u + z),
+            times_power(p.D21, w + y),
         )
 
     def controller_to_plant(self, K: Realisation) -> Realisation:
         """The controller for the plant that belongs to one for the scaled plant."""
         k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
-        return Realisation(_times(K.A, k), _times(K.B, k + y), _times(K.C, u), _times(K.D, u + y))
+        return Realisation(times_power(K.A, k), times_power(K.B, k + y), times_power(K.C, u), times_power(K.D, u + y))
 
     def controller_from_plant(self, K: Realisation) -> Realisation:
         """Inverse of `controller_to_plant`."""
         k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
-        return Realisation(_times(K.A, -k), _times(K.B, -k - y), _times(K.C, -u), _times(K.D, -u - y))
+        return Realisation(
+            times_power(K.A, -k), times_power(K.B, -k - y), times_power(K.C, -u), times_power(K.D, -u - y)
+        )
 
 
 def _exponent(factor: Array | float) -> Array:
@@ -76,15 +79,9 @@ def _exponent(factor: Array | float) -> Array:
     return np.frexp(factor)[1] - 1
 
 
-def _times(matrix: Array, exponents: Array) -> Array:
-    """``matrix * 2^exponents``; inf and 0 where that is no floating-point number, never on the way there."""
-    with np.errstate(over="ignore", under="ignore"):
-        return np.ldexp(matrix, exponents)
-
-
 def _signed(matrix: Array, exponents: Array) -> Array:
     """The same, without entries that vanish: a pole keeps its side of the axis."""
-    scaled = _times(matrix, exponents)
+    scaled = times_power(matrix, exponents)
     return np.where((scaled == 0) & (matrix != 0), np.copysign(TINY, matrix), scaled)
 
 
@@ -99,11 +96,16 @@ def _rms(x: Array) -> float:
     return float(np.linalg.norm(x) / np.sqrt(max(1, min(x.shape)))) if x.size else 0.0
 
 
-def _start(p: PlantMatrices, discrete: bool) -> Scaling:
+def _is_ordinary(p: PlantMatrices) -> bool:
+    """Whether products of the plant's entries neither overflow nor vanish."""
     # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
     sizes = [np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12, p.C2.T, p.D21.T)]
     sizes.append(np.array([np.abs(m).max(initial=0.0) for m in (p.A, p.B1, p.C1, p.D11)]))
-    if not is_moderate(*np.concatenate(sizes)[:, None]):
+    return is_moderate(*np.concatenate(sizes)[:, None])
+
+
+def _start(p: PlantMatrices, discrete: bool) -> Scaling:
+    if not _is_ordinary(p):
         return by_magnitude(p, discrete)
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
     size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
@@ -147,6 +149,47 @@ def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
         raise NoTrustworthyNumber("scaling", "gains of the controller overflow", None, "choose other units of u and y")
     rate, states, into, out, w, z = (np.ldexp(1.0, e) for e in exponents)
     return Scaling(float(rate), states, into, out, float(w), float(z))
+
+
+def in_ordinary_units(
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel
+) -> tuple[GeneralizedPlant, StateSpaceModel, StateSpaceModel, int, int]:
+    """Plant, controller and loop with entries that can be multiplied, exactly; as they are where the plant's can be
+    already, and where there are no such units.
+
+    Two exponents lead back: frequencies are ``2^rate`` and closed-loop gains ``2^-gain`` times those of what is
+    returned.
+    """
+    matrices, m = plant.matrices(), plant.model
+    if _is_ordinary(matrices):
+        return plant, K, loop, 0, 0
+    try:
+        s = by_magnitude(matrices, m.is_discrete)
+        k, w, z, t, u, y = (_exponent(x) for x in (s.rate, s.w, s.z, s.states, s.u, s.y))
+        into = np.concatenate([np.full(m.n_inputs - plant.n_con, w), u])
+        out = np.concatenate([np.full(m.n_outputs - plant.n_meas, z), y])
+        P, rebuilt = _exactly(m, k, t, into, out), _exactly(loop, k, 0, w, z)
+        return replace(plant, model=P), _exactly(K, k, 0, -y, -u), rebuilt, int(k), int(w + z)
+    except (NoTrustworthyNumber, InputError):
+        return plant, K, loop, 0, 0
+
+
+def _exactly(m: StateSpaceModel, rate: Array, states: Array | int, into: Array, out: Array) -> StateSpaceModel:
+    """The model in the unit of time ``2^-rate``, with scaled states, inputs and outputs, all by exponents.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        An entry overflows, vanishes, or loses digits.
+    """
+    t, out = np.broadcast_to(states, m.n_states), np.broadcast_to(out, m.n_outputs)[:, None]
+    exponents = -t[:, None] + t - rate, -t[:, None] + into - rate, t + out, out + into
+    given = m.A, m.B, m.C, m.D
+    parts = [times_power(part, e) for part, e in zip(given, exponents, strict=True)]
+    for part, scaled, e in zip(given, parts, exponents, strict=True):
+        if not np.array_equal(times_power(scaled, -e), part):
+            raise NoTrustworthyNumber("scaling", "entries that are no floating-point numbers after it")
+    return StateSpaceModel(*parts, dt=m.dt, inputs=m.inputs, outputs=m.outputs)
 
 
 def _to_one(*scaled: tuple[Array, Array | int]) -> int:

@@ -298,3 +298,32 @@ def test_reduction_and_discretisation_do_not_trust_it_either(monkeypatch: pytest
     digital = rl.discretise_controller(design, 0.01, method="tustin")
     assert digital.status is Status.INACCURATE
     assert "separately" in digital.norm.reason
+
+
+@pytest.mark.parametrize(
+    ("rate", "w", "u", "y"), [(0, 0, 0, 0), (300, 700, 0, 0), (-301, -400, 200, 700), (3, 1, -900, 90)]
+)
+@pytest.mark.parametrize("dt", [0.0, 0.5])
+def test_other_units_change_no_word_of_the_second_voice(rate, w, u, y, dt):
+    """x' = a x + w1 + u, z = (x, u), y = x + w2 and its loop with u = -1.25 y, all of it in units of powers of two."""
+    rate = 0 if dt else rate
+    a = 0.5 if dt else 1.0
+
+    def voices(rate, w, u, y):
+        into, out = np.array([w, w, -u]), np.array([[0], [0], [y]])
+        A, B = np.array([[a]]), np.array([[1.0, 0, 1]])
+        C, D = np.array([[1.0], [0], [1]]), np.array([[0, 0, 0], [0, 0, 1.0], [0, 1, 0]])
+        P = StateSpaceModel(np.ldexp(A, rate), np.ldexp(B, into + rate), np.ldexp(C, out), np.ldexp(D, into + out), dt)
+        K = StateSpaceModel([], [], [], [[np.ldexp(-1.25, u - y)]], dt)
+        plant = GeneralizedPlant(P, 1, 1)
+        loop = lower_lft(P, K)
+        claimed = h2_norm(StateSpaceModel(loop.A, loop.B, loop.C, np.zeros_like(loop.D), dt)).value
+        return hinf_voice(plant, K, loop), h2_voice(plant, K, loop, claimed)
+
+    (gain, square), (gain_there, square_there) = voices(0, 0, 0, 0), voices(rate, w, u, y)
+    for one, two, power in ((gain, gain_there, 0.0), (square, square_there, 0.0 if dt else 0.5 * rate)):
+        assert two.value == pytest.approx(np.ldexp(one.value, w + int(np.floor(power))) * 2 ** (power % 1), rel=1e-9)
+        assert two.error <= 1e-5 * two.value
+        assert two.stable
+        assert two.rouche < 1e-9
+    assert gain_there.frequency == pytest.approx(np.ldexp(gain.frequency, rate), rel=1e-6)

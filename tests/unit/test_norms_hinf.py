@@ -153,3 +153,31 @@ def test_an_unstable_model_without_channels_has_no_finite_norm():
     stable = StateSpaceModel([[-1.0]], none_in, none_out, np.zeros((0, 0)))
     assert hinf_norm(unstable).upper == np.inf
     assert hinf_norm(stable).upper == 0.0
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
+def test_a_norm_that_is_zero_but_for_rounding_is_certified_as_that(dt, size):
+    """One model less itself, in states of other sizes: no gain at all, whatever its evaluation says."""
+    A = np.array([[0.5, 0.3], [-0.2, 0.1]]) if dt else np.array([[-1.0, 7.0], [-0.3, -0.1]])
+    B, C, t = np.array([[1.0], [0.3]]), size * np.array([[0.7, -1.1]]), np.array([1.0, 64.0])
+    zero = np.zeros((2, 2))
+    whole = np.block([[A, zero], [zero, A / t[:, None] * t]]), np.vstack([B, B / t[:, None]]), np.hstack([C, -C * t])
+    norm = hinf_norm(StateSpaceModel(*whole, [[0.0]], dt))
+    assert norm.status is Status.CERTIFIED
+    assert norm.lower == 0.0
+    assert 0 <= norm.upper <= 1e-11 * size
+    # A gain of a millionth of the terms is one, and what rounding adds to it is in the bracket.
+    whole[2][0, 2:] *= 1 - 1e-6
+    norm, alone = hinf_norm(StateSpaceModel(*whole, [[0.0]], dt)), hinf_norm(StateSpaceModel(A, B, C, [[0.0]], dt))
+    assert norm.status is Status.CERTIFIED
+    assert norm.lower == pytest.approx(1e-6 * alone.lower, rel=1e-5)
+
+
+def test_h2_norm_of_a_lopsided_realisation():
+    """In states (x1, 2^133 x2) the outputs are x1 and 2^134 x2, beside which the first is nothing."""
+    A, B, t = np.array([[1.0, -2.0], [2.5, -3.5]]), np.diag([1.0, 2.5]), np.array([1.0, 2.0**-133])
+    second = h2_norm(StateSpaceModel(A, B, np.diag([0.0, 2.0]), np.zeros((2, 2)))).value
+    norm = h2_norm(StateSpaceModel(A / t[:, None] * t, B / t[:, None], np.diag([1.0, 2.0]), np.zeros((2, 2))))
+    assert norm.status is Status.CONVERGED
+    assert norm.value == pytest.approx(2.0**133 * second, rel=1e-12)
