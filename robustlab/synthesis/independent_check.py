@@ -535,29 +535,30 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
     else:
         direct = grid.T[-1]
     scale = separate.dt / np.pi if separate.dt else 1 / np.pi
+    # Squares are taken in a unit of the size of the norm: they would overflow from 1e154 on.
+    unit = 2.0 ** np.round(np.log2(claimed)) if 0 < claimed < np.inf else 1.0
     if loop.n_states > MANY_STATES:
-        blur = float(np.sqrt(scale * _difference(grid, direct, loop)))
+        blur = unit * float(np.sqrt(scale * _difference(grid, direct, loop, unit)))
         return SecondVoice(
             claimed - blur, claimed + blur, claimed, blur, float("nan"), rouche, stable, len(grid.omega)
         )  # fmt: skip
 
     def squares(omega: Array) -> tuple[Array, Array]:
         found = separate.values(omega, everywhere=True)
-        T = _frobenius(found.T - direct) ** 2
-        return T, _frobenius(found.T_error) ** 2
+        return (_frobenius(found.T - direct) / unit) ** 2, (_frobenius(found.T_error) / unit) ** 2
 
     edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
     value, error, open_, count = integral_over_decades(squares, edges)
     ends, ends_error = squares(np.array([low, high]))
     value += low * ends[0] + (0.0 if separate.dt else high * ends[1])
     error += low * ends_error[0] + (0.0 if separate.dt else high * ends_error[1])
-    norm = float(np.sqrt(scale * value))
-    blur = float(np.sqrt(scale * error)) + (0.5 * open_ / value * norm if value > 0 else 0.0)
+    norm = unit * float(np.sqrt(scale * value))
+    blur = unit * float(np.sqrt(scale * error)) + (0.5 * open_ / value * norm if value > 0 else 0.0)
     return SecondVoice(norm - blur, norm + blur, norm, blur, float("nan"), rouche, stable, count)
 
 
-def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
-    """Integral over omega of the squared difference between the true and the rebuilt loop's response."""
+def _difference(grid: _Values, direct: Array, loop: StateSpaceModel, unit: float) -> float:
+    """Integral over omega of the squared difference between the true and the rebuilt loop's response, in unit^2."""
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
     omega = grid.omega[finite]
     try:
@@ -565,7 +566,7 @@ def _difference(grid: _Values, direct: Array, loop: StateSpaceModel) -> float:
     except NoTrustworthyNumber:
         return float("inf")
     difference = _frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D))
-    squares = (difference + _frobenius(grid.T_error[finite])) ** 2
+    squares = ((difference + _frobenius(grid.T_error[finite])) / unit) ** 2
     width = np.gradient(omega) if len(omega) > 1 else omega
     # A resonance is as wide as its pole is far from the axis: a Lorentz curve has pi times that under its peak.
     poles = _in_s(loop.poles(), loop.dt)
