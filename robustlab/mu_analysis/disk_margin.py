@@ -51,7 +51,7 @@ __all__ = [
 
 Place = Literal["input", "output", "both"]
 # Bounds of several loops that are farther apart than this get a closer search along the axis.
-CLOSE = 5e-4
+CLOSE = 1e-5
 # I - M Delta is singular where its smallest singular value is below this share of its largest.
 SINGULAR = 1e-7
 AT_END = 1e-12

@@ -21,7 +21,7 @@ from robustlab.synthesis.design_limits import Limit
 from robustlab.synthesis.design_problem import DesignProblem, common_scaling
 from robustlab.synthesis.fixed_result import FixedSynthesis, LimitValue, ParameterValue
 from robustlab.synthesis.independent_check import norm_doubt
-from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.robust_structure import robust_design
 from robustlab.synthesis.structure_search import Start, multi_start
 from robustlab.synthesis.structure_starts import informed_starts
@@ -177,6 +177,7 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
             )
     for i, plant in enumerate(plants, start=1):
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
+        require_performance(plant, place)
         continuous = plant
         if plant.model.dt:
             continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)

@@ -19,7 +19,13 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.assumptions import require_stabilisable
 from robustlab.synthesis.design import Synthesis, design_budget, told
 from robustlab.synthesis.independent_check import h2_voice
-from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
+from robustlab.synthesis.partition import (
+    GeneralizedPlant,
+    PlantMatrices,
+    Realisation,
+    as_generalized_plant,
+    require_performance,
+)
 from robustlab.synthesis.scaling import Scaling, by_magnitude, equilibrated, paths_first
 from robustlab.synthesis.verified_loop import rebuilt_loop, separated_modes
 
@@ -154,6 +160,7 @@ def h2(
     ('converged', 0.696621)
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
+    require_performance(plant, "synth h2")
     return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
 
 

@@ -17,7 +17,7 @@ from robustlab.synthesis.design import HinfSynthesis, design_budget, limiting_ch
 from robustlab.synthesis.gamma_bounds import GammaBound, place_in_s, place_in_z, pointwise_bound
 from robustlab.synthesis.lmi_synthesis import lmi_controllers
 from robustlab.synthesis.nonsmooth_fallback import descend_from, is_poor, stabilise
-from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant
+from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices, as_generalized_plant, require_performance
 from robustlab.synthesis.portfolio import Portfolio, portfolio
 from robustlab.synthesis.scaling import equilibrated, paths_first
 from robustlab.synthesis.search import Search
@@ -102,6 +102,7 @@ def hinf(
     ('certified', 0.732)
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
+    require_performance(plant, "synth hinf")
     budget = design_budget("synth hinf", WORK, effort, time_limit)
     return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 

@@ -22,7 +22,7 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
 from robustlab.synthesis.design import Synthesis, limiting_channels
 from robustlab.synthesis.independent_check import hinf_voice
-from robustlab.synthesis.partition import GeneralizedPlant
+from robustlab.synthesis.partition import GeneralizedPlant, require_performance
 from robustlab.synthesis.verified_loop import named_controller, surely_stable
 from robustlab.uncertainty.coprime import (
     CoprimeMargin,
@@ -263,12 +263,10 @@ def with_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
         Disturbances without performance outputs, or the other way round.
     """
     n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
-    if n_w and n_z:
-        return plant
-    if n_w or n_z:
-        found = f"{n_w} disturbances and {n_z} performance outputs in the plant"
-        raise InputError(where, found, "some of both", "or a bare plant, to judge its loop by the four-block gain")
-    return four_block_plant(plant.model)
+    if not n_w and not n_z:
+        return four_block_plant(plant.model)
+    require_performance(plant, where, "or a bare plant, to judge its loop by the four-block gain")
+    return plant
 
 
 def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpaceModel:

@@ -18,7 +18,14 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["GeneralizedPlant", "PlantMatrices", "Realisation", "as_generalized_plant", "generalized_plant"]
+__all__ = [
+    "GeneralizedPlant",
+    "PlantMatrices",
+    "Realisation",
+    "as_generalized_plant",
+    "generalized_plant",
+    "require_performance",
+]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +37,9 @@ class Realisation(NamedTuple):
     B: NDArray[Any]
     C: NDArray[Any]
     D: NDArray[Any]
+
+
+NO_PERFORMANCE = "mixsyn and ncf make them for a bare plant; in P they come before the controls and measurements"
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +152,23 @@ def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: s
     if isinstance(P, UncertainModel):
         return GeneralizedPlant(P.M, n_meas, n_con, P.blocks)
     return GeneralizedPlant(as_model(P, f"{where}: P"), n_meas, n_con)
+
+
+def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERFORMANCE) -> None:
+    """Refuse a plant whose loop has no gain to judge it by: without w, or without z, every norm is 0 and says nothing.
+
+    Raises
+    ------
+    InputError
+        It names which of the two is missing.
+    """
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    if n_w and n_z:
+        return
+    missing = " and ".join(["no disturbance w"] * (not n_w) + ["no performance output z"] * (not n_z))
+    size = f"P of {plant.model.n_inputs} inputs and {plant.model.n_outputs} outputs has"
+    rest = f"beside {plant.n_con} controls and {plant.n_meas} measurements"
+    raise InputError(where, f"{size} {missing} {rest}", "at least one of both", hint)
 
 
 def generalized_plant(

@@ -31,7 +31,7 @@ from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, s
 from robustlab.synthesis.balancing import triangular_root
 from robustlab.synthesis.independent_check import hinf_voice
 from robustlab.synthesis.lifting import LiftedPlant, lift
-from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant, require_performance
 
 __all__ = ["SampledDataNorm", "sampled_data_norm", "sampled_loop_norm", "with_antialiasing"]
 
@@ -142,6 +142,7 @@ def sampled_data_norm(
     where = "sampled_data_norm"
     k = as_model(getattr(K, "K", K), f"{where}: K")
     p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
+    require_performance(p, where)
     check_sampling(p, k.dt, delay, where)
     if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
         raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")

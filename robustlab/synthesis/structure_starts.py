@@ -19,6 +19,7 @@ from robustlab.synthesis.controller_laws import AffineLaw, Law
 from robustlab.synthesis.controller_structures import StaticGain
 from robustlab.synthesis.design_limits import Limit
 from robustlab.synthesis.design_problem import DesignProblem
+from robustlab.synthesis.h2_synthesis import synthesize_h2
 from robustlab.synthesis.hinf_synthesis import synthesize
 from robustlab.synthesis.model_reduction import reduce_model
 from robustlab.synthesis.nonsmooth import law_around
@@ -33,7 +34,7 @@ Array = NDArray[Any]
 STATIC_STARTS = 6
 STATIC_SHARE, FULL_SHARE, FULL_MOST = 0.3, 0.2, 10 * MILLION
 # The full-order design may be so much worse than the best one: it is calmer then, and easier to reduce.
-GAMMA_REL = 1.05
+GAMMA_REL = {"hinf": 1.05, "h2": 1.0005}
 # Poles of the states beside a static gain, in units of the plant's rate (discrete: in the z-plane).
 POLES, DISCRETE_POLES = (0.3, 3.0), (0.2, 0.8)
 
@@ -68,7 +69,7 @@ def informed_starts(
         D = _static_gain(plants, law, objective, seed, budget.share(STATIC_SHARE), progress)
         if D is not None:
             found.append(("static", _held(law, _extended(problem, law, D, 0, seed))))
-    K = _reduced(plants[0], law.sizes[0], budget.share(min(FULL_SHARE, FULL_MOST / max(budget.left, 1.0))))
+    K = _reduced(plants[0], law.sizes[0], objective, budget.share(min(FULL_SHARE, FULL_MOST / max(budget.left, 1.0))))
     if K is not None:
         around, q = law_around(K)
         found.append(("reduced", _held(law, _extended(problem, law, around.packed(q), K.n_states, seed))))
@@ -133,12 +134,12 @@ def _extended(problem: DesignProblem, law: AffineLaw, theta: Array, order: int, 
     return full
 
 
-def _reduced(plant: GeneralizedPlant, order: int, budget: Budget) -> StateSpaceModel | None:
-    """The full-order H-infinity controller reduced to this order; None where either fails."""
+def _reduced(plant: GeneralizedPlant, order: int, objective: str, budget: Budget) -> StateSpaceModel | None:
+    """The full-order controller for the objective reduced to this order; None where either fails."""
     if budget.over:
         return None
     try:
-        K = synthesize(plant, "hinf", GAMMA_REL, budget).K
+        K = (synthesize if objective == "hinf" else synthesize_h2)(plant, objective, GAMMA_REL[objective], budget).K
     except (InputError, NoTrustworthyNumber):
         return None
     if K.n_states <= order:

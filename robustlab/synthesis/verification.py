@@ -52,10 +52,6 @@ class Verified:
         return not self.doubt
 
     @property
-    def _disagreement(self) -> str:
-        return self.voice.doubt(self.norm.lower, self.norm.upper)
-
-    @property
     def doubt(self) -> str:
         """Why it is not certified; empty where it is."""
         if self.norm.status is not Status.CERTIFIED:

@@ -57,6 +57,9 @@ def test_the_spinning_satellite_as_published_by_mathworks():
     # And with another output matrix between 0.4890 and 0.4899.
     other = disk_margin(*satellite(8.0)).simultaneous
     assert 0.4890 <= round(other.lower, 4) <= round(other.upper, 4) <= 0.4899
+    # For two complex scalars mu is min_t sigma_max(diag(e^t, 1) M diag(e^-t, 1)): over t and w by scipy.
+    assert other.lower <= 0.489937150 <= other.upper * (1 + 1e-9)
+    assert other.upper == pytest.approx(0.489937150, rel=1e-6)
     assert other.status is rl.Status.CERTIFIED
 
 

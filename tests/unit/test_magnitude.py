@@ -192,6 +192,27 @@ def test_h2_of_the_textbook_scalar_at_any_magnitude(name, size):
     assert 1 - 1e-6 <= design.gamma / float(best) <= (1 + 1e-6 if not design.regularisation else 1.01)
 
 
+@pytest.mark.parametrize("size", [1e-300, 1e-154, 1e154, 1e300])
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_h2_of_every_disturbance_at_any_magnitude(dt, size):
+    """All of w in another unit changes the norm by that factor and K not at all; its second voice squares nothing."""
+    A, w = [[0.5, 1.0], [0.0, -2.0]], np.array([[1.0, 0.0], [2.0, 0.0]])
+    into, out, u, noise = (
+        np.array([[1.0], [1.0]]),
+        [[1.0, 0.0], [0.0, 0.0], [1.0, 0.5]],
+        [[0.0], [1.0], [0.0]],
+        [0, 1.0],
+    )
+
+    def designed(unit):
+        D = np.hstack([unit * np.array([[0, 0], [0, 0], noise]), u])
+        return rl.h2(rl.StateSpaceModel(A, np.hstack([unit * w, into]), out, D, dt), 1, 1)
+
+    design, plain = designed(size), designed(1.0)
+    assert design.status is plain.status is rl.Status.CONVERGED
+    assert design.gamma == pytest.approx(size * plain.gamma, rel=1e-9)
+
+
 @pytest.mark.parametrize("b1", [1.0, 1e10, 1e100, 1e154, 1e200])
 def test_hinf_of_any_disturbance_gain(b1):
     """P12 = s/(s - 1) has a zero at 0, so that no gain is below |P11(0)| = b1; K = -1 - eps comes close to it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
@@ -100,3 +101,21 @@ def test_unknown_names_and_double_use():
         generalized_plant(uncertain_model(), [], ["u"])
     with pytest.raises(InputError, match="leave them out"):
         hinf(generalized_plant(uncertain_model(), ["v"], ["u"]), 2, 1)
+
+
+@pytest.mark.parametrize(("n_w", "n_z", "missing"), [(0, 0, "w and no performance"), (0, 1, "w"), (1, 0, "output z")])
+@pytest.mark.parametrize("design", ["hinf", "h2", "fixed", "fixed of two", "sampled norm"])
+def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missing):
+    """Every norm of its loop is zero: a design that is certified for that would be as empty."""
+    P = StateSpaceModel(
+        np.diag([1.0, -2.0]), np.ones((2, n_w + 1)), np.ones((n_z + 1, 2)), np.zeros((n_z + 1, n_w + 1))
+    )
+    calls = {
+        "hinf": lambda: rl.hinf(P, 1, 1),
+        "h2": lambda: rl.h2(P, 1, 1),
+        "fixed": lambda: rl.fixed_structure(P, 1, n_meas=1, n_con=1),
+        "fixed of two": lambda: rl.fixed_structure([P, P], 1, n_meas=1, n_con=1),
+        "sampled norm": lambda: rl.sampled_data_norm(P, StateSpaceModel([], [], [], [[-5.0]], 0.01)),
+    }
+    with pytest.raises(InputError, match=f"no .*{missing}.* beside 1 controls and 1 measurements"):
+        calls[design]()
