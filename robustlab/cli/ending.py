@@ -18,6 +18,7 @@ import errno
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from types import FrameType
@@ -45,7 +46,7 @@ LEAST_ADDRESS_SPACE = 640 << 20
 
 
 def ready_streams() -> None:
-    """Give a closed stdin or stderr something to stand on, and take SIGTERM for Ctrl-C.
+    """Give a closed stdin or stderr something to stand on, take SIGTERM for Ctrl-C, and tell a warning in one line.
 
     A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
     complains there.
@@ -68,8 +69,14 @@ def ready_streams() -> None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123  for the rest of the process
     if hasattr(signal, "SIGTERM") and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _interrupt)
+    warnings.showwarning = _say_warning
     if sys.stdout is None:
         raise EnvironmentFault("robustlab", "stdout is closed", "somewhere to print the result (> /dev/null)")
+
+
+def _say_warning(message: Warning | str, *_where: object, **_more: object) -> None:
+    """Without the line of our source that Python would show: it tells the user nothing about the file."""
+    _say(f"warning: {plain_text(str(message))}")
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
