@@ -25,6 +25,7 @@ from robustlab.synthesis.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.robust_structure import robust_design
 from robustlab.synthesis.structure_search import Start, multi_start
 from robustlab.synthesis.structure_starts import informed_starts
+from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["fixed_structure"]
 
@@ -177,7 +178,8 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
             )
     for i, plant in enumerate(plants, start=1):
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
-        require_performance(plant, place)
+        bare = UncertainModel(plant.model, plant.blocks).nominal  # what Delta needs is no performance
+        require_performance(GeneralizedPlant(bare, plant.n_meas, plant.n_con), place)
         continuous = plant
         if plant.model.dt:
             continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)

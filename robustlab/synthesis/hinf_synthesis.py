@@ -165,6 +165,8 @@ def _synthesize(
         say(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
     if bandwidth is not None and chosen.candidate.pace > bandwidth:
         chosen = verifier.within(found.candidates, best, gamma_rel, bandwidth)
+    if chosen.gamma < best.gamma:  # on the way to a softer one a smaller one was found
+        best = chosen
     return _finished(
         plant=plant,
         chosen=chosen,

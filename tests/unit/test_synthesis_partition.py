@@ -119,3 +119,18 @@ def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missi
     }
     with pytest.raises(InputError, match=f"no .*{missing}.* beside 1 controls and 1 measurements"):
         calls[design]()
+
+
+def test_channels_of_delta_are_no_performance():
+    """Each member of the set has neither w nor z, so that no gain of it can be made small."""
+    uncertain = UncertainModel(
+        StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealScalar("p")]
+    )
+    with pytest.raises(InputError, match="no disturbance w and no performance output z"):
+        rl.fixed_structure(uncertain, 1, n_meas=1, n_con=1)
+
+
+def test_the_smallest_gamma_found_is_the_smallest():
+    plant = StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    design = rl.hinf(plant, 1, 1)  # the more gain the smaller: zero is the infimum
+    assert design.smallest_gamma <= design.gamma
