@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from robustlab.errors import InputError
+from robustlab.exact_stability import exactly_stable
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -181,3 +186,53 @@ def test_h2_norm_of_a_lopsided_realisation():
     norm = h2_norm(StateSpaceModel(A / t[:, None] * t, B / t[:, None], np.diag([1.0, 2.0]), np.zeros((2, 2))))
     assert norm.status is Status.CONVERGED
     assert norm.value == pytest.approx(2.0**133 * second, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("A", "discrete", "stable"),
+    [
+        ([[0.0, 1.0], [-1.0, 0.0]], False, False),
+        ([[0.0, 1.0], [-1.0, -1e-300]], False, True),
+        ([[0.0, 1.0], [-1.0, 1e-300]], False, False),
+        ([[0.0]], False, False),
+        ([[1.0 - 2.0**-53]], True, True),
+        ([[1.0]], True, False),
+        ([[-1.0]], True, False),
+        ([[0.6, 0.8], [-0.8, 0.6]], True, False),  # 0.6^2 + 0.8^2 of the floats is above 1
+        ([[-2.0, 1e9], [-4e-9, 2.0]], False, False),  # trace 0
+        (np.diag([-1e-200] * 5) + np.diag([1e200] * 4, 1), False, True),
+        (np.zeros((13, 13)), False, None),
+        (np.zeros((0, 0)), False, True),
+    ],
+)
+def test_stability_in_exact_arithmetic(A, discrete, stable):
+    """The determinant of the rotation is 0.36 + 0.64 of the floats: its sign beside 1 is known by fractions."""
+    A = np.array(A)
+    if A.shape == (2, 2) and discrete:
+        a, b = (Fraction(x) for x in A[0])
+        stable = a * a + b * b < 1
+    assert exactly_stable(A, discrete) is stable
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(1, 6), st.integers(0, 2**32), st.booleans())
+def test_stability_in_exact_arithmetic_where_eigenvalues_know_it(n, seed, discrete):
+    A = np.random.default_rng(seed).standard_normal((n, n))
+    A = A / np.sqrt(n) if discrete else A - np.sqrt(n) * np.eye(n)
+    poles = np.linalg.eigvals(A)
+    distance = np.abs(poles).max() - 1 if discrete else poles.real.max()
+    assume(abs(distance) > 1e-6)
+    assert exactly_stable(A, discrete) is bool(distance < 0)
+
+
+def test_a_jordan_block_that_eigenvalues_call_unstable_is_not_certified_so():
+    """(s + a)^6 with a = 1e-4: computed roots scatter by eps^(1/6) = 2e-3 around it, some of them to the right."""
+    T = np.linalg.qr(np.random.default_rng(3).standard_normal((6, 6)))[0]
+    A = T @ (np.diag([-1e-4] * 6) + np.diag([1.0] * 5, 1)) @ T.T
+    model = StateSpaceModel(A, np.ones((6, 1)), np.ones((1, 6)), [[0.0]])
+    norm = hinf_norm(model)
+    truth = exactly_stable(A)
+    assert truth is not None
+    if np.isinf(norm.lower):
+        assert not truth
+    assert (h2_norm(model).status is Status.CERTIFIED) <= (not truth)
