@@ -236,7 +236,9 @@ class _Separate:
     def corners(self) -> Array:
         """Frequencies of all poles and of their resonances, increasing."""
         poles = np.concatenate(self.poles)
-        resonance = np.sqrt(np.maximum(np.imag(poles) ** 2 - np.real(poles) ** 2, 0.0))
+        re, im = np.abs(np.real(poles)), np.abs(np.imag(poles))
+        # im^2 - re^2, without squares that overflow.
+        resonance = np.sqrt(np.maximum(im - re, 0.0)) * np.sqrt(im + re)
         own = np.unique(np.concatenate([np.abs(poles), np.abs(np.imag(poles)), resonance]))
         own = own[np.isfinite(own) & (own > 0)]
         return own[own > 1e-20 * own[-1]] if len(own) else np.ones(1)
