@@ -386,11 +386,14 @@ def h2_norm(model: Any) -> H2Norm:
         return H2Norm(ordinary.value(float(np.sqrt(direct)), "h2_norm"), Status.CERTIFIED)
     # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
     s, rate = (m, 1.0) if m.is_discrete else _well_scaled(m)
+    # Only A decides whether the equations can be solved; inputs and outputs of other sizes must not unbalance it.
+    t = balancing_factors(s.A)
+    B, C = s.B / t[:, None], s.C * t
     try:
-        reach, see = gramians(s.A, s.B, s.C, m.is_discrete)
+        reach, see = gramians(s.A / t[:, None] * t, B, C, m.is_discrete)
     except NoTrustworthyNumber as error:
         return H2Norm(np.inf, Status.FAILED, error.line)
-    squares = [max(float(np.trace(s.C @ reach @ s.C.T)), 0.0), max(float(np.trace(s.B.T @ see @ s.B)), 0.0)]
+    squares = [max(float(np.trace(C @ reach @ C.T)), 0.0), max(float(np.trace(B.T @ see @ B)), 0.0)]
     # A discrete sum has no time unit; a continuous integral has that of the ordinary model.
     power = 0.0 if m.is_discrete else 0.5
     one, two = (ordinary.value(float(np.sqrt(rate * x + direct)), "h2_norm", power) for x in squares)
