@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,8 @@ class WorstCaseGain:
         Gain of the nominal member.
     status
         CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit ended the
-        proof; ``upper`` is what was proved by then.
+        proof; ``upper`` is what was proved by then. INACCURATE: there is no uncertainty, and digits of the nominal
+        gain were lost.
     omega, nominal_gain, gain_lower, gain_upper
         Curves over the frequencies that were asked for.
     intervals
@@ -182,7 +183,9 @@ def gain_within(
         return _result(uncertain, nominal.value, _Known(0.0, 0.0), budget, (), grid)
     if not uncertain.blocks:
         known = _Known(nominal.lower, nominal.upper, {}, nominal.frequency)
-        return _result(uncertain, nominal.value, known, budget, ("no uncertainty: the gain is the nominal one",), grid)
+        notes = ("no uncertainty: the gain is the nominal one", *([nominal.reason] if nominal.reason else []))
+        found = _result(uncertain, nominal.value, known, budget, notes, grid)
+        return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
     blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y))
     return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed)
 

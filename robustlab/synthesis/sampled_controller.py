@@ -340,10 +340,11 @@ class _Trials:
 
     def _judge(self, name: str, K: StateSpaceModel) -> None:
         self.budget.spend(norm_work(self.plant, K))
+        # One that is larger than the best is not looked at more closely, unless that one is in doubt.
+        sure = self.best is not None and self.best[2].status.trustworthy
+        enough = self.best[2].upper if self.best is not None and sure else np.inf
         try:
-            norm = sampled_loop_norm(
-                self.plant, K, self.delay, 1e-2, np.inf if self.best is None else self.best[2].upper
-            )
+            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, enough)
         except (InputError, NoTrustworthyNumber) as error:  # the loop is not well posed
             self._none(name, error.line)
             return
@@ -352,9 +353,7 @@ class _Trials:
         self.trials.append(trial)
         self.progress(f"{name}: sampled-data norm {norm.upper:.6g}, loss {_loss_text(trial)}")
         key = (not norm.status.trustworthy, norm.upper)
-        if np.isfinite(norm.upper) and (
-            self.best is None or key < (not self.best[2].status.trustworthy, self.best[2].upper)
-        ):
+        if np.isfinite(norm.upper) and (self.best is None or key < (not sure, self.best[2].upper)):
             self.best = name, K, norm
 
 
@@ -371,7 +370,8 @@ def _finished(
         )  # fmt: skip
     name, K, norm = search.best
     achieved = _loss(norm.upper, search.continuous)
-    reason = f"{name}: sampled loop rebuilt, norm proved on {norm.n_intervals} intervals a period"
+    how = norm.reason or f"norm proved on {norm.n_intervals} intervals a period"
+    reason = f"{name}: sampled loop rebuilt, {how}"
     if achieved > loss:
         reason += f"; no method tried keeps the loss to {100 * loss:g} %"
     status, reason = told(norm.status, [reason], search.budget, "one that loses less")

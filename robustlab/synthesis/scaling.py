@@ -42,8 +42,20 @@ class Scaling:
 
     @property
     def gain(self) -> float:
-        """Factor from a closed-loop gain of the plant to that of the scaled plant."""
-        return self.w * self.z
+        """Factor from a closed-loop gain of the plant to that of the scaled plant.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            No floating-point number is that small or that large.
+        """
+        gain = float(self.w) * float(self.z)
+        if not TINY <= gain <= 1 / TINY:
+            found = f"gains of the loop are about 1e{-np.log10(self.w) - np.log10(self.z):.0f}"
+            raise NoTrustworthyNumber(
+                "scaling", found, "gains between 1e-307 and 1e307", "choose other units of w and z"
+            )
+        return gain
 
     def apply(self, p: PlantMatrices) -> PlantMatrices:
         """The scaled plant."""

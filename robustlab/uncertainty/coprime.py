@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
-from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate
+from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate, refuse_overflow
 from robustlab.matrix_equations import RiccatiSolution, care
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
@@ -121,7 +121,10 @@ class CoprimeRiccati:
     @property
     def best_margin(self) -> float:
         """``(1 + rho(X Z))^(-1/2)``."""
-        product = np.linalg.eigvals(self.control.X @ self.filtering.X).real.max(initial=0.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            product = self.control.X @ self.filtering.X
+        refuse_overflow("coprime factors", product)
+        product = np.linalg.eigvals(product).real.max(initial=0.0)
         return float(1 / np.sqrt(1 + max(product, 0.0)))
 
 

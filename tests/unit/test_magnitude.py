@@ -294,3 +294,19 @@ def test_an_error_begins_with_the_function_that_was_called(call, name):
         call()
     assert caught.value.where.partition(":")[0] == name
     assert str(caught.value).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize("b", [1e200, 1e300])
+@pytest.mark.parametrize("design", ["hinf", "h2", "ncf"])
+def test_gains_beyond_floating_point_end_in_one_line(design, b):
+    """All of B and C that large: products of them are no floating-point numbers, and scalings of them are zero."""
+    P = Model([[1.0, 1.0], [0.0, -1.0]], b * np.ones((2, 2)), b * np.array([[1.0, 2.0], [1.0, 1.0]]), np.zeros((2, 2)))
+    calls: dict[str, Callable[[], Any]] = {
+        "hinf": lambda: rl.hinf(P, 1, 1, effort=0.01),
+        "h2": lambda: rl.h2(P, 1, 1, effort=0.1),
+        "ncf": lambda: rl.ncf(P.select(P.input_names[:1], P.output_names[:1])),
+    }
+    try:
+        assert calls[design]().gamma > 0
+    except rl.NoTrustworthyNumber as error:
+        assert "\n" not in error.line

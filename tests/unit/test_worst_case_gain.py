@@ -165,3 +165,11 @@ def test_a_block_called_performance_is_refused():
     M = rl.StateSpaceModel([[-0.5]], [[0.1, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     with pytest.raises(rl.InputError, match="another name"):
         rl.robust_performance(rl.UncertainModel(M, [rl.RealScalar("performance")]))
+
+
+def test_the_gain_without_uncertainty_is_no_surer_than_the_norm():
+    """1/(s + 1) - 1/(s + 1): what is left of it is rounding."""
+    nothing = rl.StateSpaceModel(-np.eye(2), [[1.0], [1.0]], [[1.0, -1.0]], [[0.0]])
+    worst = rl.worst_case_gain(rl.UncertainModel(nothing, []))
+    assert worst.status is rl.Status.INACCURATE
+    assert any("digits were lost" in note for note in worst.notes)
