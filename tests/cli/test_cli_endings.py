@@ -256,3 +256,13 @@ def test_a_run_sweeps_what_killed_runs_left_more_than_an_hour_ago(folder):
     assert (out / ".short-running-link").is_symlink()
     assert (kept / "data.csv").read_text() == "1"
     assert not [path for path in (out / "short").rglob("*") if path.name == ".running"]
+
+
+def test_a_record_without_a_hash_is_read_with_the_same_warning(folder):
+    t = [0.0, 0.1, 0.2]
+    rl.save(folder / "r.h5", rl.Record(t=t, inputs={"u": [1.0, 2.0, 1.0]}, outputs={"y": [0.0, 1.0, 2.0]}))
+    with h5py.File(folder / "r.h5", "a") as file:
+        del file.attrs["content_sha256"]
+    done = robustlab("data", "check", "r.h5", cwd=folder)
+    assert done.returncode == 0
+    assert one_line(done.stderr).startswith("warning: r.h5: the file carries no content_sha256")
