@@ -48,6 +48,9 @@ LEAST_ADDRESS_SPACE = 640 << 20
 def ready_streams() -> None:
     """Give a closed stdin or stderr something to stand on, take SIGTERM for Ctrl-C, and tell a warning in one line.
 
+    An interruption that comes while a destructor or a library's callback runs, where Python can only drop it, is
+    raised again.
+
     A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
     complains there.
 
@@ -70,6 +73,7 @@ def ready_streams() -> None:
     if hasattr(signal, "SIGTERM") and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _interrupt)
     warnings.showwarning = _say_warning
+    sys.unraisablehook = _not_lost
     if sys.stdout is None:
         raise EnvironmentFault("robustlab", "stdout is closed", "somewhere to print the result (> /dev/null)")
 
@@ -81,6 +85,14 @@ def _say_warning(message: Warning | str, *_where: object, **_more: object) -> No
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _not_lost(lost: sys.UnraisableHookArgs) -> None:
+    if not (lost.exc_type and issubclass(lost.exc_type, KeyboardInterrupt) and hasattr(signal, "setitimer")):
+        sys.__unraisablehook__(lost)
+        return
+    signal.signal(signal.SIGALRM, _interrupt)  # in a moment: raised here it would be dropped as well
+    signal.setitimer(signal.ITIMER_REAL, 0.02)
 
 
 def require_surroundings() -> None:

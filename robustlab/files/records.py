@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -193,9 +194,11 @@ def _group_names(tree: Tree) -> list[str]:
 def _record_of_format_1(where: str, tree: Tree, group: str | None, no_verify: bool) -> Tree:
     if group:
         raise InputError(where, f"group {group!r} of a format 1 file", "no group: such a file holds one object")
-    kind, _warnings = check_header(tree, no_verify)
+    kind, remarks = check_header(tree, no_verify)
     if kind != "record":
         raise InputError(where, f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
+    for text in remarks:
+        warnings.warn(f"{where}: {text}", stacklevel=4)  # the caller of Record.read
     return tree
 
 

@@ -277,7 +277,9 @@ def walk(entry: Any, arithmetic: _Arithmetic, names: Iterable[str], where: str) 
     try:
         tree = ast.parse(entry.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        if isinstance(error, SyntaxError):  # a whole number of thousands of digits brings advice about Python's limits
+            reason = "a number too long" if "integer string conversion" in error.msg else error.msg
         raise InputError(where, f"{_short(entry)} cannot be read ({reason})", "an expression such as '-k/m'") from None
     known = {unicodedata.normalize("NFKC", name): name for name in names}  # as Python reads identifiers
     return _Walk(arithmetic, known, entry, where).value(tree.body, 0)

@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import h5py
 import pytest
 
 import robustlab as rl
@@ -194,6 +195,35 @@ plant = "dc-motor"
 """
 
 
+def test_an_interruption_that_a_destructor_drops_is_raised_again():
+    """Python only reports an exception in a destructor or a library's callback, and goes on."""
+    program = """
+import os, signal, sys, time
+from robustlab.cli.ending import main_guard, ready_streams
+class Dropped:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(1000): pass
+def command():
+    ready_streams()
+    Dropped()
+    for _ in range(3000): time.sleep(0.01)
+sys.exit(main_guard(command))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
+def test_a_warning_is_one_line_without_our_source(folder):
+    with h5py.File(folder / "m.h5", "a") as file:
+        del file.attrs["content_sha256"]
+    done = robustlab("model", "diff", "m.h5", "m.h5", cwd=folder)
+    assert done.returncode == 0
+    lines = done.stderr.splitlines()
+    assert lines
+    assert all(line.startswith("warning: m.h5: the file carries no content_sha256") for line in lines)
+
+
 def test_a_run_sweeps_what_killed_runs_left_more_than_an_hour_ago(folder):
     from filelock import FileLock
 
@@ -226,3 +256,13 @@ def test_a_run_sweeps_what_killed_runs_left_more_than_an_hour_ago(folder):
     assert (out / ".short-running-link").is_symlink()
     assert (kept / "data.csv").read_text() == "1"
     assert not [path for path in (out / "short").rglob("*") if path.name == ".running"]
+
+
+def test_a_record_without_a_hash_is_read_with_the_same_warning(folder):
+    t = [0.0, 0.1, 0.2]
+    rl.save(folder / "r.h5", rl.Record(t=t, inputs={"u": [1.0, 2.0, 1.0]}, outputs={"y": [0.0, 1.0, 2.0]}))
+    with h5py.File(folder / "r.h5", "a") as file:
+        del file.attrs["content_sha256"]
+    done = robustlab("data", "check", "r.h5", cwd=folder)
+    assert done.returncode == 0
+    assert one_line(done.stderr).startswith("warning: r.h5: the file carries no content_sha256")

@@ -212,6 +212,8 @@ def test_denominators_that_do_not_vanish():
         ("a +", "cannot be read"),
         ("a" * 10_001, "10001 characters"),
         ("-" * 400 + "a", "nested too deeply"),
+        ("-" * 9000 + "a", r"cannot be read \(nested too deeply\)"),
+        ("a*" + "9" * 5000, r"cannot be read \(a number too long\)"),
         ("(" * 300 + "a" + ")" * 300, "cannot be read"),
         ("(a + b + 1/a + 1/b + a*b)**30", "terms when multiplied out"),
         ("1e400", "inf"),
