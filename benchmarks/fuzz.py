@@ -13,6 +13,7 @@ one line of 4000 characters ("unclear").
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import io
 import itertools
 import json
@@ -558,6 +559,7 @@ def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> Non
 
 def attack(reader: Reader, count: int, seed: int, folder: Path, isolated_every: int = 0) -> Found:
     """Read all mutants of one reader; every so many are read through the public reader with its own process too."""
+    faulthandler.disable()  # a crash of a library is an outcome here, and told as one
     found = Found()
     truths = {digest(reader.read(_laid(folder, 0, name, raw), False)[0]) for name, raw in reader.seeds if reader.hashed}
     every = enumerate(mutants(reader, count, seed))

@@ -166,8 +166,10 @@ def test_sigterm_is_taken_as_ctrl_c(folder, kind, number):
         words = ["campaign", "run", "u.h5", "--output", "omega", "--input", "u=42", "--t-end", "0.1", "-n", "1000000",
                  "--workers", "2", "--store", "s.sqlite"]  # fmt: skip
     process = subprocess.Popen(
-        [*COMMAND, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+        [*COMMAND, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # A shell's background jobs ignore Ctrl-C, and so would this child of one.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
+    )  # fmt: skip
     until = time.monotonic() + 100
     while len(workers := children(process.pid)) < 2 and time.monotonic() < until:
         assert process.poll() is None, process.stderr.read()

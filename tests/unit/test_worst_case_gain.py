@@ -168,8 +168,8 @@ def test_a_block_called_performance_is_refused():
 
 
 def test_the_gain_without_uncertainty_is_no_surer_than_the_norm():
-    """1/(s + 1) - 1/(s + 1): what is left of it is rounding."""
-    nothing = rl.StateSpaceModel(-np.eye(2), [[1.0], [1.0]], [[1.0, -1.0]], [[0.0]])
-    worst = rl.worst_case_gain(rl.UncertainModel(nothing, []))
+    """1/(s + 1) - (1 - 1e-13)/(s + 1): what is left of it has lost its digits."""
+    little = rl.StateSpaceModel(-np.eye(2), [[1.0], [1.0]], [[1.0, 1e-13 - 1.0]], [[0.0]])
+    worst = rl.worst_case_gain(rl.UncertainModel(little, []))
     assert worst.status is rl.Status.INACCURATE
     assert any("digits were lost" in note for note in worst.notes)
