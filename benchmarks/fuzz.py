@@ -542,6 +542,7 @@ def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tupl
 
 def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
+    faulthandler.disable()  # a crash of a library is an outcome here, and told as one
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     warnings.simplefilter("ignore")
@@ -559,7 +560,6 @@ def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> Non
 
 def attack(reader: Reader, count: int, seed: int, folder: Path, isolated_every: int = 0) -> Found:
     """Read all mutants of one reader; every so many are read through the public reader with its own process too."""
-    faulthandler.disable()  # a crash of a library is an outcome here, and told as one
     found = Found()
     truths = {digest(reader.read(_laid(folder, 0, name, raw), False)[0]) for name, raw in reader.seeds if reader.hashed}
     every = enumerate(mutants(reader, count, seed))
