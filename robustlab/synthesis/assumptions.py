@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.magnitude import is_moderate
+from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
 
 __all__ = ["broken_assumptions", "require_stabilisable"]
@@ -47,6 +47,7 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
     """
     if not p.A.size:
         return
+    refuse_overflow(where, p.A, p.B2, p.C2)
     ordinary = 1.0 if is_moderate(p.A) else float(np.ldexp(1.0, np.clip(np.frexp(np.abs(p.A).max())[1], -1000, 1000)))
     if ordinary != 1.0:  # modes are told apart in their own unit of time
         p, rate = replace(p, A=p.A / ordinary), rate * ordinary

@@ -35,6 +35,17 @@ def test_real_mu_of_a_nearly_defective_matrix():
     assert run_case(make_case(1, 38))["outcome"] == "held"
 
 
+def test_h2_next_to_an_ill_posed_loop_is_not_verified():
+    """1 - D22 D_K = 1e-7: one unit in the last place of D_K leaves a direct term, and the exact norm is infinite."""
+    record = run_case(make_case(11, 578))
+    assert (record["outcome"], record["status"]) == ("not certified", "inaccurate")
+
+
+def test_h2_of_entries_that_overflow_is_refused_in_a_line():
+    record = run_case(make_case(12, 370))
+    assert (record["outcome"], record["kind"]) == ("refused", "NoTrustworthyNumber")
+
+
 def test_mu_of_a_matrix_with_denormal_entries():
     # a bare LinAlgError of the singular values; by hand: both scalars are one, mu is the larger eigenvalue's modulus
     data = {"matrix": np.array([[1.5 - 2j, 2e-322], [2e-322, -1.0]]), "parts": (Part("complex", 2, 2),)}
