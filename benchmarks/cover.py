@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 import robustlab as rl
-from robustlab.uncertainty.unstructured_cover import unstructured_cover
+from robustlab.uncertainty.covering.unstructured_cover import unstructured_cover
 
 MEMBERS = 5
 POLES = (236.0, 5.0)
@@ -39,7 +39,7 @@ order has a smaller one, proved by alternation; of best: the weight over the bes
 def thesis_sets(cases: list[str]) -> dict[str, list[rl.StateSpaceModel]]:
     from robustlab.dynamics import linearise, trim
     from robustlab.dynamics.stewart.stewart_platform import stewart_platform
-    from robustlab.dynamics.stewart.thesis_runs import ALL, LINK
+    from robustlab.thesis.thesis_runs import ALL, LINK
 
     plant = stewart_platform()
     made: dict[str, list[rl.StateSpaceModel]] = {}
@@ -130,7 +130,7 @@ def weight_sets() -> dict[str, tuple[list, str]]:
 
 
 def weight_lines() -> list[str]:
-    from robustlab.dynamics.effects.effect_blocks import delay_block
+    from robustlab.dynamics.extended.effect_blocks import delay_block
 
     head = f"{'set and form':46}{'order':>6}{'excess %':>10}{'least %':>9}{'of best %':>10}{'lowest':>10}"
     lines = [head + f"{'proved':>8}{'CPU s':>8}"]
@@ -200,7 +200,7 @@ def _true(block, found, truth: dict[str, float]) -> str:
 
 def controlled_lines(made, output: str, record) -> list[str]:
     """An H-infinity controller of the nominal member, judged on the whole set."""
-    from robustlab.synthesis.tracking_problem import tracking_problem
+    from robustlab.synthesis.specifications.tracking_problem import tracking_problem
 
     start = time.process_time()
     size, drive = np.ptp(record.outputs[output]) / 50, np.abs(record.inputs["u"]).max()
@@ -219,7 +219,7 @@ def controlled_lines(made, output: str, record) -> list[str]:
 
 def held_out_lines(found, made, held_out) -> list[str]:
     """The smallest Delta that explains the held-out record: of the set, and of dynamics at the bare plant's input."""
-    from robustlab.dynamics.effects.effect_loads import effect_loads
+    from robustlab.dynamics.extended.effect_loads import effect_loads
 
     (output,) = held_out.outputs
     noise = {output: 4.0 * found.gaps[output].updated}

@@ -155,7 +155,7 @@ def _named(task: Task) -> Line:
 
 
 def _discovered(case: Any, records: list[Any]) -> tuple[Any, Line]:
-    from robustlab.identification.discovery import discover
+    from robustlab.identification.naming.discovery import discover
 
     wall, cpu = time.perf_counter(), time.process_time()
     found = discover(case.plant, records[0] if len(records) == 1 else records, case.held_out)
@@ -188,12 +188,12 @@ def true_error(case: Any, found: Any) -> float:
     What measurement and truth differ by is taken as a record without input and fitted by the windows' starts alone.
     """
     from robustlab import Record
-    from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
-    from robustlab.identification.effect_fit import Fit, Hypothesis, Problem, simulated_outputs
-    from robustlab.identification.greedy_naming import held_out_fit, white
-    from robustlab.identification.naming import first_noise
-    from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-    from robustlab.identification.prepared_record import prepare
+    from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+    from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
+    from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem, simulated_outputs
+    from robustlab.identification.hypotheses.prepared_record import prepare
+    from robustlab.identification.naming.greedy_naming import held_out_fit, white
+    from robustlab.identification.naming.ranking import first_noise
 
     measured, plant = case.held_out, linear_plant_of(case.plant, "bench")
     missed = {name: measured[name] - clean for name, clean in case.held_out_clean.items()}

@@ -17,8 +17,8 @@ import numpy as np
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import hinf
-from robustlab.synthesis.partition import GeneralizedPlant
-from robustlab.synthesis.sampled_controller import discretise_controller
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.sampled.sampled_controller import discretise_controller
 
 RATIOS = (6, 12, 20, 30, 60)
 METHODS = ("tustin", "tustin-prewarp", "zoh", "foh", "matched", "direct")

@@ -21,8 +21,8 @@ import numpy as np
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, append, lower_lft
 from robustlab.synthesis import mixsyn, ncf, performance_weight
-from robustlab.synthesis.mixed_sensitivity import mixed_sensitivity_plant
-from robustlab.uncertainty.coprime import four_block
+from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant
+from robustlab.uncertainty.distances.coprime import four_block
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "robust-designs"
 

@@ -20,10 +20,10 @@ import numpy as np
 from mu_models import CLASSES, KINDS, PUBLISHED, random_matrices, structure
 from threadpoolctl import threadpool_limits
 
-from robustlab.mu_analysis.lower import lower_bound, lower_bounds
-from robustlab.mu_analysis.pole_migration import smallest_destabilising
-from robustlab.mu_analysis.upper import upper_bounds
-from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar
+from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
+from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
+from robustlab.mu_analysis.matrix.upper import upper_bounds
+from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
 
 PROTOTYPE = Path(__file__).resolve().parents[2] / "shared" / "prototypes" / "mu"
 
@@ -119,7 +119,7 @@ def compare_truth(prototype: Any, share: float) -> None:
 
 def compare_models(prototype: Any, share: float) -> None:
     """One line per class of models."""
-    from robustlab.mu_analysis.stability import _continuous, _seed_frequencies
+    from robustlab.mu_analysis.axis.stability import _continuous, _seed_frequencies
 
     print("\nmodels: norm of the smallest destabilising Delta over the best of both; median CPU s")
     print(f"{'class':48s} | ours: within 1e-4, worst, s | prototype: within 1e-4, worst, s")

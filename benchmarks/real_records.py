@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 from robustlab.recipe.load import load_recipe
+from robustlab.recipe.paths import recipe_path
 from robustlab.recipe.run import run_recipe
-from robustlab.recipe.shipped import recipe_path
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FILES = {

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 import robustlab as rl
-from robustlab.dynamics.input_signals import input_signal
+from robustlab.dynamics.plant_contract import input_signal
 from robustlab.dynamics.stewart import direct_kinematics, inverse_kinematics, linear_models, workspace_grid
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
 

@@ -15,8 +15,8 @@ import numpy as np
 
 import robustlab as rl
 from robustlab.worst_case_analysis import METRICS, MetricRequest
+from robustlab.worst_case_analysis.draws import RealSet
 from robustlab.worst_case_analysis.metrics import make_metric
-from robustlab.worst_case_analysis.real_set import RealSet
 
 T = np.linspace(0, 15, 301)
 SETS = 6

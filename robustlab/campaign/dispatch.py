@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from robustlab.campaign.evaluation import Evaluator
-from robustlab.campaign.rows import Rows
+from robustlab.campaign.evaluation import Evaluator, Rows
 from robustlab.campaign.store import Store
 from robustlab.campaign.work import Failure, Outcome, Piece, Workers
 from robustlab.errors import NoTrustworthyNumber

@@ -1,26 +1,169 @@
-"""What a store says about its campaign: counts, the worst sample, quantiles, what was lost."""
+"""What a store says about its campaign: counts, the worst sample, quantiles, what was lost.
+
+Statistics of the samples in a store, streamed: memory does not grow with their number.
+
+Samples are independent draws, so order statistics and counts have exact confidence bounds whatever the distribution.
+Lost samples have no value; the bounds take them for the worst, which is the safe side.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from robustlab.campaign.evaluation import Evaluator
-from robustlab.campaign.rows import decode_delta
-from robustlab.campaign.statistics import (
-    Quantile,
-    Violation,
-    probability_bounds,
-    quantiles,
-    share_beyond,
-)
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
+from robustlab.worst_case_analysis.statistics import clopper_pearson
 
-__all__ = ["CampaignResult", "LostSample", "result_of"]
+__all__ = [
+    "CampaignResult",
+    "LostSample",
+    "result_of",
+    "CONFIDENCE",
+    "Quantile",
+    "Violation",
+    "exceedance_curve",
+    "probability_bounds",
+    "quantiles",
+    "share_beyond",
+]
+
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+SHARES = (0.5, 0.9, 0.99, 0.999)
+
+
+@dataclass(frozen=True)
+class Quantile:
+    """The value than which a share of the samples is not worse.
+
+    Attributes
+    ----------
+    share
+        For example 0.99.
+    value
+        The order statistic with number ``ceil(share n)``, counted from the best.
+    bound
+        The set's own quantile is not worse than this at CONFIDENCE; infinite where there are too few samples.
+    """
+
+    share: float
+    value: float
+    bound: float
+
+
+@dataclass(frozen=True)
+class Violation:
+    """How often the metric is worse than a limit.
+
+    Attributes
+    ----------
+    limit
+        The limit.
+    count, of
+        Samples worse than it and samples in all; a lost sample counts as worse.
+    lower, upper
+        Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples count for neither side's
+        favour: not as worse for the lower, as worse for the upper.
+    """
+
+    limit: float
+    count: int
+    of: int
+    lower: float
+    upper: float
+
+
+def probability_bounds(k: int, n: int) -> tuple[float, float]:
+    """Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE.
+
+    Examples
+    --------
+    >>> low, high = probability_bounds(0, 299)
+    >>> low, round(high, 4)
+    (0.0, 0.01)
+    """
+    return clopper_pearson(k, n, 2.0 * CONFIDENCE - 1.0)
+
+
+def quantiles(store: Store, sense: int, done: int, lost: int) -> tuple[Quantile, ...]:
+    """Quantiles of all samples with their upper confidence bounds, where the samples allow them.
+
+    The share counts all samples, the lost ones as worse than any value.
+    """
+    n = done + lost
+    wanted: dict[int, float] = {}
+    plan: list[tuple[float, int, int]] = []
+    for share in SHARES:
+        if n * (1.0 - share) < 1.0 and share > 0.5:
+            continue  # fewer than one sample is expected above it: the worst sample says as much
+        rank = max(1, math.ceil(share * n))
+        upper = _upper_rank(n, share)
+        plan.append((share, rank, upper))
+        wanted.update({rank: math.inf, upper: math.inf})
+    values = _at_ranks(store.sorted_values(sense), wanted, sense)
+    return tuple(Quantile(share, values[rank], values[upper]) for share, rank, upper in plan)
+
+
+def _upper_rank(n: int, share: float) -> int:
+    """Rank whose value bounds a quantile from above: the smallest r with P(Binomial(n, share) < r) >= CONFIDENCE."""
+    from scipy.special import bdtr
+
+    low, high = 0, n  # P(Binomial <= high) = 1
+    while low < high:
+        middle = (low + high) // 2
+        if bdtr(middle, n, share) >= CONFIDENCE:
+            high = middle
+        else:
+            low = middle + 1
+    return low + 1
+
+
+def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict[int, float]:
+    """Order statistics, counted from 1, of values from the best to the worst; infinite beyond the last."""
+    found = dict.fromkeys(sorted(set(ranks)), sense * math.inf)
+    for i, value in enumerate(values, 1):
+        if i in found:
+            found[i] = value
+    return found
+
+
+def share_beyond(store: Store, sense: int, limit: float, done: int, lost: int) -> Violation:
+    """How many samples are worse than ``limit``, and bounds of the probability that a member of the set is."""
+    above = sum(1 for value in store.sorted_values(sense) if sense * value > sense * limit)
+    n = done + lost
+    lower = probability_bounds(above, n)[0]
+    upper = probability_bounds(above + lost, n)[1]
+    return Violation(limit, above + lost, n, lower, upper)
+
+
+def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
+    """Share of the samples worse than a value, for drawing: values (m,), shares (m,), upper confidence bounds (m,).
+
+    Ranks are spaced so that the tail is resolved; lost samples count as worse, samples without a bounded value are
+    left out of the values.
+    """
+    from scipy.special import betaincinv
+
+    n = done + lost
+    tail = np.unique(np.rint(np.geomspace(1.0, max(1, n), points)).astype(int))
+    ranks = np.unique(np.concatenate([n + 1 - tail, np.linspace(1, n, points).astype(int)]))
+    found = _at_ranks(store.sorted_values(sense), [int(rank) for rank in ranks], sense)
+    pairs = [(value, rank) for rank, value in found.items() if math.isfinite(value)]
+    values = np.array([value for value, _ in pairs], dtype=np.float64)
+    above = n - np.array([rank for _, rank in pairs], dtype=np.float64)
+    upper = np.ones(len(above)) if not n else betaincinv(above + 1, np.maximum(n - above, 1e-9), CONFIDENCE)
+    return values, above / max(n, 1), np.asarray(upper, dtype=np.float64)
+
 
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
@@ -64,7 +207,7 @@ class CampaignResult:
     nominal
         The metric at Delta = 0.
     quantiles
-        See `robustlab.campaign.statistics.quantiles`; for samples only, and only where all of them are there.
+        See `robustlab.campaign.result.quantiles`; for samples only, and only where all of them are there.
     unseen
         Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
     violation

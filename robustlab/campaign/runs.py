@@ -13,10 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.campaign.dispatch import compute_missing, evaluate_again
-from robustlab.campaign.evaluation import Evaluator
-from robustlab.campaign.lock import locked, owner_text
+from robustlab.campaign.evaluation import LOST, Evaluator, decode_delta
 from robustlab.campaign.result import CampaignResult, result_of
-from robustlab.campaign.rows import LOST, decode_delta
 from robustlab.campaign.settings import (
     CampaignSettings,
     Identity,
@@ -25,7 +23,7 @@ from robustlab.campaign.settings import (
     model_from_bytes,
     model_to_bytes,
 )
-from robustlab.campaign.store import Store
+from robustlab.campaign.store import Store, locked, owner_text
 from robustlab.campaign.work import Payload, Workers
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status

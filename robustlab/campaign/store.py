@@ -2,6 +2,8 @@
 
 A piece of work is written in one transaction: after ``kill -9`` or a power cut each row is there whole or not at all.
 Only the process that holds the lock writes; anyone may read meanwhile.
+
+One writer per store: a lock of the operating system, which a dead process cannot keep.
 """
 
 from __future__ import annotations
@@ -11,19 +13,28 @@ import json
 import os
 import sqlite3
 import struct
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.campaign.rows import DONE, LOST, Rows
+from robustlab.campaign.evaluation import DONE, LOST, Rows
 from robustlab.campaign.settings import Identity
-from robustlab.errors import EnvironmentFault, InputError
+from robustlab.errors import EnvironmentFault, InputError, RobustlabError, plain_text
 
-__all__ = ["Counts", "Sample", "Store"]
+__all__ = [
+    "Counts",
+    "Sample",
+    "Store",
+    "locked",
+    "owner_text",
+]
+
 
 FORMAT_VERSION = 1
 APPLICATION_ID = 0x524C4350  # "RLCP"
@@ -36,7 +47,7 @@ CREATE TABLE sample (
     idx INTEGER PRIMARY KEY,
     status INTEGER NOT NULL,  -- 0 done, 1 lost
     value REAL,               -- the metric; NULL where lost
-    delta BLOB NOT NULL,      -- normalised Delta, little-endian float64, see robustlab.campaign.rows.encode_delta
+    delta BLOB NOT NULL,      -- normalised Delta, little-endian float64, see robustlab.campaign.evaluation.encode_delta
     seconds REAL NOT NULL,
     reason TEXT               -- why the sample is lost
 );
@@ -67,7 +78,7 @@ class Sample:
 
     @property
     def numbers(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Delta as `robustlab.campaign.rows.decode_delta` takes it."""
+        """Delta as `robustlab.campaign.evaluation.decode_delta` takes it."""
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
 
 
@@ -367,3 +378,51 @@ def _damaged(where: str, what: str) -> InputError:
     return InputError(
         where, f"damaged campaign store: {what}", None, "copy it again from a backup, or start with --restart"
     )
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a store; it lies beside it as ``NAME.lock`` and vanishes with the process that holds it.
+
+    Raises
+    ------
+    EnvironmentFault
+        Another process holds it (its pid and command are named); the folder cannot be written.
+    """
+    from filelock import FileLock, Timeout
+
+    folder = path.absolute().parent
+    if not folder.is_dir():  # the lock would make it
+        raise EnvironmentFault(str(path), f"no such folder {folder}", "a folder that can be written")
+    lock = FileLock(f"{path}.lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise EnvironmentFault(str(path), f"locked by {_owner(path)}", None, "wait for it, or stop it") from None
+    except (OSError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise EnvironmentFault(str(path), f"cannot be locked: {reason}", "a folder that can be written") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def owner_text() -> str:
+    """Who this process is, as the store keeps it while it writes."""
+    command = " ".join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])[:300]
+    return json.dumps(
+        {"pid": os.getpid(), "command": command, "since": datetime.now(UTC).isoformat(timespec="seconds")}
+    )
+
+
+def _owner(path: Path) -> str:
+
+    try:
+        store = Store.open(path)
+        text = store.get("owner")
+        store.close()
+        owner = json.loads(text)
+        return plain_text(f"pid {owner['pid']} ({owner['command']}) since {owner['since']}")
+    except (RobustlabError, ValueError, KeyError, TypeError):
+        return "another process"  # it has not got as far as writing its name

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from robustlab.campaign.evaluation import Evaluator
-from robustlab.campaign.rows import decode_delta
+from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.settings import Identity, model_from_bytes
 
 __all__ = ["STRUCK", "Failure", "Outcome", "Payload", "Piece", "Workers", "evaluator_of", "perform"]

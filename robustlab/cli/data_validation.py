@@ -150,7 +150,7 @@ def validate(
 
 def _envelope(model: Any, record: Any, n: int, found: Validation) -> Any:
     """The cheap test, for sets of constants."""
-    from robustlab.identification.envelope import cover
+    from robustlab.identification.comparison.envelope import cover
 
     peak = found.noise_bound if found.noise_norm == "peak" else {}
     return cover(model, record, n=n, vertices="all" if len(model.blocks) <= 6 else 64, allowance=peak)

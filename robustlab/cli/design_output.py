@@ -13,8 +13,8 @@ from robustlab.errors import EnvironmentFault, InputError, RobustlabError, Usage
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from robustlab.synthesis.design import Synthesis
-    from robustlab.synthesis.partition import GeneralizedPlant
+    from robustlab.synthesis.problem.design import Synthesis
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 FileArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", show_default=False)]
 NMeasOption = Annotated[int | None, typer.Option("--n-meas", help="Number of measurements (the last outputs).")]
@@ -75,7 +75,7 @@ class Channels:
         """The generalised plant of a file."""
         from robustlab.storage import load
         from robustlab.synthesis import generalized_plant
-        from robustlab.synthesis.partition import as_generalized_plant
+        from robustlab.synthesis.problem.partition import as_generalized_plant
         from robustlab.uncertainty.lft import UncertainModel
 
         found: Any = load(file)
@@ -114,7 +114,7 @@ def rows_of_blocks(text: str) -> list[list[int]]:
 
 def finish(command: str, found: Synthesis, file: str, out: str | None, figure: str | None, as_json: bool) -> None:
     """Print the design, store the controller, draw, and leave with the exit code of its status."""
-    from robustlab.synthesis.limits_of_design import limits_in_words
+    from robustlab.synthesis.problem.performance_limits import limits_in_words
 
     limits = limits_in_words(found)
     rows = found.summary()

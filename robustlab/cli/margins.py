@@ -11,9 +11,9 @@ from robustlab.cli.console import EffortOption, JsonOption, OutOption, SeedOptio
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
-    from robustlab.mu_analysis.disk_margin import DiskMargin, DiskMargins
-    from robustlab.mu_analysis.worst_case_disk_margin import WorstCaseDiskMargin
-    from robustlab.uncertainty.gap_metric import GapMetric
+    from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
+    from robustlab.mu_analysis.margins.worst_case_disk_margin import WorstCaseDiskMargin
+    from robustlab.uncertainty.distances.gap_metric import GapMetric
 
 __all__ = ["gap", "margins"]
 
@@ -48,8 +48,8 @@ def margins(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
-    from robustlab.mu_analysis.disk_margin import PLACES, Place, disk_margin
-    from robustlab.mu_analysis.worst_case_disk_margin import worst_case_disk_margin
+    from robustlab.mu_analysis.margins.disk_margin import PLACES, Place, disk_margin
+    from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
     from robustlab.storage import load
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -79,7 +79,7 @@ def margins(
 
 
 def _sign(feedback: str | None, controller: Any) -> Any:
-    from robustlab.synthesis.controller import Controller
+    from robustlab.synthesis.problem.design import Controller
 
     if feedback is None:
         return 1 if isinstance(controller, Controller) else -1
@@ -174,7 +174,7 @@ def gap(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load
-    from robustlab.uncertainty.gap_metric import gap as gap_metric
+    from robustlab.uncertainty.distances.gap_metric import gap as gap_metric
 
     one, two = (as_model(load(path, transpose=transpose), path) for path in (first, second))
     result = gap_metric(one, two)

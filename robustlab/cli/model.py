@@ -180,7 +180,7 @@ def diff(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load, load_pair
-    from robustlab.storage.model_difference import difference
+    from robustlab.storage.interchange import difference
 
     if second is None:
         a, b = load_pair(first, transpose=transpose)
@@ -222,7 +222,7 @@ def convert(
     from robustlab.cli.console import ends
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
-    from robustlab.storage.controller_export import export_controller
+    from robustlab.storage.controller_code import export_controller
 
     loaded = _read(source, group, transpose, False)
     if loaded.kind == "pair":
@@ -292,7 +292,7 @@ def _describe(name: str, thing: Any) -> list[str]:
     """A few lines about any object that a file can hold."""
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.statespace import StateSpaceModel
-    from robustlab.synthesis.controller import Controller
+    from robustlab.synthesis.problem.design import Controller
     from robustlab.uncertainty.lft import UncertainModel
 
     if isinstance(thing, StateSpaceModel):

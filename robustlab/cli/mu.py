@@ -70,7 +70,7 @@ def mu(
         )
     balls = None
     if certify:
-        from robustlab.mu_analysis.ball_margin import margin_in_balls
+        from robustlab.mu_analysis.axis.ball_margin import margin_in_balls
 
         balls = margin_in_balls(uncertain, cast("Margin", result))
         text += f"\nball arithmetic: {balls.proved} of {balls.tried} inequalities of the proved intervals confirmed"
@@ -193,7 +193,7 @@ def _number(value: Any) -> str:
 
 def _draw(uncertain: UncertainModel, margin: Margin, figure: str, performance: bool) -> None:
     from robustlab.errors import RobustlabError
-    from robustlab.mu_analysis.replay import replay
+    from robustlab.mu_analysis.axis.critical_delta import replay
     from robustlab.report.mu_figures import mu_figure, replay_figure, shares_figure
 
     _save(mu_figure(margin), figure)

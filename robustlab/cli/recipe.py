@@ -33,8 +33,7 @@ def check(
     Example: robustlab recipe check first-light
     """
     from robustlab.recipe.load import load_recipe
-    from robustlab.recipe.paths import find_files
-    from robustlab.recipe.shipped import recipe_path
+    from robustlab.recipe.paths import find_files, recipe_path
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     files = {name: str(path) for name, path in find_files(loaded).items()}
@@ -65,7 +64,7 @@ def new(
 
     Example: robustlab recipe new my-motor && robustlab run my-motor.toml
     """
-    from robustlab.recipe.starter import write_starter
+    from robustlab.recipe.paths import write_starter
 
     path = write_starter(name)
     emit("recipe new", {"file": str(path)}, f"{path}\nrun it with: robustlab run {path}", as_json)

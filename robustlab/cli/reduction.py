@@ -12,7 +12,7 @@ from robustlab.cli.console import EffortOption, JsonOption, OutOption, TimeLimit
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
-    from robustlab.synthesis.partition import GeneralizedPlant
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 __all__ = ["discretise_controller", "discretise_model", "reduce_controller", "reduce_model"]
 
@@ -54,7 +54,7 @@ def reduce_model(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load
-    from robustlab.synthesis.model_reduction import reduce_model as reduce
+    from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce
 
     method_given: Any = method
     found = reduce(as_model(load(file), file), order, tolerance=tolerance, method=method_given)
@@ -82,7 +82,7 @@ def discretise_model(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load
-    from robustlab.synthesis.discretisation import discretise, merged_modes
+    from robustlab.synthesis.sampled.discretisation import discretise, merged_modes
 
     model = as_model(load(file), file)
     method_given: Any = method
@@ -117,7 +117,7 @@ def reduce_controller(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load
-    from robustlab.synthesis.controller_reduction import reduce_controller as reduce
+    from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce
 
     K = as_model(load(controller), controller)
     measure_given: Any = measure
@@ -164,7 +164,7 @@ def discretise_controller(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load
-    from robustlab.synthesis.sampled_controller import discretise_controller as digital
+    from robustlab.synthesis.sampled.sampled_controller import discretise_controller as digital
 
     K = as_model(load(controller), controller)
     method_given: Any = method
@@ -175,7 +175,7 @@ def discretise_controller(
     )  # fmt: skip
     robust = None
     if given.blocks:
-        from robustlab.synthesis.sampled_robustness import sampled_robustness
+        from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness
 
         robust = sampled_robustness(
             given, found.K, delay=delay, antialiasing=antialiasing, effort=effort, time_limit=time_limit,
@@ -195,7 +195,7 @@ def discretise_controller(
 def _plant(file: str, K: Any, measurements: str | None, controls: str | None) -> GeneralizedPlant:
     """The generalised plant of the file: by names, or with as many channels at the end as the controller has."""
     from robustlab.storage import load
-    from robustlab.synthesis.partition import as_generalized_plant, generalized_plant
+    from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
 
     if (measurements is None) != (controls is None):
         raise UsageError("--measurements, --controls", "one of them", "both, or none")
@@ -208,7 +208,7 @@ def _plant(file: str, K: Any, measurements: str | None, controls: str | None) ->
 
 def _nominal(plant: GeneralizedPlant) -> GeneralizedPlant:
     """The plant at Delta = 0."""
-    from robustlab.synthesis.partition import GeneralizedPlant
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
     from robustlab.uncertainty.lft import UncertainModel
 
     return GeneralizedPlant(UncertainModel(plant.model, plant.blocks).nominal, plant.n_meas, plant.n_con)

@@ -40,8 +40,8 @@ def run(
     from pathlib import Path
 
     from robustlab.recipe.load import load_recipe
+    from robustlab.recipe.paths import recipe_path
     from robustlab.recipe.run import run_recipe
-    from robustlab.recipe.shipped import recipe_path
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     folder = Path(out) if out else Path("out") / loaded.recipe.name

@@ -218,8 +218,8 @@ def fixed(
     """
     channels = Channels("synth fixed", n_meas, n_con, measurements, controls, disturbances, performance)
     check_target(out)
-    from robustlab.synthesis import fixed_structure as design
-    from robustlab.synthesis.structure_words import structure_in_words
+    from robustlab.synthesis.fixed import fixed_structure as design
+    from robustlab.synthesis.laws.controller_structures import structure_in_words
 
     plant = channels.plant(file, nominal)
     words = structure_in_words(structure, plant)

@@ -1,8 +1,12 @@
-"""``robustlab uncertain``: build, show and sample uncertain models."""
+"""``robustlab uncertain``: build, show and sample uncertain models.
+
+Sources of ``robustlab uncertain build`` beside two models: a set of models, a discovery's updated plant.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
 import typer
 
@@ -16,6 +20,7 @@ from robustlab.cli.console import (
     emit,
     ends,
     note,
+    progress,
     shares,
     table,
 )
@@ -24,12 +29,20 @@ from robustlab.errors import InputError, RobustlabError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from robustlab.dynamics.extended.effect_blocks import EffectBlocks
+    from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.provenance import Provenance
     from robustlab.statespace import Signal
-    from robustlab.uncertainty.blocks import ParameterRange
+    from robustlab.uncertainty.blocks.base import ParameterRange
     from robustlab.uncertainty.elementwise import EndpointResidual
     from robustlab.uncertainty.lft import UncertainModel
     from robustlab.worst_case_analysis import Responses
+
+__all__ = [
+    "cover_of",
+    "from_discovery",
+]
+
 
 app = typer.Typer(help="Build, show and sample uncertain models.", no_args_is_help=True)
 
@@ -170,7 +183,6 @@ def build(
 
 
 def _build_cover(files: list[str], out: str | None, as_json: bool, **options: Any) -> None:
-    from robustlab.cli.uncertain_sources import cover_of
     from robustlab.result import Status
     from robustlab.storage import save
 
@@ -197,7 +209,6 @@ def _build_discovery(
     out: str | None,
     as_json: bool,
 ) -> None:
-    from robustlab.cli.uncertain_sources import from_discovery
     from robustlab.storage import save
 
     found, origin = from_discovery(path, outputs, amplitude, dry, pade)
@@ -254,7 +265,7 @@ def sample(
     Example: robustlab uncertain sample uncertain.h5 -n 20 --seed 1 --vertices all --input u=42 --t-end 0.1
     """
     from robustlab.worst_case_analysis import sample as draw
-    from robustlab.worst_case_analysis.excitation import default_clock
+    from robustlab.worst_case_analysis.ensemble import default_clock
 
     model = load_uncertain(file)
     clock = default_clock(model.nominal, "uncertain sample") if t_end is None else times(model.dt, t_end, points)
@@ -450,3 +461,60 @@ def _envelope(responses: Responses) -> Any:
     axes[0].legend()
     axes[-1].set_xlabel("t [s]")
     return figure
+
+
+def cover_of(
+    files: list[str],
+    form: str,
+    *,
+    order: int,
+    directions: int | None,
+    tolerance: float | None,
+    controller: str | None,
+    time_limit: float | None,
+    effort: float,
+) -> tuple[Cover, Provenance]:
+    """The cover of the models in the files, its worst gain in the loop of a controller where one is given."""
+    from robustlab.mu_analysis.margins.cover import cover
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+
+    models = [as_model(load(path), path) for path in files]
+    k = None if controller is None else as_model(load(controller), controller)
+    loop = None if k is None else lambda g: g.feedback(k, 1)  # u = K y, positive feedback
+    options: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
+    with progress("cover") as advance:
+        found = cover(
+            models, form, directions=directions, order=order, loop=loop, time_limit=time_limit, effort=effort,
+            progress=lambda text: advance(0, text), **options,
+        )  # fmt: skip
+    used = {path: file_sha256(path) for path in [*files, *([controller] if controller else [])]}
+    return found, Provenance.now("uncertain build", used, note=f"{form} cover of {len(models)} models")
+
+
+def from_discovery(
+    path: str, outputs: list[str] | None, amplitude: dict[str, float], dry: str | None, pade: int
+) -> tuple[EffectBlocks, Provenance]:
+    """The blocks of an updated plant: a plant file, or the folder that ``data discover --out`` wrote."""
+    from robustlab.cli.data import PLANT_FILE
+    from robustlab.dynamics.extended.force_blocks import Dry
+    from robustlab.identification.naming.remaining_uncertainty import uncertain_from
+    from robustlab.provenance import Provenance, file_sha256
+    from robustlab.storage.plants import is_plant_file, load_plant
+
+    file = str(Path(path) / PLANT_FILE) if Path(path).is_dir() else path
+    if not is_plant_file(file):
+        raise InputError(file, "no plant in it", f"{PLANT_FILE}, or the folder of: robustlab data discover --out DIR")
+    if dry not in (None, *get_args(Dry)):
+        raise UsageError("uncertain build", f"--dry {dry}", f"one of {', '.join(get_args(Dry))}")
+    given = cast("Dry | None", dry)
+    try:
+        found = uncertain_from(load_plant(file), outputs, amplitude=amplitude, dry=given, pade=pade)
+    except InputError as error:
+        if "amplitude" in (error.expected or "") and error.hint:
+            raise UsageError("uncertain build", error.found, "--amplitude NAME=VALUE for it", error.hint) from None
+        raise
+    for name, reason in found.left_out.items():
+        note(f"not in it: {name}: {reason}")
+    return found, Provenance.now("uncertain build", {file: file_sha256(file)}, note="discovery")

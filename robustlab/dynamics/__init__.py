@@ -7,11 +7,10 @@ from typing import Any
 
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.linearisation import linearise
+from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
 from robustlab.dynamics.simulation import simulate
-from robustlab.dynamics.trimming import trim
 from robustlab.errors import InputError, did_you_mean
 
 __all__ = [
@@ -33,11 +32,11 @@ __all__ = [
 
 # name -> module; the module holds a function of its own last name that makes the plant from its parameters
 _PLANTS = {
-    "dc-motor": "dc_motor",
-    "servo-axis": "servo_axis",
-    "mass-spring-damper": "mass_spring_damper",
-    "two-mass": "two_mass",
-    "linear-actuator": "linear_actuator",
+    "dc-motor": "plants.dc_motor",
+    "servo-axis": "plants.servo_axis",
+    "mass-spring-damper": "plants.mass_spring_damper",
+    "two-mass": "plants.two_mass",
+    "linear-actuator": "plants.linear_actuator",
     "stewart-platform": "stewart.stewart_platform",
 }
 

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.dynamics.input_signals import NonlinearHold, input_signal
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant
+from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array

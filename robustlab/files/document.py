@@ -13,7 +13,7 @@ from datetime import date, datetime, time
 from typing import Any, Literal
 
 from robustlab.errors import InputError
-from robustlab.files.limits import Limits, size_text
+from robustlab.files.signature import Limits, size_text
 
 __all__ = ["MAX_DEPTH", "Kind", "parse_document", "read_document"]
 

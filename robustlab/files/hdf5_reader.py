@@ -18,7 +18,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from robustlab.errors import InputError
-from robustlab.files.limits import Limits, size_text
+from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread
 
 __all__ = ["read_hdf5"]

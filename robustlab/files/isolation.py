@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robustlab.errors import EnvironmentFault, InputError
-from robustlab.files.limits import Limits
+from robustlab.files.signature import Limits
 from robustlab.files.wire import header_of, receive
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robustlab.errors import InputError
-from robustlab.files.limits import MIB, Limits
+from robustlab.files.signature import MIB, Limits
 from robustlab.files.wire import send_document, send_error, send_tree
 
 __all__ = ["main"]

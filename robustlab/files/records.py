@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.header import check_header, is_stamped
-from robustlab.files.limits import Limits
 from robustlab.files.record_layout import decode_record
-from robustlab.files.signature import content_of
+from robustlab.files.signature import Limits, content_of
 from robustlab.files.text_table import read_table
-from robustlab.files.tree import Tree, Unread
+from robustlab.files.tree import Tree, Unread, check_header, is_stamped
 from robustlab.units import factor_to_si, same_unit
 
 __all__ = ["read_record"]

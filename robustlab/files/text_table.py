@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError
-from robustlab.files.limits import Limits, size_text
-from robustlab.files.signature import require_file
+from robustlab.files.signature import Limits, require_file, size_text
 from robustlab.files.tree import Tree, canonical
 
 __all__ = ["TextTable", "read_table", "table_tree"]

@@ -1,5 +1,5 @@
 """Model against measurement: how large the gap is, where it lives, and what the residual still contains."""
 
-from robustlab.identification.comparison import Comparison, OutputGap, compare
+from robustlab.identification.comparison.comparison import Comparison, OutputGap, compare
 
 __all__ = ["Comparison", "OutputGap", "compare"]

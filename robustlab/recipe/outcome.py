@@ -14,7 +14,7 @@ from robustlab.result import Status
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from robustlab.identification.discovery_result import Discovery
+    from robustlab.identification.naming.discovery_result import Discovery
     from robustlab.record import Record
     from robustlab.uncertainty.lft import UncertainModel
 

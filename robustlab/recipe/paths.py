@@ -1,14 +1,28 @@
-"""Where the files that a recipe names are looked for, and which it may read."""
+"""Where the files that a recipe names are looked for, and which it may read.
+
+The recipes that come with robustlab: beside the package in a checkout, inside it when installed from a wheel.
+
+The recipe that ``robustlab recipe new`` writes: small, complete, commented, and it runs as it is.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from robustlab.errors import InputError, did_you_mean
+import robustlab
+from robustlab.errors import EnvironmentFault, InputError, UsageError, did_you_mean
+from robustlab.files.atomic import atomic_write
 from robustlab.recipe.load import LoadedRecipe
 from robustlab.recipe.schema import LoadStep, RecordStep
 
-__all__ = ["find_files"]
+__all__ = [
+    "find_files",
+    "recipe_path",
+    "shipped_recipes",
+    "STARTER",
+    "write_starter",
+]
 
 
 def find_files(loaded: LoadedRecipe) -> dict[str, Path]:
@@ -69,3 +83,95 @@ def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
         f"a file in {' or '.join(map(str, roots))}",
         f"to read it all the same, type --set {key.removeprefix('step.')}={given}",
     )
+
+
+def _folder() -> Path:
+    package = Path(robustlab.__file__).parent
+    installed = package / "shipped" / "recipes"
+    return installed if installed.is_dir() else package.parent / "recipes"
+
+
+def shipped_recipes() -> list[str]:
+    """Names of the recipes that come with robustlab."""
+    return sorted(path.stem for path in _folder().glob("*.toml"))
+
+
+def recipe_path(given: str) -> Path:
+    """The file that ``robustlab run`` means by ``given``: a path, or the name of a shipped recipe.
+
+    Raises
+    ------
+    InputError
+        Neither a file nor a shipped name.
+    """
+    path = Path(given)
+    if path.is_file() or path.suffix or len(path.parts) > 1:
+        return path  # a path: `load_recipe` says what is wrong with it
+    if given in shipped_recipes():
+        return _folder() / f"{given}.toml"
+    names = shipped_recipes()
+    hint = did_you_mean(given, names) or "robustlab recipe new NAME starts a recipe of your own"
+    raise InputError(
+        given, "neither a file nor a recipe that comes with robustlab", f"a path, or one of {', '.join(names)}", hint
+    )
+
+
+STARTER = """\
+# A robustlab recipe: steps, run in the order written, and requirements that decide the exit code.
+#   check it:  robustlab recipe check {name}.toml
+#   run it:    robustlab run {name}.toml
+#   change a value without editing:  robustlab run {name}.toml --set uncertain.tolerances.Kf=0.2
+schema = "robustlab.recipe/1"
+name = "{name}"
+title = "A DC motor with uncertain friction"
+description = "Does the no-load speed stay within what the data sheet says?"
+seed = 0 # of all random numbers: same seed, same answer
+
+# Each step has a name of your choice and does one thing (`robustlab recipe schema` lists all kinds and their keys).
+[step.motor]
+do = "plant"
+plant = "dc-motor"
+# parameters = {{ R = 2.1, J = [7.2e-6, 0.1] }}   # SI units; [value, relative tolerance]
+
+# Steps refer to earlier ones by name.
+[step.uncertain]
+do = "uncertain"
+of = "motor"
+tolerances = {{ Kf = 0.35 }} # viscous friction +-35 %
+outputs = ["omega"]
+
+[step.speed]
+do = "sample"
+of = "uncertain"
+n = 20
+vertices = 2
+input = {{ u = 42.0 }} # V, applied at t = 0
+t_end = 0.05 # s
+reference = [{{ output = "omega", value = 788.5, text = "data sheet" }}]
+
+# A requirement names a number of a step and a condition: at_least, at_most, within = [low, high], equals (tolerance).
+[[require]]
+text = "The set of models covers the data sheet's no-load speed of 788.5 rad/s"
+that = "speed.outputs.omega.final.upper"
+at_least = 788.5
+"""
+
+
+def write_starter(name: str) -> Path:
+    """Write ``NAME.toml`` in the working directory.
+
+    Raises
+    ------
+    UsageError
+        A name that a recipe cannot have.
+    EnvironmentFault
+        The file exists already.
+    """
+    stem = name.removesuffix(".toml")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,59}", stem):
+        raise UsageError(f"recipe new {name}", "not a name", "letters, digits, - and _, with a letter first")
+    path = Path(f"{stem}.toml")
+    if path.exists():
+        raise EnvironmentFault(str(path), "exists already", "a new name")
+    atomic_write(path, lambda temporary: temporary.write_text(STARTER.format(name=stem), encoding="utf-8"))
+    return path

@@ -46,8 +46,7 @@ from robustlab.recipe.paths import find_files
 from robustlab.recipe.requirements import judge, look_up
 from robustlab.recipe.schema import Recipe
 from robustlab.recipe.vocabulary import StepBase
-from robustlab.report.html import render
-from robustlab.report.junit import junit_xml
+from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
 
 __all__ = ["RunResult", "read_result", "run_recipe", "write_report"]

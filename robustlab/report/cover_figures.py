@@ -10,16 +10,16 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.cover import Cover
+from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import FullBlock
-from robustlab.uncertainty.parametric_cover import least_ellipsoid
+from robustlab.uncertainty.blocks.base import FullBlock
+from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid
+from robustlab.uncertainty.covering.unstructured_cover import error_sizes
 from robustlab.uncertainty.unstructured import Form
-from robustlab.uncertainty.unstructured_cover import error_sizes
 
 if TYPE_CHECKING:
-    from robustlab.dynamics.effects.effect_blocks import EffectBlocks
+    from robustlab.dynamics.extended.effect_blocks import EffectBlocks
 
 __all__ = ["blocks_figure", "cloud_figure", "cover_figures", "weight_figure"]
 

@@ -1,4 +1,9 @@
-"""Figures of designs: the weighted loop with its peak, S, T and K S with their bounds, controllers, mu, simulations."""
+"""Figures of designs: the weighted loop with its peak, S, T and K S with their bounds, controllers, mu, simulations.
+
+What a functions figure shows: S, K S and T of the loops of one or several controllers, with their bounds.
+
+Figures of a mixed-sensitivity design: S, KS and T against the inverses of their weights.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +21,7 @@ from robustlab.report.figures import COLOURS, axis_label, house_style, logarithm
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin
+    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
 __all__ = [
     "FunctionPanel",
@@ -25,7 +31,11 @@ __all__ = [
     "loop_figure",
     "mu_comparison_figure",
     "runs_figure",
+    "tracking_panels",
+    "WeightedResponse",
+    "sensitivity_figure",
 ]
+
 
 Array = NDArray[np.float64]
 # Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
@@ -261,3 +271,68 @@ def _legend_below(figure: Figure, axes_list: Sequence[Axes]) -> None:
         handles, labels = axes.get_legend_handles_labels()
         entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
     figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=min(4, max(2, len(entries))))
+
+
+HEADINGS = {"S": "S: relative error", "KS": "K S: control", "T": "T: relative output"}
+
+
+def tracking_panels(
+    problem: TrackingProblem, controllers: Mapping[str, Any], omega: Array, gamma: float | None = None
+) -> list[FunctionPanel]:
+    """S, K S and T of the nominal loop of a tracking problem under each controller.
+
+    Parameters
+    ----------
+    gamma
+        Verified gamma of the only controller: what it proves is drawn too.
+    """
+    gains = {name: problem.gains(K, omega) for name, K in controllers.items()}
+    allowed = problem.bounds(omega)
+    units = {s.unit for s in problem.plant.controls}
+    panels = []
+    for function, heading in HEADINGS.items():
+        bound = allowed.get(function)
+        proved = None if bound is None or gamma is None else gamma * bound
+        unit = units.copy().pop() if function == "KS" and len(units) == 1 else ""
+        curves = {name: found[function] for name, found in gains.items()}
+        panels.append(FunctionPanel(heading, curves, bound, proved, unit))
+    return panels
+
+
+@dataclass(frozen=True)
+class WeightedResponse:
+    """Largest singular value of one closed-loop function over frequency, and the bound its weight asks for.
+
+    Attributes
+    ----------
+    name
+        For example ``"S (control error)"``.
+    gain
+        Shape (n_omega,).
+    bound
+        ``gamma / |W|``, shape (n_omega,), or None where the function has no weight.
+    """
+
+    name: str
+    gain: Array
+    bound: Array | None
+
+
+def sensitivity_figure(omega: Array, responses: Sequence[WeightedResponse], gamma: float) -> Figure:
+    """One panel per function: its gain, and below which curve the verified ``gamma`` keeps it."""
+    figure, panels = new_figure(1, len(responses), width=3.4 * max(2, len(responses)), height=3.4)
+    with house_style():
+        for axes, response in zip(panels, responses, strict=True):
+            axes.plot(omega, response.gain, color=COLOURS["nominal"], label="closed loop")
+            if response.bound is not None:
+                axes.plot(
+                    omega, response.bound, color=COLOURS["worst"], ls=(0, (5, 2)), label=f"γ / |W|, γ = {gamma:.4g}"
+                )
+            logarithmic(axes.xaxis)
+            logarithmic(axes.yaxis)
+            axes.set_title(plain_label(response.name))
+            axes.set_xlabel("frequency [rad/s]")
+        panels[0].set_ylabel("largest singular value")
+        labelled = max(panels, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
+        figure.legend(*labelled.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure

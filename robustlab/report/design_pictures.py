@@ -10,16 +10,16 @@ from robustlab.report.design_figures import FunctionPanel, functions_figure, his
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from robustlab.synthesis.design import Synthesis
+    from robustlab.synthesis.problem.design import Synthesis
 
 __all__ = ["functions_picture", "history_picture", "loop_picture", "mu_picture", "pictures"]
 
-HEADINGS = {"S": "S: r → error", "T": "T: r → y", "KS": "K S: r → u", "SG": "S G: d → y"}
+PICTURE_HEADINGS = {"S": "S: r → error", "T": "T: r → y", "KS": "K S: r → u", "SG": "S G: d → y"}
 
 
 def pictures(design: Synthesis) -> dict[str, Callable[[], Figure]]:
     """Suffix of the file -> what draws it; the first, without a suffix, is the weighted loop with the controller."""
-    from robustlab.synthesis.dk_design import DKSynthesis
+    from robustlab.synthesis.dk.dk_design import DKSynthesis
 
     found: dict[str, Callable[[], Figure]] = {"": lambda: loop_picture(design)}
     if isinstance(design, DKSynthesis):
@@ -29,7 +29,7 @@ def pictures(design: Synthesis) -> dict[str, Callable[[], Figure]]:
 
 def loop_picture(design: Synthesis) -> Figure:
     """The weighted closed loop with its peak marked, and the controller."""
-    from robustlab.synthesis.loop_curves import loop_curves
+    from robustlab.synthesis.specifications.loop_curves import loop_curves
 
     curves = loop_curves(design)
     heading = "closed loop, channels of Δ included" if design.plant.blocks else "weighted closed loop"
@@ -41,8 +41,8 @@ def functions_picture(design: Synthesis) -> Figure:
     """S, T, K S and S G of the loop at what the controller measures, against 1 / |W| and gamma / |W| where known."""
     import numpy as np
 
-    from robustlab.synthesis.loop_curves import frequencies
-    from robustlab.synthesis.loop_functions import FUNCTIONS, loop_functions_of
+    from robustlab.synthesis.specifications.loop_curves import frequencies
+    from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, loop_functions_of
 
     loop = loop_functions_of(design)
     omega = frequencies(loop.S, around=getattr(design, "peak_frequency", None))
@@ -52,7 +52,7 @@ def functions_picture(design: Synthesis) -> Figure:
         finite = proved is not None and bool(np.isfinite(proved).all())
         panels.append(
             FunctionPanel(
-                HEADINGS[name],
+                PICTURE_HEADINGS[name],
                 {"closed loop": loop.gain(name, omega)},
                 proved / loop.gamma if proved is not None and finite else None,
                 proved if finite else None,
@@ -65,7 +65,7 @@ def mu_picture(design: Any) -> Figure:
     """Bounds of mu of a D-K design over frequency, proved on the whole axis once more from its closed loop alone."""
     from robustlab.mu_analysis import robust_performance
     from robustlab.report.mu_figures import mu_figure
-    from robustlab.synthesis.loop_curves import frequencies
+    from robustlab.synthesis.specifications.loop_curves import frequencies
     from robustlab.uncertainty.lft import UncertainModel
 
     loop = UncertainModel(design.closed_loop, [b for b in design.blocks if b.name != "performance"])

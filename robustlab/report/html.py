@@ -3,6 +3,8 @@
 Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
 control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
 an image cannot run anything), and the page's Content-Security-Policy forbids all but its own style and such images.
+
+The requirements of a run as a JUnit file, so that a CI system shows each of them as a test.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET
 
 from robustlab.errors import InputError, plain_text
 from robustlab.result import Status
@@ -21,7 +24,13 @@ from robustlab.result import Status
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["Verdict", "render", "verdict"]
+__all__ = [
+    "Verdict",
+    "render",
+    "verdict",
+    "junit_xml",
+]
+
 
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
@@ -155,3 +164,31 @@ def _image(folder: Path, stem: str) -> str:
     if Path(stem).name != stem or not path.is_file():
         raise InputError(str(path), "no such figure", "the figures of the run beside its result.json")
     return "data:image/svg+xml;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+
+
+def junit_xml(result: Mapping[str, Any]) -> str:
+    """JUnit XML: one test case per requirement, one more per step that ended without a trustworthy number.
+
+    Texts are escaped for XML; characters that XML cannot carry are shown as escapes.
+    """
+    requirements = result["requirements"]
+    doubtful = [s for s in result["steps"] if not s["trustworthy"]]
+    failures = sum(not q["met"] for q in requirements)
+    name = plain_text(str(result["recipe"]["name"]))
+    counts = {"tests": len(requirements) + len(doubtful), "failures": failures, "errors": len(doubtful)}
+    attributes = {"name": name, **{key: str(n) for key, n in counts.items()}, "time": f"{float(result['seconds']):.3f}"}
+    suites = ET.Element("testsuites", attributes)
+    suite = ET.SubElement(suites, "testsuite", attributes)
+    for q in requirements:
+        case = ET.SubElement(
+            suite, "testcase", {"classname": f"{name}.requirements", "name": plain_text(str(q["text"] or q["that"]))}
+        )
+        if not q["met"]:
+            reason = q["why_not"] or f"{q['that']} is {q['value']}, required: {q['condition']}"
+            ET.SubElement(case, "failure", {"message": plain_text(str(reason))})
+    for s in doubtful:
+        case = ET.SubElement(suite, "testcase", {"classname": f"{name}.steps", "name": plain_text(str(s["name"]))})
+        reason = s["error"] or f"status {s['status']}"
+        ET.SubElement(case, "error", {"message": plain_text(str(reason))})
+    ET.indent(suites)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"

@@ -14,7 +14,7 @@ from robustlab.report.figures import COLOURS, axis_label, house_style, logarithm
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
-    from robustlab.mu_analysis.replay import Replay
+    from robustlab.mu_analysis.axis.critical_delta import Replay
 
 __all__ = ["gain_figure", "mu_figure", "replay_figure", "shares_figure"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from robustlab.storage.interchange import Loaded, load, load_pair, read, save
-from robustlab.storage.pairs import check_pair
+from robustlab.storage.interchange import Loaded, check_pair, load, load_pair, read, save
 
 __all__ = ["Loaded", "check_pair", "load", "load_pair", "read", "save"]

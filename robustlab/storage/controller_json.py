@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.document import parse_document, read_document
-from robustlab.files.limits import Limits, size_text
+from robustlab.files.signature import Limits, size_text
 from robustlab.provenance import Provenance
 from robustlab.result import Status, plain
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
-from robustlab.synthesis.controller import Controller
+from robustlab.synthesis.problem.design import Controller
 
 __all__ = ["LoadedController", "controller_to_json", "is_json", "read_controller_json"]
 

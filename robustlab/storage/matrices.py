@@ -1,9 +1,13 @@
-"""State-space models in a file: the matrices A B C D and all that can be wrong with them, signals, operating point."""
+"""State-space models in a file: the matrices A B C D and all that can be wrong with them, signals, operating point.
+
+Everything that is wrong with a file, collected and then raised at once.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,9 +16,54 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
-from robustlab.storage.problems import Problems
 
-__all__ = ["decode_model", "encode_model", "find_children", "sample_time"]
+__all__ = [
+    "decode_model",
+    "encode_model",
+    "find_children",
+    "sample_time",
+    "Problems",
+]
+
+
+@dataclass
+class Problems:
+    """Findings about one file, in the order in which they were met.
+
+    Attributes
+    ----------
+    file
+        What messages call the file.
+    lines
+        One finding each, beginning with the path in the file.
+    hint
+        What to do; the first hint given stays.
+    """
+
+    file: str
+    lines: list[str] = field(default_factory=list)
+    hint: str | None = None
+
+    def add(self, line: str, hint: str | None = None) -> None:
+        """Note a finding."""
+        self.lines.append(line)
+        self.hint = self.hint or hint
+
+    def absorb(self, error: InputError) -> None:
+        """Note what a constructor said."""
+        where = error.where.removeprefix(f"{self.file}: ").removeprefix(self.file)
+        text = f"{error.found}" + (f", expected {error.expected}" if error.expected else "")
+        self.add(f"{where}: {text}" if where else text, error.hint)
+        self.lines.extend(error.more)
+
+    def raise_any(self) -> None:
+        """Raise one `InputError` with all findings, if there are any."""
+        if self.lines:
+            more = tuple(
+                line if line.startswith(f"{self.file}: ") else f"{self.file}: {line}" for line in self.lines[1:]
+            )
+            raise InputError(self.file, self.lines[0], None, self.hint, more)
+
 
 Array = NDArray[np.float64]
 Shape = tuple[int, ...]
@@ -30,8 +79,8 @@ def encode_model(tree: Tree, model: StateSpaceModel) -> None:
     tree.attrs["dt"] = model.dt
     for side, signals in zip(SIDES, (model.states, model.inputs, model.outputs), strict=True):
         group = tree.group("signals").group(side)
-        for field in ("name", "unit"):
-            group.put(field, np.array([getattr(s, field) for s in signals], dtype=np.str_))
+        for kind in ("name", "unit"):
+            group.put(kind, np.array([getattr(s, kind) for s in signals], dtype=np.str_))
     if model.operating_point is not None:
         encode_point(tree, model.operating_point)
 

@@ -10,12 +10,10 @@ import numpy as np
 
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.files.header import text_attr
-from robustlab.files.tree import Dataset, Tree, Unread
+from robustlab.files.tree import Dataset, Tree, Unread, text_attr
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage.matrices import decode_model, encode_model, find_children
-from robustlab.storage.problems import Problems
-from robustlab.uncertainty.blocks import Sign
+from robustlab.storage.matrices import Problems, decode_model, encode_model, find_children
+from robustlab.uncertainty.blocks.base import Sign
 
 if TYPE_CHECKING:
     from robustlab.dynamics.linear_plant import LinearPlant
@@ -40,7 +38,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
     InputError
         A plant of the user's own that is not linear: its equations are a program.
     """
-    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 
     base = obj.plant if isinstance(obj, ExtendedPlant) else obj
     own = not _is_rebuilt(base)
@@ -174,7 +172,7 @@ def _bare_model(base: Any) -> StateSpaceModel:
 
 
 def _bare_plant(model: StateSpaceModel) -> Any:
-    from robustlab.dynamics.effects.port_model import linear_plant_of
+    from robustlab.dynamics.ports.port_model import linear_plant_of
 
     return linear_plant_of(model)
 
@@ -292,10 +290,10 @@ def _list(dataset: Dataset, kinds: str, path: str, problems: Problems) -> list[A
 
 
 def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
-    from robustlab.dynamics.effects.attached_effect import AttachedEffect
     from robustlab.dynamics.effects.catalogue import effect
-    from robustlab.dynamics.effects.effect_contract import Site
-    from robustlab.dynamics.effects.extended_plant import with_effects
+    from robustlab.dynamics.effects.contract import Site
+    from robustlab.dynamics.extended.attached_effect import AttachedEffect
+    from robustlab.dynamics.extended.extended_plant import with_effects
 
     attached = []
     for k in range(len(group.groups)):

@@ -11,10 +11,9 @@ from robustlab.errors import InputError
 from robustlab.files.tree import Tree, Unread
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage.matrices import decode_model, decode_point, encode_model, encode_point, find_children
-from robustlab.storage.problems import Problems
-from robustlab.synthesis.controller import Controller
-from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.storage.matrices import Problems, decode_model, decode_point, encode_model, encode_point, find_children
+from robustlab.synthesis.problem.design import Controller
+from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["decode_controller", "decode_uncertain", "encode_controller", "encode_uncertain"]

@@ -21,7 +21,7 @@ import numpy as np
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, append, series
 from robustlab.uncertainty.algebra import as_uncertain
-from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["weighted"]
@@ -52,7 +52,7 @@ def weighted(uncertain: UncertainModel, weights: Mapping[str, Any], side: str = 
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar
+    >>> from robustlab.uncertainty.blocks.base import ComplexScalar
     >>> plant = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [ComplexScalar("dynamics")])
     >>> weight = StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.0]])
     >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()

@@ -21,7 +21,7 @@ from robustlab.frequency import frequency_response
 from robustlab.provenance import Traced
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.balancing import balanced
-from robustlab.uncertainty.blocks import (
+from robustlab.uncertainty.blocks.base import (
     Block,
     FullBlock,
     RealScalar,
@@ -104,7 +104,7 @@ class UncertainModel(Traced):
     M
         State-space model whose first q inputs ``w`` and first p outputs ``z`` are the Delta channels (``w = Delta z``).
     blocks
-        The blocks of Delta in the order of those channels; see `robustlab.uncertainty.blocks.as_blocks`.
+        The blocks of Delta in the order of those channels; see `robustlab.uncertainty.blocks.base.as_blocks`.
     operating_point
         Operating point of the nominal model.
 

@@ -29,7 +29,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, delta_matrix
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, delta_matrix
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 __all__ = ["perturbed_model", "realise_delta"]
@@ -87,7 +87,7 @@ def realise_delta(
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar
+    >>> from robustlab.uncertainty.blocks.base import ComplexScalar
     >>> made = realise_delta([ComplexScalar("d")], {"d": 0.5j}, omega=2.0)["d"]
     >>> made.poles(), frequency_response(made, [2.0]).round(12)
     (array([-2.+0.j]), array([[[0.+0.5j]]]))

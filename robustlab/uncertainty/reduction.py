@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
+from robustlab.uncertainty.blocks.base import Block, FullBlock, block_slices
 
 __all__ = ["reduce_blocks"]
 

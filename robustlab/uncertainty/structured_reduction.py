@@ -32,7 +32,7 @@ from robustlab.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.balancing import balancing_scale
-from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, block_slices, delta_matrix
+from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, RealScalar, block_slices, delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import CANCELLED, UNCHANGED, reduce_blocks
 

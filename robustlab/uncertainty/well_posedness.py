@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from robustlab.budget import one_thread
 from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import (
+from robustlab.uncertainty.blocks.base import (
     Block,
     FullBlock,
     RealScalar,

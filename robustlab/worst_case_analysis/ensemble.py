@@ -1,6 +1,10 @@
 r"""Many members of an uncertain model at once: batched matrices, poles, time responses and gains.
 
 .. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}_k = M_{22} + M_{21} \Delta_k (I - D_{11} \Delta_k)^{-1} M_{12}
+
+Responses of many members by the compiled kernels, for models that are worth loading them.
+
+What drives a response: a uniform clock and the samples of every input.
 """
 
 from __future__ import annotations
@@ -10,11 +14,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.magnitude import is_moderate, refuse_overflow
-from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
+from robustlab.record import UNIFORM_TOLERANCE
+from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.uncertainty.blocks.base import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 __all__ = [
@@ -28,7 +34,122 @@ __all__ = [
     "state_scale",
     "time_responses",
     "transitions",
+    "Lanes",
+    "in_lanes",
+    "responses",
+    "Excitation",
+    "default_clock",
+    "excitation",
 ]
+
+
+# A discrete model's clock may differ from its sample time by this share.
+SAMPLE_TIME_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Times ``t (n_t,)`` in s, their step ``h``, and input samples ``u (n_t, n_u)``."""
+
+    t: Array
+    h: float
+    u: Array
+
+
+def excitation(
+    inputs: Sequence[Signal], dt: float, t: ArrayLike, u: Mapping[str, ArrayLike] | ArrayLike | None, where: str
+) -> Excitation:
+    """The clock and the inputs as arrays.
+
+    Parameters
+    ----------
+    inputs, dt
+        Inputs and sample time of the models that are driven.
+    t
+        Times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
+    u
+        Name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or
+        (n_t, n_u); None for a unit step on the only input.
+
+    Raises
+    ------
+    InputError
+        A clock that is not uniform, unknown inputs, wrong lengths, several inputs and no ``u``.
+    """
+    clock = real_array("t", t, 1, where)
+    if len(clock) < 2:
+        raise InputError(where, f"t has {len(clock)} samples", "at least 2")
+    step = np.diff(clock)
+    h = float((clock[-1] - clock[0]) / len(step))
+    if h <= 0 or np.abs(step - h).max() > UNIFORM_TOLERANCE * h:
+        raise InputError(where, "t is not uniform", "increasing times with one step", "use numpy.linspace(0, t_end, n)")
+    if dt and abs(h - dt) > SAMPLE_TIME_TOLERANCE * dt:
+        raise InputError(where, f"t has a step of {h:.9g} s", f"the discrete model's sample time {dt:.9g} s")
+    return Excitation(clock, h, _samples(inputs, len(clock), u, where))
+
+
+def _samples(inputs: Sequence[Signal], n: int, u: Mapping[str, ArrayLike] | ArrayLike | None, where: str) -> Array:
+    names = [s.name for s in inputs]
+    if u is None:
+        if len(names) != 1:
+            hint = f"say which input steps: u={{{names[0]!r}: 1.0}}" if names else None
+            raise InputError(where, f"{len(names)} inputs and no u", "one input, or u", hint)
+        return np.ones((n, 1))
+    if isinstance(u, Mapping):
+        samples = np.zeros((n, len(names)))
+        for key, value in u.items():
+            if key not in names:
+                known = ", ".join(names) or "none"
+                raise InputError(
+                    f"{where}: input {key!r}", "no such input", f"one of {known}", did_you_mean(str(key), names)
+                )
+            samples[:, names.index(key)] = _column(f"{where}: {key}", value, n)
+        return samples
+    shape = np.shape(u)
+    if len(shape) == 2:
+        array = real_array("u", u, 2, where)
+        if array.shape != (n, len(names)):
+            raise InputError(where, f"u has shape {array.shape}", f"{(n, len(names))}")
+        return array
+    if len(names) != 1:
+        raise InputError(where, f"u has shape {shape}", f"{(n, len(names))}, or a dict of name -> samples")
+    return _column(where, u, n)[:, None]
+
+
+def _column(where: str, value: Any, n: int) -> Array:
+    if np.ndim(value) == 0:
+        return np.repeat(real_array("u", [value], 1, where), n)
+    column = real_array("u", value, 1, where)
+    if len(column) != n:
+        raise InputError(where, f"u has {len(column)} samples", f"{n} to match t")
+    return column
+
+
+def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
+    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count.
+
+    Raises
+    ------
+    InputError
+        The model is unstable: how long to look is the user's to say.
+    """
+    poles = model.poles()
+    if model.is_discrete:
+        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / model.dt
+    size = float(np.abs(poles).max(initial=0.0))
+    rate = poles.real[np.abs(poles) > 1e-9 * size]
+    if (rate > 1e-9 * size).any():
+        raise InputError(
+            where, "the nominal model is unstable and no times are given", "t", "pass t=numpy.linspace(0, t_end, n)"
+        )
+    decay = -rate[rate < -1e-9 * size]
+    duration = 8.0 / float(decay.min()) if len(decay) else (8.0 * 2 * np.pi / size if size else 1.0)
+    if model.is_discrete:
+        n, step = max(2, min(round(duration / model.dt) + 1, 5000)), model.dt
+    else:
+        step = duration / (n - 1)
+    return real_array("t", step * np.arange(n), 1, where)
+
 
 Array = NDArray[np.float64]
 Hold = Literal["zoh", "foh"]
@@ -296,3 +417,74 @@ def _largest_singular_value(g: NDArray[Any]) -> Array:
         top = np.maximum(size.max(axis=(-2, -1), keepdims=True), np.finfo(float).tiny)
         return np.sqrt(((size / top) ** 2).sum(axis=(-2, -1))) * top[..., 0, 0]
     return np.linalg.norm(g, 2, axis=(-2, -1))
+
+
+Entries = NDArray[np.int64]
+
+# From this many products per member on, loading the compiled kernel is worth its time.
+COMPILED_FROM = 20_000
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Arrays as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`."""
+
+    matrices: tuple[Array, Array, Array, Array]
+    c_entries: Entries
+    d_entries: Entries
+    u: Array
+    v: Array
+    x0: Array
+
+    @property
+    def arguments(self) -> tuple[Array, Array, Array, Array, Entries, Entries, Array, Array, Array]:
+        """In the kernels' order."""
+        return (*self.matrices, self.c_entries, self.d_entries, self.u, self.v, self.x0)
+
+
+def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> Lanes:
+    """The kernels' arrays for some members under one input."""
+    used = np.flatnonzero(drive.u.any(axis=0))
+    phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
+    u = np.ascontiguousarray(drive.u[:, used])
+    v = u[:-1]
+    if hold == "foh":
+        gamma, v = np.concatenate([gamma, slope], axis=2), np.hstack([v, np.diff(u, axis=0)])
+    d = ensemble.D[:, :, used]
+    # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
+    where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
+    grouped = (_grouped(phi), _grouped(gamma), _grouped(ensemble.C), _grouped(d))
+    entries = [np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d)]
+    return Lanes(grouped, entries[0], entries[1], u, np.ascontiguousarray(v), np.array(x0, dtype=float))
+
+
+def _grouped(matrices: Array) -> Array:
+    """(k, r, c) as (n_groups, r, c, LANES), zeros after the last."""
+    from robustlab.worst_case_analysis.response_kernels import LANES
+
+    k, rows, columns = matrices.shape
+    groups = -(-k // LANES)
+    whole = np.zeros((groups * LANES, rows, columns))
+    whole[:k] = matrices
+    return np.ascontiguousarray(whole.reshape(groups, LANES, rows, columns).transpose(0, 2, 3, 1))
+
+
+def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out: Array | None = None) -> Array:
+    """Outputs of all (real) members (k, n_t, n_y), by the way that suits the size of one of them.
+
+    The choice depends on the model and the clock alone, so that a member's response does not depend on how many others
+    are asked for.
+    """
+    n_t, n_y = len(drive.u), ensemble.C.shape[1]
+    if n_t * max(1, len(x0)) ** 2 < COMPILED_FROM:
+        found = time_responses(ensemble, drive.h, drive.u, x0, hold)
+        if out is None:
+            return found
+        out[:] = found
+        return out
+    from robustlab.worst_case_analysis.response_kernels import respond
+
+    out = np.empty((len(ensemble), n_t, n_y)) if out is None else out
+    with np.errstate(over="ignore", invalid="ignore"):
+        respond(*in_lanes(ensemble, drive, x0, hold).arguments, out)
+    return out

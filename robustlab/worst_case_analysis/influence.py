@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.worst_case_analysis.batch import MetricBatch
+from robustlab.worst_case_analysis.metrics import MetricBatch
 
 __all__ = ["FEWEST_SAMPLES", "Influence", "influence_of"]
 

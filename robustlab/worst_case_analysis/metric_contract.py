@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks.base import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble
 

@@ -12,13 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks.base import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import Deltas, vertex_signs
-from robustlab.worst_case_analysis.ensemble import Hold
-from robustlab.worst_case_analysis.excitation import Excitation, excitation
-from robustlab.worst_case_analysis.lanes import responses
-from robustlab.worst_case_analysis.real_set import RealSet
+from robustlab.worst_case_analysis.draws import Deltas, RealSet, vertex_signs
+from robustlab.worst_case_analysis.ensemble import Excitation, Hold, excitation, responses
 from robustlab.worst_case_analysis.streaming import (
     LABEL,
     MARGINAL,

@@ -4,11 +4,13 @@ Where the set is real and the metric has a derivative, local searches climb alon
 that the gradient points to, then a quasi-Newton method in the box); a compass search finishes, or does it all.
 
 A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
+
+Delta from a vector in the box [-1, 1]^d, for search.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -20,17 +22,76 @@ from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import delta_values
+from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.delta_box import DeltaBox
-from robustlab.worst_case_analysis.draws import vertex_signs
+from robustlab.worst_case_analysis.draws import RealSet, vertex_signs
 from robustlab.worst_case_analysis.ensemble import chunks, members
 from robustlab.worst_case_analysis.metric_contract import Metric
 from robustlab.worst_case_analysis.metrics import METRICS, MetricRequest, make_metric
-from robustlab.worst_case_analysis.real_set import RealSet
 from robustlab.worst_case_analysis.sensitivity import delta_slope
 
-__all__ = ["METRICS", "WorstCase", "worst_case"]
+__all__ = [
+    "METRICS",
+    "WorstCase",
+    "worst_case",
+    "DeltaBox",
+]
+
+
+class DeltaBox:
+    """Delta from a vector in [-1, 1]^d: a number for a real scalar, real and imaginary parts for the rest.
+
+    A complex scalar or a full matrix outside its ball is drawn back onto it, so every vector gives a Delta of the set.
+    """
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        self.blocks = tuple(blocks)
+        self.slices: list[slice] = []
+        size = 0
+        for b in self.blocks:
+            width = 1 if isinstance(b, RealScalar) else 2 * self._entries(b)
+            self.slices.append(slice(size, size + width))
+            size += width
+        self.size = size
+        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if isinstance(b, RealScalar)]
+
+    @property
+    def all_real(self) -> bool:
+        """Whether every block is a real scalar."""
+        return len(self.real) == len(self.blocks)
+
+    @staticmethod
+    def _entries(block: Block) -> int:
+        return block.rows * block.cols if not hasattr(block, "repeats") else 1
+
+    def deltas(self, theta: Array) -> NDArray[Any]:
+        """Stack of Deltas (k, q, p) from vectors (k, d)."""
+        dtype = float if self.all_real else complex
+        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
+        for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
+            number = theta[:, part]
+            if isinstance(block, RealScalar):
+                number = np.where(number < 0, number * block.ratio, number)
+                delta[:, rows, cols] = number[:, :, None] * np.eye(block.rows)
+                continue
+            half = number.shape[1] // 2
+            entries = number[:, :half] + 1j * number[:, half:]
+            if half == 1:
+                entries = entries / np.maximum(np.abs(entries), 1.0)
+                delta[:, rows, cols] = entries[:, :, None] * np.eye(block.rows, block.cols)
+                continue
+            matrix = entries.reshape(-1, block.rows, block.cols)
+            delta[:, rows, cols] = matrix / np.maximum(np.linalg.norm(matrix, 2, axis=(1, 2)), 1.0)[:, None, None]
+        return delta
+
+    def slope(self, theta: Array, delta_slope: Array) -> Array:
+        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for real scalars; at 0 the slope of the upper side."""
+        diagonal = np.array(
+            [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
+        )
+        below = np.array([b.ratio for b in self.blocks if isinstance(b, RealScalar)])
+        return np.where(theta < 0, below, 1.0) * diagonal
+
 
 Array = NDArray[np.float64]
 

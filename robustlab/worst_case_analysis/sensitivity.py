@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from robustlab.magnitude import refuse_overflow
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, transitions
-from robustlab.worst_case_analysis.excitation import Excitation
+from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, transitions
 
 __all__ = ["delta_slope", "pole_slope", "response_slope", "steady_state_slope"]
 

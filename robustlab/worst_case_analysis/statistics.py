@@ -30,9 +30,8 @@ from robustlab.errors import InputError, UnitMismatch
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.batch import MetricBatch
 from robustlab.worst_case_analysis.influence import FEWEST_SAMPLES, Influence, influence_of
-from robustlab.worst_case_analysis.metrics import MetricRequest
+from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
 
 __all__ = [
     "Quantile",

@@ -15,11 +15,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import Signal
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import Deltas
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold
-from robustlab.worst_case_analysis.excitation import Excitation
-from robustlab.worst_case_analysis.lanes import in_lanes, responses
-from robustlab.worst_case_analysis.real_set import RealSet
+from robustlab.worst_case_analysis.draws import Deltas, RealSet
+from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, in_lanes, responses
 
 __all__ = ["StreamedResponses", "blocks_of", "in_order", "stream"]
 

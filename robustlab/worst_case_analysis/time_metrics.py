@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, members
-from robustlab.worst_case_analysis.excitation import Excitation
-from robustlab.worst_case_analysis.lanes import responses
+from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, members, responses
 from robustlab.worst_case_analysis.metric_contract import (
     Evaluation,
     Metric,

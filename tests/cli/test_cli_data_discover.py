@@ -10,8 +10,8 @@ import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.identification import discovery
-from robustlab.identification.discovery_result import Rival
+from robustlab.identification.naming import discovery
+from robustlab.identification.naming.discovery_result import Rival
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]

@@ -8,8 +8,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.recipe.load import load_recipe
+from robustlab.recipe.paths import recipe_path
 from robustlab.recipe.run import run_recipe
-from robustlab.recipe.shipped import recipe_path
 
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps.h5"

@@ -14,8 +14,8 @@ import robustlab as rl
 from robustlab.cli.main import run
 from robustlab.errors import InputError
 from robustlab.recipe.load import load_recipe
+from robustlab.recipe.paths import recipe_path
 from robustlab.recipe.run import run_recipe
-from robustlab.recipe.shipped import recipe_path
 
 ROOT = Path(__file__).parents[2]
 HEAD = 'schema = "robustlab.recipe/1"\nname = "part"\nseed = 1\n'

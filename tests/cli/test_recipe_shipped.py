@@ -10,8 +10,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.recipe.load import load_recipe
+from robustlab.recipe.paths import recipe_path
 from robustlab.recipe.run import run_recipe
-from robustlab.recipe.shipped import recipe_path
 
 ROOT = Path(__file__).parents[2]
 EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps.h5"

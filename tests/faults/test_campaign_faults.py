@@ -17,10 +17,9 @@ import pytest
 
 import robustlab as rl
 from robustlab.campaign import CampaignSettings, read_campaign, resume_campaign, run_campaign, saved_samples
-from robustlab.campaign.lock import locked
-from robustlab.campaign.rows import Rows
+from robustlab.campaign.evaluation import Rows
 from robustlab.campaign.settings import Identity, model_to_bytes
-from robustlab.campaign.store import Store
+from robustlab.campaign.store import Store, locked
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError
 
 ROOT = Path(__file__).parents[2]

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.attached_effect import AttachedEffect
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.effect_contract import Site
+from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.files.hdf5 import read_tree, write_tree

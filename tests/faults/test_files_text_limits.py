@@ -16,7 +16,7 @@ import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.files.document import MAX_DEPTH, parse_document, read_document
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.limits import Limits
+from robustlab.files.signature import Limits
 from robustlab.files.text_table import read_table
 from robustlab.recipe.load import load_recipe
 from robustlab.recipe.run import read_result

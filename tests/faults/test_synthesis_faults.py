@@ -14,13 +14,13 @@ from robustlab.matrix_equations import hamiltonian_riccati
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import hinf, hinf_synthesis, mixsyn
-from robustlab.synthesis.lmi_synthesis import lmi_controllers, solve_conic
-from robustlab.synthesis.loop_gain import loop_gain
-from robustlab.synthesis.partition import GeneralizedPlant, Realisation
-from robustlab.synthesis.portfolio import Portfolio
-from robustlab.synthesis.scaling import paths_first
-from robustlab.synthesis.search import Search
+from robustlab.synthesis import hinf, mixsyn
+from robustlab.synthesis.hinf import hinf_synthesis
+from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers, solve_conic
+from robustlab.synthesis.hinf.search import Portfolio, Search
+from robustlab.synthesis.nonsmooth.loop_gain import loop_gain
+from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.problem.scaling import paths_first
 
 
 def output_feedback_problem(a: float, d22: float = 0.0, dt: float = 0.0) -> StateSpaceModel:

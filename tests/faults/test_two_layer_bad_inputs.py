@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.controllers import two_layer
-from robustlab.dynamics.trajectory import SineTrajectory
-from robustlab.dynamics.trajectory_following import follow
+from robustlab.dynamics.control.controllers import two_layer
+from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
 
 
 @pytest.fixture(scope="module")

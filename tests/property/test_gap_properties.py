@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.uncertainty.coprime import coprime_margin
-from robustlab.uncertainty.gap_metric import gap, nu_gap
+from robustlab.uncertainty.distances.coprime import coprime_margin
+from robustlab.uncertainty.distances.gap_metric import gap, nu_gap
 
 
 def near(seed: int, n: int, p: int, m: int, step: float) -> tuple[rl.StateSpaceModel, ...]:

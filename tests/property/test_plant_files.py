@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, NonlinearPlant, Parameter, overridden
-from robustlab.dynamics.effects.attached_effect import AttachedEffect
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.effect_contract import Scales
-from robustlab.dynamics.effects.port_model import port_model
+from robustlab.dynamics.effects.contract import Scales
+from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.plant_contract import Trim
+from robustlab.dynamics.ports.port_model import port_model
 from robustlab.storage import read
 
 T = np.arange(60) * 1e-3

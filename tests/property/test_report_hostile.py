@@ -9,8 +9,7 @@ from xml.etree import ElementTree as ET
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robustlab.report.html import render
-from robustlab.report.junit import junit_xml
+from robustlab.report.html import junit_xml, render
 
 ATTACKS = [
     "<script>alert(1)</script>",

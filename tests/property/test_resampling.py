@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError
-from robustlab.identification.resampling import clock_step, join_clocks, uniform
+from robustlab.identification.record_check.resampling import clock_step, join_clocks, uniform
 from robustlab.record import Record
 
 DT = 0.01

@@ -15,11 +15,9 @@ from scipy.stats import beta, binom
 import robustlab as rl
 from robustlab.campaign import CampaignSettings, read_campaign, replay_sample, runs
 from robustlab.campaign.dispatch import compute_missing
-from robustlab.campaign.evaluation import TILE, Evaluator
+from robustlab.campaign.evaluation import TILE, Evaluator, Rows, decode_delta, delta_width, encode_delta
 from robustlab.campaign.local_workers import LocalWorkers
-from robustlab.campaign.rows import Rows, decode_delta, delta_width, encode_delta
-from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
-from robustlab.campaign.statistics import (
+from robustlab.campaign.result import (
     SHARES,
     _upper_rank,
     exceedance_curve,
@@ -27,6 +25,7 @@ from robustlab.campaign.statistics import (
     quantiles,
     share_beyond,
 )
+from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
 from robustlab.campaign.store import Store
 from robustlab.campaign.work import Failure, Outcome, Payload, Piece, perform
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError

@@ -10,13 +10,17 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.effect_contract import Prior, Scales
-from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
+from robustlab.dynamics.effects.contract import Prior, Scales
+from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
 from robustlab.errors import InputError
-from robustlab.identification.candidates import candidates, spatial_orders
-from robustlab.identification.greedy_naming import spans
-from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-from robustlab.identification.prepared_record import PreparedRecord, prepare, window_length
+from robustlab.identification.hypotheses.candidates import (
+    candidates,
+    nuisance_parameters,
+    spatial_orders,
+    stated_tolerances,
+)
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord, prepare, window_length
+from robustlab.identification.naming.greedy_naming import spans
 from robustlab.statespace import Signal, StateSpaceModel
 
 # --- priors ----------------------------------------------------------------------------------------------------------

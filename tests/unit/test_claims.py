@@ -74,9 +74,9 @@ def test_the_thesis_recipe_says_what_was_chosen():
 def test_what_the_thesis_recipe_says_was_chosen_is_what_the_code_has():
     from inspect import signature
 
-    from robustlab.dynamics.controllers import two_layer
-    from robustlab.dynamics.stewart.machine_parameters import machine_parameters
-    from robustlab.dynamics.stewart.thesis_runs import UP_TO
+    from robustlab.dynamics.control.controllers import two_layer
+    from robustlab.dynamics.stewart.geometry import machine_parameters
+    from robustlab.thesis.thesis_runs import UP_TO
 
     assert UP_TO == 0.0577
     defaults = signature(two_layer).parameters

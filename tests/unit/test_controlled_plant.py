@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.controlled_plant import actuator_cascade, controlled_plant
-from robustlab.dynamics.controllers import LayeredController, closed_loop, two_layer
-from robustlab.dynamics.trajectory import SineTrajectory
-from robustlab.dynamics.trajectory_following import follow
+from robustlab.dynamics.control.controlled_plant import actuator_cascade, controlled_plant
+from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
+from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 

@@ -8,9 +8,9 @@ import pytest
 import robustlab as rl
 from robustlab.result import Status, plain
 from robustlab.statespace import lower_lft
-from robustlab.synthesis.controller_reduction import ReducedController
-from robustlab.synthesis.partition import GeneralizedPlant
-from robustlab.synthesis.performance_measure import scaled_plant
+from robustlab.synthesis.nonsmooth.performance_measure import scaled_plant
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.reduction.controller_reduction import ReducedController
 
 PLANT = rl.StateSpaceModel(
     [[-1, 1, 0], [0, -3, 2], [0, 0, -20]], [[0, 0, 0], [1, 0, 0], [0, 0, 10]], [[1, 0, 0], [0, 0, 0], [1, 0, 0]],

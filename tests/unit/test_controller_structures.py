@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab.dynamics.controllers import TorqueGains, TwoLayerController
+from robustlab.dynamics.control.controllers import TorqueGains, TwoLayerController
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.synthesis.controller_laws import model_of
-from robustlab.synthesis.controller_structures import (
+from robustlab.synthesis.laws.controller_laws import model_of
+from robustlab.synthesis.laws.controller_structures import (
     PID,
     Decentralised,
     FixedOrder,

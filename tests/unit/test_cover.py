@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.uncertainty.parametric_cover import parametric_cover
+from robustlab.uncertainty.covering.parametric_cover import parametric_cover
+from robustlab.uncertainty.covering.unstructured_cover import _lifted
 from robustlab.uncertainty.unstructured import FORMS
-from robustlab.uncertainty.unstructured_cover import _lifted
 
 
 def lag(gain, time, dt=0.0):

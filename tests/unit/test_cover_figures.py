@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.effect_blocks import effect_blocks
+from robustlab.dynamics.extended.effect_blocks import effect_blocks
 from robustlab.report.cover_figures import blocks_figure, cloud_figure, cover_figures, weight_figure
-from robustlab.uncertainty.parametric_cover import least_ellipsoid
-from robustlab.uncertainty.unstructured_cover import error_sizes
+from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid
+from robustlab.uncertainty.covering.unstructured_cover import error_sizes
 
 
 def lags():

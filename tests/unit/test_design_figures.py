@@ -20,8 +20,8 @@ from robustlab.report.figures import save_figure
 from robustlab.report.story_figures import Story, story_figure
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import hinf, mixsyn, performance_weight
-from robustlab.synthesis.limits_of_design import limits_in_words, limits_of
-from robustlab.synthesis.loop_curves import frequencies, loop_curves
+from robustlab.synthesis.problem.performance_limits import limits_in_words, limits_of
+from robustlab.synthesis.specifications.loop_curves import frequencies, loop_curves
 
 OMEGA = np.geomspace(0.1, 100, 50)
 

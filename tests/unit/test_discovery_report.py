@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.discovery_files import write_discovery
-from robustlab.identification.discovery_result import (
+from robustlab.cli.data import write_discovery
+from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
+from robustlab.identification.naming.discovery_result import (
     Discovery,
     EffectValue,
     Gap,
@@ -21,16 +22,14 @@ from robustlab.identification.discovery_result import (
     Rival,
     StepEntry,
 )
-from robustlab.identification.discovery_text import compared, headline, with_interval
-from robustlab.identification.next_experiment import NextExperiment, Pair, Tried
-from robustlab.identification.suitability import Finding
-from robustlab.identification.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
+from robustlab.identification.naming.discovery_text import compared, headline, with_interval
+from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.requirements import judge
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.discovery import numbers
-from robustlab.report.discovery_figures import discovery_figures, stretch_figure
-from robustlab.report.discovery_report import caption, facts, write_page
+from robustlab.report.discovery_figures import caption, discovery_figures, facts, stretch_figure, write_page
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")

@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.statespace import OperatingPoint
-from robustlab.synthesis.discretisation import METHODS, merged_modes
-from robustlab.synthesis.lifting import mean_and_variance
+from robustlab.synthesis.sampled.discretisation import METHODS, merged_modes
+from robustlab.synthesis.sampled.lifting import mean_and_variance
 
 LAG = rl.StateSpaceModel([[-2.0]], [[1.0]], [[2.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
 TWO_BY_TWO = rl.StateSpaceModel([[-1.0, 2.0], [0.0, -3.0]], np.eye(2), np.eye(2), [[1.0, 0.0], [0.0, 0.5]])

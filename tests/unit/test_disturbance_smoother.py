@@ -9,8 +9,8 @@ from scipy.linalg import expm
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError
-from robustlab.identification import disturbance_smoother as ds
-from robustlab.identification.disturbance_smoother import smooth_disturbance
+from robustlab.identification.hypotheses import disturbance_smoother as ds
+from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 J, FRICTION, K, R, L = 2e-4, 1e-5, 0.05, 1.0, 3e-4

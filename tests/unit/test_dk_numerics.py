@@ -10,21 +10,19 @@ import pytest
 import robustlab as rl
 from robustlab import budget
 from robustlab.budget import MILLION, Budget, dense
-from robustlab.mu_analysis import intervals
-from robustlab.mu_analysis.upper import points_work
+from robustlab.mu_analysis.axis import intervals
+from robustlab.mu_analysis.matrix.upper import points_work
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk_iteration import _Search, structure_with_performance
-from robustlab.synthesis.dynamic_scalings import BlockScaling, Factor, unit_scalings
-from robustlab.synthesis.nominal_start import nominal_start
-from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
-from robustlab.synthesis.pointwise_scalings import CHUNK, as_complex, mu_curve
-from robustlab.synthesis.riccati_level import LevelSearch
-from robustlab.synthesis.robust_loop import RobustProblem
-from robustlab.synthesis.scaled_plant import scaled_plant
-from robustlab.synthesis.scaling import Scaling
-from robustlab.synthesis.tracking_problem import tracking_problem
-from robustlab.synthesis.weights import control_weight, error_weight
-from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
+from robustlab.synthesis.dk.dk_iteration import _Search, structure_with_performance
+from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, unit_scalings
+from robustlab.synthesis.dk.pointwise_scalings import CHUNK, as_complex, mu_curve
+from robustlab.synthesis.dk.riccati_level import LevelSearch, scaled_plant
+from robustlab.synthesis.dk.robust_loop import RobustProblem, nominal_start
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.problem.scaling import Scaling
+from robustlab.synthesis.specifications.tracking_problem import tracking_problem
+from robustlab.synthesis.specifications.weight_design import control_weight, error_weight
+from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock
 
 
 def three_modes() -> PlantMatrices:

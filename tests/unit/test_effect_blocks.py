@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.effect_blocks import _above_beyond, delay_block, effect_blocks
-from robustlab.dynamics.effects.effect_loads import effect_loads
-from robustlab.identification.discovery_result import Discovery
-from robustlab.identification.remaining_uncertainty import uncertain_from
-from robustlab.identification.unnamed_effect import ForceCurve, ResidualForce
-from robustlab.uncertainty.overbound import overbound
+from robustlab.dynamics.extended.effect_blocks import _above_beyond, delay_block, effect_blocks
+from robustlab.dynamics.extended.effect_loads import effect_loads
+from robustlab.identification.naming.discovery_result import Discovery
+from robustlab.identification.naming.remaining_uncertainty import uncertain_from
+from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
+from robustlab.uncertainty.covering.overbound import overbound
 
 SERVO = {"M": (95.0, 0.1), "Fv": (200.0, 0.05), "gain": 35.0}
 

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
-from robustlab.dynamics.effects.port_model import port_model
-from robustlab.identification.candidates import candidates
-from robustlab.identification.effect_fit import (
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.experiment.experiment_bench import _told_by_output
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Fit,
     Hypothesis,
@@ -24,10 +25,8 @@ from robustlab.identification.effect_fit import (
     averaged,
     simulated_outputs,
 )
-from robustlab.identification.experiment_bench import _told_by_output
-from robustlab.identification.naming import first_noise
-from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-from robustlab.identification.prepared_record import prepare
+from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming.ranking import first_noise
 
 AXIS = rl.plant("servo-axis")
 T = np.arange(1000) * 2e-3

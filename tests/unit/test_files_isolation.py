@@ -10,7 +10,7 @@ import pytest
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.isolation import run_reader
-from robustlab.files.limits import Limits
+from robustlab.files.signature import Limits
 
 QUICK = Limits(seconds=1.0)
 

@@ -10,7 +10,8 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 import robustlab as rl
-from robustlab.synthesis import controller_structures, design_limits
+from robustlab.synthesis.laws import controller_structures
+from robustlab.synthesis.nonsmooth import design_limits
 
 PAGE = Path(__file__).parents[2] / "docs" / "fixed_structure.md"
 

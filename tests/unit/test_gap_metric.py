@@ -7,8 +7,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.norms import bilinear_to_discrete
-from robustlab.uncertainty.coprime import continuous_models, coprime_factors, coprime_margin
-from robustlab.uncertainty.gap_metric import gap, nu_gap
+from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors, coprime_margin
+from robustlab.uncertainty.distances.gap_metric import gap, nu_gap
 
 
 def first_order(gain: float, pole: float, direct: float = 0.0) -> rl.StateSpaceModel:

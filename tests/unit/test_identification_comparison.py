@@ -7,8 +7,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.identification import compare
-from robustlab.identification.initial_state import starting_state
-from robustlab.identification.response import response_of
+from robustlab.identification.response.response import response_of
+from robustlab.identification.response.windowed_simulation import starting_state
 from robustlab.result import Status, plain
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 

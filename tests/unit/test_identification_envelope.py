@@ -9,10 +9,10 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.envelope import cover
-from robustlab.report.envelope_figures import envelope_figure
+from robustlab.identification.comparison.envelope import cover
+from robustlab.report.validation_figures import envelope_figure
 from robustlab.result import Status, plain
-from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks.base import ComplexScalar, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 T = np.linspace(0.0, 5.0, 1001)

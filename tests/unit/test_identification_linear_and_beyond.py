@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.identification.best_linear_approximation import arbitrary_bla, held_response, periodic_bla
-from robustlab.identification.localisation import bins, directions
-from robustlab.identification.noise_floor import noise_floor
-from robustlab.identification.nonlinearity import even_odd
+from robustlab.identification.comparison.best_linear_approximation import arbitrary_bla, held_response, periodic_bla
+from robustlab.identification.comparison.localisation import bins, directions
+from robustlab.identification.comparison.noise_floor import noise_floor
+from robustlab.identification.comparison.nonlinearity import even_odd
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.noise_floor import NoiseFloor, effective_dof, noise_floor, period_of
+from robustlab.identification.comparison.noise_floor import NoiseFloor, effective_dof, noise_floor, period_of
 from robustlab.record import Record
 from robustlab.result import plain
 

@@ -8,9 +8,9 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from robustlab.dynamics import plant, simulate
-from robustlab.identification.residual_tests import autocorrelation, input_correlation, whiteness
-from robustlab.identification.response import response_of
-from robustlab.identification.windowed_simulation import recursive_residual, window_edges, windowed_simulation
+from robustlab.identification.comparison.residual_tests import autocorrelation, input_correlation, whiteness
+from robustlab.identification.response.response import response_of
+from robustlab.identification.response.windowed_simulation import recursive_residual, window_edges, windowed_simulation
 from robustlab.record import Record
 
 

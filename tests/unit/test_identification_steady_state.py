@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.identification.steady_state import SheetPoint, compare_steady_state
+from robustlab.identification.record_check.steady_state import SheetPoint, compare_steady_state
 from robustlab.result import Status, plain
 
 NO_LOAD = SheetPoint("no-load", voltage=42.0, speed=7530 * math.pi / 30, current=0.0927, torque=0.0)

@@ -13,12 +13,13 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import h2_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import partition, sampled_data
-from robustlab.synthesis.double_double import DoubleDouble, inverse
-from robustlab.synthesis.independent_check import h2_voice, hinf_voice, separate_responses
-from robustlab.synthesis.partition import GeneralizedPlant
-from robustlab.synthesis.verified_loop import balanced_states, separated_modes
-from robustlab.uncertainty import coprime
+from robustlab.synthesis.problem import partition
+from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
+from robustlab.synthesis.problem.independent_check import h2_voice, hinf_voice, separate_responses
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.verified_loop import balanced_states, separated_modes
+from robustlab.synthesis.sampled import sampled_data
+from robustlab.uncertainty.distances import coprime
 
 HOSTILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "hostile" / "hinf_r150.npz"
 flint = pytest.importorskip("flint")
@@ -248,7 +249,7 @@ def lie(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def dk_blocks() -> list[Any]:
-    from robustlab.uncertainty.blocks import ComplexScalar
+    from robustlab.uncertainty.blocks.base import ComplexScalar
 
     return [ComplexScalar("gain")]
 

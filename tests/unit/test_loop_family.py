@@ -7,12 +7,12 @@ import pytest
 
 from robustlab.norms import h2_norm, hinf_norm
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.bfgs import bfgs
-from robustlab.synthesis.controller_structures import FixedOrder
-from robustlab.synthesis.design_limits import Bandwidth, Damping, Decay, RollOff, StableController
-from robustlab.synthesis.design_problem import DesignProblem
-from robustlab.synthesis.loop_family import LoopFamily
-from robustlab.synthesis.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.laws.controller_structures import FixedOrder
+from robustlab.synthesis.nonsmooth.active_peaks import bfgs
+from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay, RollOff, StableController
+from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
+from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
 
 
 def family_and_theta(order, discrete, seed=1):

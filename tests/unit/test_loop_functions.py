@@ -9,7 +9,7 @@ from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import complementary_weight, control_weight, hinf, mixsyn, performance_weight
-from robustlab.synthesis.loop_functions import loop_functions, loop_functions_of
+from robustlab.synthesis.specifications.loop_functions import loop_functions, loop_functions_of
 
 OMEGA = np.geomspace(1e-3, 1e3, 60)
 

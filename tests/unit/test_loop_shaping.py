@@ -12,9 +12,9 @@ from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
 from robustlab.synthesis import hinf, ncf
-from robustlab.synthesis.loop_functions import loop_functions_of
-from robustlab.uncertainty.coprime import four_block
-from robustlab.uncertainty.gap_metric import nu_gap
+from robustlab.synthesis.specifications.loop_functions import loop_functions_of
+from robustlab.uncertainty.distances.coprime import four_block
+from robustlab.uncertainty.distances.gap_metric import nu_gap
 
 # 200 / ((10 s + 1) (0.05 s + 1)^2) as a chain, and (s + 2) / s.
 DISTURBED = StateSpaceModel(

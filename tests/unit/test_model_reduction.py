@@ -9,7 +9,7 @@ import pytest
 import robustlab as rl
 from robustlab.matrix_equations import lyapunov, lyapunov_factor
 from robustlab.result import Status, plain
-from robustlab.synthesis.balancing import split_stable
+from robustlab.synthesis.reduction.balancing import split_stable
 
 
 def stable_model(n: int, seed: int, dt: float = 0.0, m: int = 2, p: int = 3) -> rl.StateSpaceModel:
@@ -133,7 +133,7 @@ def test_the_parts_of_a_split_add_up():
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_coprime_factors_reduce_unstable_modes_and_bound_the_gap(dt):
-    from robustlab.uncertainty.gap_metric import nu_gap
+    from robustlab.uncertainty.distances.gap_metric import nu_gap
 
     rng = np.random.default_rng(4)
     A = rng.normal(size=(7, 7))
@@ -164,7 +164,7 @@ def test_a_weight_moves_the_error_out_of_its_band():
 
 def test_enns_gramians_are_blocks_of_the_weighted_models():
     # W with the same poles as nothing in G: the block of the Lyapunov solution of the series connection, computed here.
-    from robustlab.synthesis.model_reduction import weighted_factors
+    from robustlab.synthesis.reduction.model_reduction import weighted_factors
 
     G, W = stable_model(3, 1, m=1, p=1), rl.StateSpaceModel([[-2.0]], [[3.0]], [[1.0]], [[0.5]])
     reach, _ = weighted_factors(G, W, None)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.block_sensitivity import block_sensitivities, pole_block_sensitivities
-from robustlab.mu_analysis.certificate import delta_norm, project
-from robustlab.mu_analysis.delta_layout import delta_layout
-from robustlab.mu_analysis.gain_based_lower import vertex_search
-from robustlab.mu_analysis.lower import lower_bound, lower_bounds
-from robustlab.mu_analysis.pole_migration import smallest_destabilising
-from robustlab.uncertainty.blocks import as_blocks, structure_size
+from robustlab.mu_analysis.axis.critical_delta import block_sensitivities, pole_block_sensitivities
+from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
+from robustlab.mu_analysis.matrix.certificate import delta_norm, project
+from robustlab.mu_analysis.matrix.delta_layout import delta_layout
+from robustlab.mu_analysis.matrix.gain_based_lower import vertex_search
+from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
+from robustlab.uncertainty.blocks.base import as_blocks, structure_size
 
 STRUCTURES = {
     "real": [[-1, 0]] * 5,

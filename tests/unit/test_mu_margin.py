@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.intervals import extend
-from robustlab.mu_analysis.upper import upper_bounds
+from robustlab.mu_analysis.axis.intervals import extend
+from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.result import plain
 from robustlab.statespace import series
 

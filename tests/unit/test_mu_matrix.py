@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.certificate import level, positive_definite, proves, singularity
-from robustlab.mu_analysis.upper import upper_bounds
-from robustlab.uncertainty.blocks import as_blocks
+from robustlab.mu_analysis.matrix.certificate import level, positive_definite, proves, singularity
+from robustlab.mu_analysis.matrix.upper import upper_bounds
+from robustlab.uncertainty.blocks.base import as_blocks
 
 
 def random_complex(seed: int, *shape: int) -> np.ndarray:

@@ -10,13 +10,22 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.extended_plant import ExtendedPlant
-from robustlab.dynamics.effects.port_model import port_model
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.candidates import candidates
-from robustlab.identification.discovery import beyond_tolerance
-from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem, simulated_outputs
-from robustlab.identification.greedy_naming import (
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Fit,
+    Hypothesis,
+    NoiseModel,
+    Problem,
+    simulated_outputs,
+)
+from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.hypotheses.rivals import predicted, refit_distance
+from robustlab.identification.naming.discovery import beyond_tolerance
+from robustlab.identification.naming.greedy_naming import (
     CANNOT_TELL,
     Alternative,
     Naming,
@@ -26,11 +35,8 @@ from robustlab.identification.greedy_naming import (
     name_effects,
     rms_percent,
 )
-from robustlab.identification.naming import Ranked, Ranking, rank, whitening
-from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-from robustlab.identification.prepared_record import prepare
-from robustlab.identification.residual_after_naming import left_over
-from robustlab.identification.rivals import predicted, refit_distance
+from robustlab.identification.naming.ranking import Ranked, Ranking, rank, whitening
+from robustlab.identification.naming.residual_after_naming import left_over
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 

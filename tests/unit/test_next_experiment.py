@@ -8,16 +8,15 @@ from hidden import make_case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.dynamics.effects.port_model import port_model
+from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
-from robustlab.identification import experiment_bench as bench
-from robustlab.identification.candidates import candidates
-from robustlab.identification.effect_fit import Hypothesis, NoiseModel, Problem, simulated_outputs
-from robustlab.identification.experiment_menu import Piece, experiment_menu
-from robustlab.identification.naming import first_noise, whitening
-from robustlab.identification.next_experiment import propose_experiment
-from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-from robustlab.identification.prepared_record import prepare, window_length
+from robustlab.identification.experiment import experiment_bench as bench
+from robustlab.identification.experiment.experiment_menu import Piece, experiment_menu
+from robustlab.identification.experiment.next_experiment import propose_experiment
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import Hypothesis, NoiseModel, Problem, simulated_outputs
+from robustlab.identification.hypotheses.prepared_record import prepare, window_length
+from robustlab.identification.naming.ranking import first_noise, whitening
 from robustlab.result import plain
 
 SEED = 5

@@ -8,9 +8,10 @@ import pytest
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel, series
-from robustlab.synthesis import lqg, mixsyn, performance_limits, performance_weight
-from robustlab.synthesis.loop_functions import loop_functions
-from robustlab.synthesis.performance_limits import transmission_zeros
+from robustlab.synthesis import lqg, mixsyn, performance_weight
+from robustlab.synthesis.problem import performance_limits
+from robustlab.synthesis.problem.performance_limits import transmission_zeros
+from robustlab.synthesis.specifications.loop_functions import loop_functions
 
 # (s - 3) / ((s - 1)(s + 5)) up to a gain: zero at 3, pole at 1.
 ZERO_AND_POLE = StateSpaceModel([[1.0, 0.0], [1.0, -5.0]], [[1.0], [0.0]], [[-1.0, 8.0]], [[0.0]])

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.effect_contract import Site
-from robustlab.dynamics.effects.port_model import Port, linear_plant_of, parameter_groups, port_model
-from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.ports.port_model import Port, linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 
@@ -196,7 +196,7 @@ def test_wrong_parameter_and_factor_multiply():
 
 
 def _scales():
-    from robustlab.dynamics.effects.effect_contract import Scales
+    from robustlab.dynamics.effects.contract import Scales
 
     return Scales()
 

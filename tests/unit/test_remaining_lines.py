@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from robustlab.errors import InputError
-from robustlab.identification.remaining_lines import remaining_lines
-from robustlab.identification.residual_after_naming import LeftOver
-from robustlab.identification.unnamed_effect import StructureTest
+from robustlab.identification.naming.residual_after_naming import LeftOver, remaining_lines
+from robustlab.identification.unnamed.unnamed_effect import StructureTest
 
 UNITS = {"speed": "m/s", "time": "s", "position": "m", "input u": "V"}
 N, DT, BLOCKS = 2400, 0.01, 16

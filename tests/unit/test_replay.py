@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.replay import replay
+from robustlab.mu_analysis.axis.critical_delta import replay
 
 
 def oscillator(kind, dt: float = 0.0) -> rl.UncertainModel:

@@ -8,7 +8,7 @@ from discretise import chain, crossover
 
 import robustlab as rl
 from robustlab.result import Status, plain
-from robustlab.synthesis.lifting import lift
+from robustlab.synthesis.sampled.lifting import lift
 
 LOW = rl.StateSpaceModel(
     [[-1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],

@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.result import plain
-from robustlab.synthesis.held_intervals import ChannelGroup, held_interval
-from robustlab.synthesis.lifting import mean_and_variance
+from robustlab.synthesis.sampled.held_intervals import ChannelGroup, held_interval
+from robustlab.synthesis.sampled.lifting import mean_and_variance
 
 
 def gain(value, dt):

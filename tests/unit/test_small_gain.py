@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.small_gain import small_gain
+from robustlab.mu_analysis.margins.small_gain import small_gain
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 from robustlab.uncertainty.unstructured import FORMS, unstructured
 

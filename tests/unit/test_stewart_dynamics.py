@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import NonlinearPlant
-from robustlab.dynamics.input_signals import input_signal
+from robustlab.dynamics.plant_contract import input_signal
 from robustlab.dynamics.stewart import (
     bias_torque,
     inverse_kinematics,
@@ -17,7 +17,7 @@ from robustlab.dynamics.stewart import (
     potential_energy,
     trim_torque,
 )
-from robustlab.dynamics.stewart.kinematics import nut_angles
+from robustlab.dynamics.stewart.direct_kinematics import nut_angles
 
 THESIS = rl.plant("stewart-platform")
 PHYSICAL = rl.plant("stewart-platform", preset="physical")

@@ -8,8 +8,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import DryFriction, simulate_with_friction
-from robustlab.identification.channel_identity import derivative_pairs, derivative_slope, unit_factors
-from robustlab.identification.suitability import quantisation_step, suitability
+from robustlab.identification.record_check.channel_identity import derivative_pairs, derivative_slope, unit_factors
+from robustlab.identification.record_check.suitability import quantisation_step, suitability
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 DT = 1e-3

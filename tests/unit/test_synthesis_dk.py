@@ -11,12 +11,12 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import DKSynthesis
-from robustlab.synthesis.dk_iteration import structure_with_performance
-from robustlab.synthesis.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, Factor, unit_scalings
-from robustlab.synthesis.partition import GeneralizedPlant
-from robustlab.synthesis.robust_loop import RobustProblem
-from robustlab.synthesis.scaled_plant import scaled_loop
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.synthesis.dk.dk_iteration import structure_with_performance
+from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, Factor, unit_scalings
+from robustlab.synthesis.dk.riccati_level import scaled_loop
+from robustlab.synthesis.dk.robust_loop import RobustProblem
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar
 
 OMEGA = np.concatenate([[0.0], np.geomspace(1e-5, 1e5, 1500)])
 

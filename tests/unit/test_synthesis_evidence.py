@@ -14,11 +14,11 @@ from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import GeneralizedPlant, hinf, mixsyn
-from robustlab.synthesis.gamma_bounds import place_in_s, place_in_z, pointwise_bound
-from robustlab.synthesis.loop_gain import closed, loop_gain
-from robustlab.synthesis.partition import Realisation
-from robustlab.synthesis.scaling import equilibrated, paths_first
-from robustlab.synthesis.stability import proved_stable
+from robustlab.synthesis.nonsmooth.loop_gain import closed, loop_gain
+from robustlab.synthesis.problem.gamma_bounds import place_in_s, place_in_z, pointwise_bound
+from robustlab.synthesis.problem.partition import Realisation
+from robustlab.synthesis.problem.scaling import equilibrated, paths_first
+from robustlab.synthesis.problem.stability import proved_stable
 
 SINGULAR = StateSpaceModel([[-1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]])
 

@@ -12,7 +12,7 @@ from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, series
 from robustlab.synthesis import complementary_weight, control_weight, mixsyn, performance_weight
-from robustlab.synthesis.mixed_sensitivity import mixed_sensitivity_plant
+from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant
 
 OMEGA = np.geomspace(1e-4, 1e5, 200)
 

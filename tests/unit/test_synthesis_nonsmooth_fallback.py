@@ -8,12 +8,12 @@ import pytest
 from robustlab.budget import MILLION, Budget
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import hinf, hinf_synthesis, mixsyn, nonsmooth_fallback
-from robustlab.synthesis.nonsmooth_fallback import descend_from, is_poor, stabilise
-from robustlab.synthesis.partition import GeneralizedPlant, Realisation
-from robustlab.synthesis.portfolio import Portfolio
-from robustlab.synthesis.scaling import paths_first
-from robustlab.synthesis.search import Search
+from robustlab.synthesis import hinf, mixsyn
+from robustlab.synthesis.hinf import hinf_synthesis, nonsmooth_fallback
+from robustlab.synthesis.hinf.nonsmooth_fallback import descend_from, is_poor, stabilise
+from robustlab.synthesis.hinf.search import Portfolio, Search
+from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.problem.scaling import paths_first
 
 # x' = -x + w1 + u, z = (x, u), y = x + w2: the optimum is sqrt(3) - 1.
 PLANT = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])

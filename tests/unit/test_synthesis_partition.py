@@ -11,9 +11,9 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import GeneralizedPlant, generalized_plant, hinf
-from robustlab.synthesis.partition import Realisation
-from robustlab.synthesis.scaling import equilibrated, paths_first
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.synthesis.problem.partition import Realisation
+from robustlab.synthesis.problem.scaling import equilibrated, paths_first
+from robustlab.uncertainty.blocks.base import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 

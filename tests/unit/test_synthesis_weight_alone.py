@@ -9,8 +9,8 @@ import scipy.linalg
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import mixsyn
-from robustlab.synthesis.direct_term import DISTANCES, well_posed_neighbours
-from robustlab.synthesis.partition import Realisation
+from robustlab.synthesis.problem.partition import Realisation
+from robustlab.synthesis.problem.verified_loop import DISTANCES, well_posed_neighbours
 
 
 def random_discrete(seed: int) -> StateSpaceModel:

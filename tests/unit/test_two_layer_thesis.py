@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.controllers import closed_loop, torque_gains, two_layer
-from robustlab.dynamics.trajectory import SineTrajectory
-from robustlab.dynamics.trajectory_following import follow
+from robustlab.dynamics.control.controllers import closed_loop, torque_gains, two_layer
+from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
 
 MOTOR = {"R": 2.07, "L": 0.62e-3, "Km": 0.052, "Kb": 0.052, "Kf": 4.8e-5}
 SIZE = np.array([5e-3] * 3 + [20e-3] * 3)

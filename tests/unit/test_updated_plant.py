@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.extended_plant import ExtendedPlant
-from robustlab.dynamics.effects.port_model import port_model
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.identification.candidates import candidates
-from robustlab.identification.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
-from robustlab.identification.nuisances import nuisance_parameters, stated_tolerances
-from robustlab.identification.prepared_record import prepare
-from robustlab.identification.updated_plant import updated_plant
+from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming.updated_plant import updated_plant
 
 T = np.arange(600) * 2e-3
 U = 1.5 * np.sin(9 * T) + np.sign(np.sin(23 * T))

@@ -13,13 +13,12 @@ from robustlab.budget import Budget
 from robustlab.campaign import CampaignSettings
 from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import MetricBatch, MetricRequest, sample, violation_probability, worst_case
-from robustlab.worst_case_analysis.draws import delta_of_sample
+from robustlab.worst_case_analysis.draws import RealSet, delta_of_sample
 from robustlab.worst_case_analysis.ensemble import delta_stack, members
 from robustlab.worst_case_analysis.metrics import make_metric
-from robustlab.worst_case_analysis.real_set import RealSet
 from robustlab.worst_case_analysis.search import _Climb, _Search
 
 POLE = RealScalar("pole", parameter=ParameterRange.between(0.25, 1.5, 1.0, "1/s"))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.disk_margin import disk_margin
-from robustlab.mu_analysis.worst_case_disk_margin import worst_case_disk_margin
+from robustlab.mu_analysis.margins.disk_margin import disk_margin
+from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
 
 K = rl.StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[3.0]])  # 3 + 2/s
 

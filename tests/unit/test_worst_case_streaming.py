@@ -8,14 +8,12 @@ import pytest
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks.base import ComplexScalar, ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
-from robustlab.worst_case_analysis.ensemble import time_responses
-from robustlab.worst_case_analysis.excitation import excitation
-from robustlab.worst_case_analysis.lanes import in_lanes, responses
-from robustlab.worst_case_analysis.real_set import RealSet
+from robustlab.worst_case_analysis.draws import RealSet
+from robustlab.worst_case_analysis.ensemble import excitation, in_lanes, responses, time_responses
 
 T = np.linspace(0.0, 4.0, 81)
 

@@ -7,7 +7,7 @@ With e the depth by which :math:`\delta` has left the gap, :math:`|\delta| \le g
     \qquad \omega = 2 \pi f, \quad \zeta = 0.2
 
 f is the frequency of the two inertias on the closed flank. The damping of the flank is that of an impact which gives
-back about half of the speed. See `robustlab.dynamics.effects.load_side` for the two sides.
+back about half of the speed. See `robustlab.dynamics.ports.port_model` for the two sides.
 
 Over a step the flank's force is that of the mean depth, :math:`\omega^2 (e_0 + e_1)/2 + 2 \zeta \omega (e_1 - e_0)/h`:
 what it does to the inertias is never more than what the spring had stored, so that no contact creates energy at any
@@ -25,10 +25,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GQ, Q0, STEP, Q, law
-from robustlab.dynamics.effects.load_side import with_load_side
-from robustlab.dynamics.effects.port_model import PortModel
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import GQ, Q0, STEP, Q, law
+from robustlab.dynamics.ports.port_model import PortModel, with_load_side
 
 __all__ = ["EFFECT", "DAMPING", "flank_force"]
 

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-from robustlab.dynamics.effects.effect_contract import Effect
+from robustlab.dynamics.effects.contract import Effect
 from robustlab.errors import InputError, did_you_mean
 
 __all__ = ["add_effect", "catalogue", "effect"]

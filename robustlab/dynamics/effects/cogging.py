@@ -14,10 +14,10 @@ from typing import Any
 
 import numba as nb
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GQ, Q0, Q, law
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.effects.spatial_wave import order_prior, orders_or_usual, wave_mean
-from robustlab.dynamics.effects.step_solutions import CLOSE, SECANTS, bracket, guess, is_open, narrowed
+from robustlab.dynamics.ports.law_kernel import GQ, Q0, Q, law
+from robustlab.dynamics.ports.step_solutions import CLOSE, SECANTS, bracket, guess, is_open, narrowed
 
 __all__ = ["EFFECT", "cogging_force"]
 

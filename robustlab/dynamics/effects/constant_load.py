@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import law
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import law
 
 __all__ = ["EFFECT", "load_force"]
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numba as nb
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GQ, GV, Q0, Q, V, law
-from robustlab.dynamics.effects.step_solutions import bracket, guess, is_open, narrowed
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, Q, V, law
+from robustlab.dynamics.ports.step_solutions import bracket, guess, is_open, narrowed
 
 __all__ = ["EFFECT", "stop_force"]
 

@@ -5,7 +5,7 @@ r"""Flexible coupling: the joint's inertia is two, with a spring and a damper be
     \omega = 2 \pi f, \quad m = s (1 - s) J
 
 f is the natural frequency of the two inertias against each other with nothing else attached
-(`robustlab.dynamics.effects.load_side`).
+(`robustlab.dynamics.ports.port_model`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Prior, Scales, Site
-from robustlab.dynamics.effects.load_side import with_load_side
-from robustlab.dynamics.effects.port_model import PortModel
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Prior, Scales, Site
+from robustlab.dynamics.ports.port_model import PortModel, with_load_side
 
 __all__ = ["EFFECT"]
 

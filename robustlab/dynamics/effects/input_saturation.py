@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.plant_contract import Array
 
 __all__ = ["EFFECT"]

@@ -10,16 +10,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Prior, Scales, Site
-from robustlab.dynamics.effects.port_model import Port, PortModel, parameter_groups, port_model
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Prior, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups, port_model
 from robustlab.errors import InputError
 
 __all__ = ["ParameterEffect", "has_ground_term"]
 
 
 class ParameterEffect(Effect):
-    """Scales every parameter of a group (`robustlab.dynamics.effects.port_model.parameter_groups`).
+    """Scales every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`).
 
     Attributes
     ----------

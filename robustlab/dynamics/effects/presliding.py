@@ -20,9 +20,9 @@ from collections.abc import Mapping
 
 import numba as nb
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GV, STEP, V0, V, law
-from robustlab.dynamics.effects.step_solutions import bracket, guess, is_open, narrowed
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import GV, STEP, V0, V, law
+from robustlab.dynamics.ports.step_solutions import bracket, guess, is_open, narrowed
 
 __all__ = ["EFFECT", "presliding_force"]
 

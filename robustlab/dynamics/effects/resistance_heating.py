@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GV, STEP, V0, V, law
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import GV, STEP, V0, V, law
 
 __all__ = ["EFFECT", "heating_drop"]
 

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.effects.port_model import PortModel
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import Array
+from robustlab.dynamics.ports.port_model import PortModel
 
 __all__ = ["EFFECT"]
 

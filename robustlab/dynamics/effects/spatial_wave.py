@@ -6,7 +6,7 @@ import math
 
 import numba as nb
 
-from robustlab.dynamics.effects.effect_contract import Prior, Scales
+from robustlab.dynamics.effects.contract import Prior, Scales
 
 __all__ = ["order_prior", "orders_or_usual", "wave_mean"]
 

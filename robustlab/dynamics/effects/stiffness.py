@@ -5,7 +5,7 @@ r"""Stiffness: a misjudged spring, or a spring to ground at a joint that has non
 
 from __future__ import annotations
 
-from robustlab.dynamics.effects.effect_contract import EffectParameter, Prior, Scales
+from robustlab.dynamics.effects.contract import EffectParameter, Prior, Scales
 from robustlab.dynamics.effects.parameter_effect import GroundedEffect
 
 __all__ = ["EFFECT"]

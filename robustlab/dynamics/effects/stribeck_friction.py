@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.effect_contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.law_kernel import GV, V0, V, law
-from robustlab.dynamics.effects.step_solutions import dry_mean_force
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.ports.law_kernel import GV, V0, V, law
+from robustlab.dynamics.ports.step_solutions import dry_mean_force
 
 __all__ = ["EFFECT", "stribeck_force"]
 

@@ -5,7 +5,7 @@ r"""Viscous friction: a misjudged coefficient, or friction at a joint whose equa
 
 from __future__ import annotations
 
-from robustlab.dynamics.effects.effect_contract import EffectParameter, Prior, Scales
+from robustlab.dynamics.effects.contract import EffectParameter, Prior, Scales
 from robustlab.dynamics.effects.parameter_effect import GroundedEffect
 
 __all__ = ["EFFECT"]

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from robustlab.dynamics.stewart.direct_kinematics import DirectPoses, assembly_poses, direct_kinematics
+from robustlab.dynamics.stewart.direct_kinematics import (
+    DirectPoses,
+    acceleration_bias,
+    assembly_poses,
+    direct_kinematics,
+    inverse_kinematics,
+    nut_angles,
+    velocity_jacobian,
+)
 from robustlab.dynamics.stewart.friction import simulate_platform_with_friction
 from robustlab.dynamics.stewart.geometry import Geometry
-from robustlab.dynamics.stewart.kinematics import acceleration_bias, inverse_kinematics, nut_angles, velocity_jacobian
 from robustlab.dynamics.stewart.rigid_body import (
     bias_torque,
     kinetic_energy,

@@ -74,7 +74,7 @@ def kinetic_energy(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -
 
 def potential_energy(plant: StewartPlatform, pose: ArrayLike) -> float:
     """Sum of m g z over all bodies in J; zero where every centre of gravity is at the height of the base points."""
-    from robustlab.dynamics.stewart.kinematics import rotation
+    from robustlab.dynamics.stewart.direct_kinematics import rotation
 
     g, p, array = plant.geometry, plant.values, real_array_of_one(pose, plant.name)
     top = array[:3] + g.platform @ rotation(array).T

@@ -21,14 +21,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.dynamics.input_signals import InputSignal
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import Array, NonlinearPlant, Trim
+from robustlab.dynamics.plant_contract import Array, InputSignal, NonlinearPlant, Trim
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
-from robustlab.dynamics.stewart.direct_kinematics import LIMIT, direct_kinematics
-from robustlab.dynamics.stewart.geometry import CONSTANTS, Geometry, check_bodies, constants, geometry
-from robustlab.dynamics.stewart.kinematics import poses_array
-from robustlab.dynamics.stewart.machine_parameters import machine_parameters
+from robustlab.dynamics.stewart.direct_kinematics import LIMIT, direct_kinematics, poses_array
+from robustlab.dynamics.stewart.geometry import (
+    CONSTANTS,
+    Geometry,
+    check_bodies,
+    constants,
+    geometry,
+    machine_parameters,
+)
 from robustlab.dynamics.stewart.workspace import SLACK, check_pose
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.identification.evidence import Evidence
+from robustlab.identification.response.response import Evidence
 from robustlab.identification.validation.sampled_problem import SampledProblem
 
 __all__ = ["Multipliers", "largest_disproved", "lagrangian_maximum"]

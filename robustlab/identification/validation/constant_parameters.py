@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from robustlab.budget import Budget
 from robustlab.identification.validation.sampled_problem import Recorded
 from robustlab.identification.validation.window_fit import WindowFit
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks.base import RealScalar
 
 __all__ = ["Parameters", "smallest_parameters"]
 

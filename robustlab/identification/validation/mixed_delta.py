@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import sampled
 from robustlab.identification.validation.time_varying import smallest_contractions
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks.base import RealScalar
 
 if TYPE_CHECKING:
     from robustlab.identification.validation.smallest_delta import _Found, _Job

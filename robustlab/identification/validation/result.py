@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.identification.evidence import Evidence
+from robustlab.identification.response.response import Evidence
 from robustlab.result import Status
 
 __all__ = ["BlockSize", "Validation"]

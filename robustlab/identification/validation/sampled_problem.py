@@ -10,6 +10,8 @@ x is what the initial state and w add to the response to the recorded inputs; e 
 is the noise, both divided by the noise bound. At the start of a window the state may jump within the subspace that the
 recorded outputs show: fewer equations of motion, hence a weaker test, never a wrong one. States that the outputs do not
 show (those of a weight) start at rest: a free one could make z, and with it the allowed w, as large as one likes.
+
+Linear recursions over many samples in chunks: as many steps in Python as twice the root of their number.
 """
 
 from __future__ import annotations
@@ -22,12 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.identification.envelope import deviations
-from robustlab.identification.response import response_of
-from robustlab.identification.validation.recursion import powers, states
+from robustlab.identification.comparison.envelope import deviations
+from robustlab.identification.response.response import response_of
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar, block_slices
+from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
@@ -40,7 +41,49 @@ __all__ = [
     "sampled",
     "shown",
     "with_delta_of",
+    "powers",
+    "states",
 ]
+
+
+def powers(A: Array, start: Array, n: int) -> Array:
+    """``A^k start`` for k = 0 .. n - 1, shape (n, n_x, columns)."""
+    size = max(1, int(np.sqrt(n)))
+    inner = [np.eye(len(A))]
+    for _ in range(size):
+        inner.append(A @ inner[-1])
+    leap = inner.pop()
+    heads = [start]
+    for _ in range(-(-n // size) - 1):
+        heads.append(leap @ heads[-1])
+    found = np.einsum("kij,hjc->hkic", np.array(inner), np.array(heads))
+    return found.reshape(len(heads) * len(inner), *start.shape)[:n]
+
+
+def states(A: Array, drive: Array, first: Array) -> Array:
+    """``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used."""
+    n, n_x = drive.shape
+    if not n_x:
+        return np.zeros((n, 0))
+    size = max(1, int(np.sqrt(n)))
+    count = -(-n // size)
+    padded = np.zeros((count * size, n_x))
+    padded[:n] = drive
+    chunks = padded.reshape(count, size, n_x)
+    local = np.zeros((count, size + 1, n_x))
+    for k in range(size):
+        local[:, k + 1] = local[:, k] @ A.T + chunks[:, k]
+    step = [np.eye(n_x)]
+    for _ in range(size):
+        step.append(A @ step[-1])
+    heads = np.empty((count, n_x))
+    now = first
+    for j in range(count):
+        heads[j] = now
+        now = step[size] @ now + local[j, size]
+    free = np.einsum("kij,hj->hki", np.array(step[:size]), heads)
+    return (local[:, :size] + free).reshape(-1, n_x)[:n]
+
 
 Array = NDArray[np.float64]
 NoiseNorm = Literal["peak", "rms"]
@@ -305,7 +348,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
 
 def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tuple[StateSpaceModel, tuple[Block, ...]]:
     """M and its remaining blocks once the named real blocks are set to their values."""
-    from robustlab.uncertainty.blocks import delta_matrix
+    from robustlab.uncertainty.blocks.base import delta_matrix
     from robustlab.uncertainty.lft import upper_lft
 
     slices = block_slices(uncertain.blocks)

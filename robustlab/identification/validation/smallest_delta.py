@@ -39,7 +39,7 @@ from robustlab.identification.validation.time_varying import Contractions, small
 from robustlab.identification.validation.window_fit import WindowFit
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import Block, RealScalar
+from robustlab.uncertainty.blocks.base import Block, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["DeltaKind", "validate"]
@@ -541,7 +541,7 @@ def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm) -> di
     """Noise bounds from the record's own periods."""
     from scipy import stats
 
-    from robustlab.identification.noise_floor import noise_floor
+    from robustlab.identification.comparison.noise_floor import noise_floor
 
     names = [s.name for s in uncertain.outputs if s.name in record.outputs]
     try:

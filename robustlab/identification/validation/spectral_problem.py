@@ -29,13 +29,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
-from robustlab.identification.best_linear_approximation import held_response
-from robustlab.identification.evidence import Evidence
-from robustlab.identification.noise_floor import noise_floor
+from robustlab.identification.comparison.best_linear_approximation import held_response
+from robustlab.identification.comparison.noise_floor import noise_floor
+from robustlab.identification.response.response import Evidence
 from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
 from robustlab.record import Record
 from robustlab.statespace import Signal
-from robustlab.uncertainty.blocks import ComplexScalar, RealScalar, block_slices
+from robustlab.uncertainty.blocks.base import ComplexScalar, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["FrequencyData", "SpectralProblem", "Spectrum", "spectrum_of_record", "spectrum_of_response"]

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.certificate import Multipliers, lagrangian_maximum, largest_disproved
-from robustlab.identification.validation.cone_solver import solved_cones
+from robustlab.identification.validation.line_programme import solved_cones
 from robustlab.identification.validation.sampled_problem import SampledProblem
 
 __all__ = ["Contractions", "smallest_contractions"]

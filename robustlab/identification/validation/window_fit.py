@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.recursion import powers, states
-from robustlab.identification.validation.sampled_problem import Recorded, held, shown
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.identification.validation.sampled_problem import Recorded, held, powers, shown, states
+from robustlab.uncertainty.blocks.base import RealScalar
 
 __all__ = ["WindowFit", "Windows", "chebyshev"]
 

@@ -55,7 +55,7 @@ def sample(step: SampleStep, work: Workspace) -> Outcome:
 
 def _sampled_output(step: SampleStep, work: Workspace, responses: Any, k: int) -> tuple[dict[str, Any], list[Fact]]:
     """Numbers, facts and figure of the k-th output."""
-    from robustlab.report.response_figures import response_figure
+    from robustlab.report.worst_case_figures import response_figure
 
     name, unit = responses.outputs[k]
     y, nominal = responses.y[:, :, k], responses.nominal[:, k]
@@ -83,7 +83,7 @@ def _percent_bands(step: SampleStep, work: Workspace, responses: Any, numbers: A
     """The members' deviations in percent of the largest nominal value, drawn beside a published band."""
     import numpy as np
 
-    from robustlab.report.stewart_figures import percent_figure
+    from robustlab.thesis.stewart_figures import percent_figure
 
     bands: dict[str, Any] = {}
     for k, (name, _) in enumerate(responses.outputs):
@@ -101,7 +101,7 @@ def worst_case(step: WorstCaseStep, work: Workspace) -> Outcome:
     import numpy as np
 
     import robustlab as rl
-    from robustlab.report.response_figures import worst_case_figure
+    from robustlab.report.worst_case_figures import worst_case_figure
 
     model = work.uncertain(step.of)
     options = metric_options(step, work)

@@ -118,9 +118,9 @@ def _notes(result: Any) -> tuple[str, ...]:
 
 
 def _draw(store: Path, step: CampaignStep, work: Workspace, result: Any) -> None:
-    from robustlab.campaign.statistics import exceedance_curve
+    from robustlab.campaign.result import exceedance_curve
     from robustlab.campaign.store import Store
-    from robustlab.report.campaign_figures import exceedance_figure
+    from robustlab.report.worst_case_figures import exceedance_figure
 
     if result.kind != "samples":
         return

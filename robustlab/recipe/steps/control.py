@@ -43,8 +43,13 @@ class Runs:
 
 def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
     """A weighted tracking problem, and what its weights allow."""
-    from robustlab.synthesis.tracking_problem import tracking_problem as pose
-    from robustlab.synthesis.weights import complementary_weight, control_weight, error_weight, performance_weight
+    from robustlab.synthesis.specifications.tracking_problem import tracking_problem as pose
+    from robustlab.synthesis.specifications.weight_design import (
+        complementary_weight,
+        control_weight,
+        error_weight,
+        performance_weight,
+    )
 
     given = work.values[step.of]
     G = given.uncertain() if hasattr(given, "uncertain") and hasattr(given, "with_parameters") else given
@@ -90,8 +95,8 @@ def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
 
 def cascade(step: CascadeStep, work: Workspace) -> Outcome:
     """The thesis' layers as a controller of the same signals as any other."""
-    from robustlab.dynamics.controlled_plant import actuator_cascade
-    from robustlab.dynamics.controllers import two_layer
+    from robustlab.dynamics.control.controlled_plant import actuator_cascade
+    from robustlab.dynamics.control.controllers import two_layer
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
     from robustlab.synthesis import Controller
 
@@ -112,7 +117,7 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
     """Certified mu and worst-case gain of one problem under each controller."""
     import robustlab as rl
     from robustlab.report.design_figures import mu_comparison_figure
-    from robustlab.synthesis.loop_curves import frequencies
+    from robustlab.synthesis.specifications.loop_curves import frequencies
 
     margins: dict[str, Any] = {}
     rows: dict[str, dict[str, Any]] = {}
@@ -162,7 +167,7 @@ def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:
 
     import robustlab as rl
     from robustlab.dynamics import LinearPlant
-    from robustlab.dynamics.controlled_plant import controlled_plant
+    from robustlab.dynamics.control.controlled_plant import controlled_plant
     from robustlab.report.design_figures import TimePanel, runs_figure
 
     plant = work.values[step.of]
@@ -225,10 +230,9 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
     import numpy as np
 
     from robustlab.dynamics import trim
-    from robustlab.dynamics.controllers import LayeredController, closed_loop, two_layer
+    from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
+    from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-    from robustlab.dynamics.trajectory import SineTrajectory
-    from robustlab.dynamics.trajectory_following import follow
     from robustlab.report.design_figures import TimePanel, runs_figure
     from robustlab.statespace import as_model
 
@@ -295,7 +299,7 @@ def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
 def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
     """A member's loop with effects; one at a control acts on what the controller commands."""
     import robustlab as rl
-    from robustlab.dynamics.effects.driver_in_loop import driver_in_loop
+    from robustlab.dynamics.extended.driver_in_loop import driver_in_loop
 
     made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
     at_controls = [f"input-dead-zone@{s.name}" for s in plant.inputs]
@@ -321,7 +325,7 @@ def text_table(header: list[str], rows: list[list[str]]) -> str:
 def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[Any, Any]:
     """The loop of a problem (or of a generalised plant) under a controller, and that controller's model."""
     from robustlab.statespace import as_model
-    from robustlab.synthesis.tracking_problem import TrackingProblem
+    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
     given, K = work.values[step.of], as_model(work.values[name], name)
     if isinstance(given, TrackingProblem):

@@ -12,8 +12,8 @@ from robustlab.recipe.steps.models import uncertain_numbers
 from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep, WithLoadsStep
 
 if TYPE_CHECKING:
-    from robustlab.dynamics.effects.effect_blocks import EffectBlocks
-    from robustlab.mu_analysis.cover import Cover
+    from robustlab.dynamics.extended.effect_blocks import EffectBlocks
+    from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.statespace import StateSpaceModel
 
 __all__ = ["cover_models", "uncertain_from", "with_loads"]
@@ -111,7 +111,7 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
     import robustlab as rl
     from robustlab.dynamics import Plant
     from robustlab.report.cover_figures import blocks_figure
-    from robustlab.uncertainty.blocks import RealScalar
+    from robustlab.uncertainty.blocks.base import RealScalar
 
     given = work.discoveries.get(step.of, work.values[step.of])
     if step.of not in work.discoveries and not isinstance(given, Plant):
@@ -150,7 +150,7 @@ def with_loads(step: WithLoadsStep, work: Workspace) -> Outcome:
 
     Numbers: ``largest.INPUT`` along the record, ``bound.INPUT`` in its unit.
     """
-    from robustlab.dynamics.effects.effect_loads import effect_loads
+    from robustlab.dynamics.extended.effect_loads import effect_loads
 
     record = work.record(step.record)
     made = effect_loads(work.values[step.of], step.sigmas, [record])

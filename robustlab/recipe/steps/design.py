@@ -85,8 +85,8 @@ def dk(step: DkStep, work: Workspace) -> Outcome:
 def fixed(step: FixedStep, work: Workspace) -> Outcome:
     """A controller of a given structure, verified in the loop rebuilt from it."""
     import robustlab as rl
-    from robustlab.synthesis.partition import as_generalized_plant
-    from robustlab.synthesis.structure_words import structure_in_words
+    from robustlab.synthesis.laws.controller_structures import structure_in_words
+    from robustlab.synthesis.problem.partition import as_generalized_plant
 
     plant = as_generalized_plant(*generalised(step, work, nominal=step.nominal), "fixed")
     options: dict[str, Any] = step.model_dump(include={"objective", "starts", "effort", "time_limit"})
@@ -99,7 +99,7 @@ def fixed(step: FixedStep, work: Workspace) -> Outcome:
 def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
     """A controller of lower order whose loop was verified anew."""
     from robustlab.statespace import as_model
-    from robustlab.synthesis.controller_reduction import reduce_controller as reduce
+    from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce
 
     P, n_meas, n_con = generalised(step, work, nominal=step.measure != "mu")
     K = as_model(work.values[step.controller], step.controller)
@@ -110,7 +110,7 @@ def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
 
 def generalised(step: DesignStep, work: Workspace, nominal: bool = False) -> tuple[Any, int | None, int | None]:
     """The generalised plant of a design step with its numbers of measurements and controls."""
-    from robustlab.synthesis.tracking_problem import TrackingProblem
+    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
     given = work.values[step.of]
     if isinstance(given, TrackingProblem):
@@ -182,7 +182,7 @@ def tracking_loop(system: Any, controller: Any) -> Any:
 
 def designed(found: Any, summary: str, work: Workspace) -> Outcome:
     """What a design leaves: every number of it that stands alone, and what a person wants to read."""
-    from robustlab.synthesis.limits_of_design import limits_in_words
+    from robustlab.synthesis.problem.performance_limits import limits_in_words
 
     work.keep(found)
     numbers = {key: value for key, value in found.to_json().items() if isinstance(value, (bool, int, float))}
@@ -202,10 +202,9 @@ def _draw_loop(found: Any, work: Workspace) -> None:
 
 def _draw_functions(found: Any, of: str, work: Workspace, proved: bool = True) -> None:
     """S, K S and T of a tracking problem against what the weights ask for and, if wanted, what gamma proves."""
-    from robustlab.report.design_figures import functions_figure
-    from robustlab.report.function_panels import tracking_panels
-    from robustlab.synthesis.loop_curves import frequencies
-    from robustlab.synthesis.tracking_problem import TrackingProblem
+    from robustlab.report.design_figures import functions_figure, tracking_panels
+    from robustlab.synthesis.specifications.loop_curves import frequencies
+    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
     problem = work.values[of]
     if not isinstance(problem, TrackingProblem):
@@ -221,7 +220,7 @@ def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:
 
     import robustlab as rl
     from robustlab.frequency import default_grid
-    from robustlab.report.synthesis_figures import WeightedResponse, sensitivity_figure
+    from robustlab.report.design_figures import WeightedResponse, sensitivity_figure
     from robustlab.statespace import as_model
 
     loop = tracking_loop(as_model(model), found.K).nominal

@@ -10,7 +10,7 @@ from robustlab.recipe.schema import DiscoverStep
 from robustlab.result import Status
 
 if TYPE_CHECKING:
-    from robustlab.identification.discovery_result import Discovery
+    from robustlab.identification.naming.discovery_result import Discovery
 
 __all__ = ["discover", "numbers"]
 
@@ -19,9 +19,8 @@ def discover(step: DiscoverStep, work: Workspace) -> Outcome:
     """The effects that the records show beyond the model, with their evidence; gives the updated plant."""
     import robustlab as rl
     from robustlab.dynamics.effects.catalogue import effect
-    from robustlab.identification.discovery_text import headline
-    from robustlab.report.discovery_figures import discovery_figures
-    from robustlab.report.discovery_report import caption, facts
+    from robustlab.identification.naming.discovery_text import headline
+    from robustlab.report.discovery_figures import caption, discovery_figures, facts
 
     found = rl.discover(
         work.values[step.of],
@@ -121,7 +120,7 @@ def _strongest_line(d: Discovery, over: str) -> dict[str, float]:
 def _absent(d: Discovery) -> dict[str, dict[str, float]]:
     """Every effect that was tried, with parameters that are no number."""
     from robustlab.dynamics.effects.catalogue import catalogue
-    from robustlab.dynamics.effects.effect_contract import Scales
+    from robustlab.dynamics.effects.contract import Scales
 
     known = catalogue()
     tried = [known[name] for name in d.candidates if name in known]

@@ -30,7 +30,7 @@ def record(step: RecordStep, work: Workspace) -> Outcome:
 
 def join(step: JoinStep, work: Workspace) -> Outcome:
     """The signals of two loggers on one clock."""
-    from robustlab.identification.resampling import join_clocks
+    from robustlab.identification.record_check.resampling import join_clocks
 
     if work.simulated & {step.first, step.second}:
         work.simulated.add(work.step)
@@ -92,7 +92,7 @@ def _errors(unit: str, sizes: tuple[float, float, float, float, float]) -> str:
 
 def data_sheet(step: DataSheetStep, work: Workspace) -> Outcome:
     """Printed operating points against the equilibrium of a plant: what contradicts it, and which effect would not."""
-    from robustlab.identification.steady_state import SheetPoint, compare_steady_state
+    from robustlab.identification.record_check.steady_state import SheetPoint, compare_steady_state
 
     points = [SheetPoint(**vars(p)) for p in step.points]
     found = compare_steady_state(work.values[step.of], points)
@@ -111,8 +111,8 @@ def data_sheet(step: DataSheetStep, work: Workspace) -> Outcome:
 
 def cover(step: CoverStep, work: Workspace) -> Outcome:
     """Whether a record lies in the envelope of an uncertain model's members, and by how much it does not."""
-    from robustlab.identification.envelope import cover as cover_record
-    from robustlab.report.envelope_figures import envelope_figure
+    from robustlab.identification.comparison.envelope import cover as cover_record
+    from robustlab.report.validation_figures import envelope_figure
 
     seed = work.seed if step.seed is None else step.seed
     found = cover_record(

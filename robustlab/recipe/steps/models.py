@@ -88,7 +88,7 @@ def load(step: LoadStep, work: Workspace) -> Outcome:
 def save(step: SaveStep, work: Workspace) -> Outcome:
     """An object to an HDF5 file in the output folder, with its provenance."""
     import robustlab as rl
-    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
     from robustlab.provenance import Provenance, file_sha256
 
     path = work.folder / step.file
@@ -176,8 +176,8 @@ def uncertain(step: UncertainStep, work: Workspace) -> Outcome:
 def elementwise(step: ElementwiseStep, work: Workspace) -> Outcome:
     """The set of models between a nominal and a maximally perturbed one, checked at its two ends."""
     import robustlab as rl
+    from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
     from robustlab.uncertainty.elementwise import endpoint_residual
-    from robustlab.uncertainty.elementwise_cover import elementwise_cover
 
     perturbed = work.values[step.perturbed]
     if step.structure == "cover":

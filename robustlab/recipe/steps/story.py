@@ -125,8 +125,8 @@ def _simulated(step: StoryStep, work: Workspace) -> dict[str, Any]:
 
     import robustlab as rl
     from robustlab.dynamics import LinearPlant
-    from robustlab.dynamics.effects.effect_loads import resting_start
-    from robustlab.dynamics.effects.extended_plant import ExtendedPlant
+    from robustlab.dynamics.extended.effect_loads import resting_start
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 
     assert step.record is not None
     assert step.plants is not None

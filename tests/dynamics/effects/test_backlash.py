@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.effects.backlash import DAMPING
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.effect_contract import Site
-from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
 
 BACKLASH = (effect("backlash"), Site("joint", "v"))
 INERTIA = 3e-3

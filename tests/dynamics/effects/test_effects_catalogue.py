@@ -9,9 +9,9 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import add_effect, catalogue, effect
-from robustlab.dynamics.effects.effect_contract import Effect, Footprint, Scales, Site
-from robustlab.dynamics.effects.port_model import port_model
-from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.effects.contract import Effect, Footprint, Scales, Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 
 IDS = [

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.effects import catalogue as catalogue_module
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.effect_contract import Effect, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, Scales, Site
 
 TEXT = (Path(__file__).parents[3] / "docs" / "effects.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)

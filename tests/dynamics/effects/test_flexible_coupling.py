@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.effect_contract import Site
-from robustlab.dynamics.effects.port_model import port_model
-from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 from robustlab.statespace import Signal
 

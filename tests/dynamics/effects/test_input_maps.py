@@ -10,8 +10,8 @@ from hypothesis.extra import numpy as hnp
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.effect_contract import Scales, Site
-from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
@@ -95,7 +95,7 @@ def test_a_delayed_step_response_is_the_step_response_late():
 
 def test_what_goes_straight_through_is_mapped_too():
     model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[4.0]], 0.0, ["u"], ["y"], [("x", "m")])
-    from robustlab.dynamics.effects.port_model import linear_plant_of
+    from robustlab.dynamics.ports.port_model import linear_plant_of
 
     simulator = Simulator(
         linear_plant_of(model), [(effect("input-gain"), Site("input", "u"))], np.array([[1.0], [0.0]]), 0.1

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.effect_contract import Scales, Site
-from robustlab.dynamics.effects.port_model import port_model
-from robustlab.dynamics.effects.simulator import Simulator, Windows
+from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 
 Y = np.array([[0.0, 1.0, 2.5], [-1.0, 0.2, 4.0]])

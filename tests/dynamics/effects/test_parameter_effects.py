@@ -7,9 +7,9 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.effect_contract import Scales, Site
-from robustlab.dynamics.effects.port_model import linear_plant_of, port_model
-from robustlab.dynamics.effects.simulator import Simulator
+from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 

@@ -1,0 +1,1 @@
+"""Plants under feedback, and the two-layer control of the thesis' machine."""

@@ -1,0 +1,246 @@
+r"""Two-layer control of a machine with motors: an upper multichannel I-PD for the angles, a torque loop for each motor.
+
+Upper layer, on the linear model :math:`\ddot\varphi = B \dot\varphi + C \varphi + D m` of the machine with the motors'
+torques m as inputs (deviations from the trim):
+
+.. math::
+    m_{ref} = K_i \int (r - \varphi)\,dt - K_p \varphi - K_d \dot\varphi, \qquad
+    K_d = D^{-1}(3 p I + B), \quad K_p = D^{-1}(3 p^2 I + C), \quad K_i = p^3 D^{-1}
+
+gives every angle :math:`(s + p)^3 \varphi = p^3 r`. Lower layer: a motor whose torque m turns its own rotor J follows
+:math:`\ddot m = b \dot m + c\, m + d\, \dot u` with
+
+.. math::
+    b = -\frac{L K_f + R J}{L J}, \quad c = -\frac{R K_f + K_b K_m}{L J}, \quad d = \frac{K_m}{L},
+
+    \dot u = k_i \int (m_{ref} - m)\,dt - k_p m - k_d \dot m, \qquad
+    k_d = (3 p + b)/d, \quad k_p = (3 p^2 + c)/d, \quad k_i = p^3/d
+
+and so :math:`(s + p)^3 m = p^3 m_{ref}` with the lower layer's own p. The law is integrated once, so that no derivative
+of the torque is needed: :math:`u = \sigma - k_d m`, :math:`\dot\sigma = k_i \xi - k_p m`,
+:math:`\dot\xi = m_{ref} - m`.
+
+The lower layer designs with the rotor alone; in the machine the motor turns something else, so that the whole is stable
+only for some pairs of poles: look at `closed_loop`.
+
+References
+----------
+Březina 2010, eqs 9.1-9.4. Eqs 9.2 and 9.4 lack one derivative; the gains are right for the plants written above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.dynamics.linearisation import linearise, trim
+from robustlab.dynamics.plant_contract import Array, Trim
+from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+from robustlab.errors import InputError
+from robustlab.statespace import Signal, StateSpaceModel, real_array
+
+__all__ = [
+    "LayeredController",
+    "TorqueGains",
+    "TwoLayerController",
+    "closed_loop",
+    "measured",
+    "torque_gains",
+    "two_layer",
+]
+
+# Without a rotor in the machine the lower layer still designs with one, as the thesis does (its eq. 9.3).
+ROTOR = 7.2e-6
+NUMBERS = range(1, 7)
+
+
+@dataclass(frozen=True)
+class TorqueGains:
+    """Gains of a motor's torque loop: kp in V/(N m s), kd in V/(N m), ki in V/(N m s2)."""
+
+    kp: float
+    kd: float
+    ki: float
+
+
+@dataclass(frozen=True, eq=False)
+class TwoLayerController:
+    """The controller in deviations from the trim at which it was designed.
+
+    Attributes
+    ----------
+    p_up, p_low
+        Triple poles of the layers in 1/s.
+    Kp, Kd, Ki
+        Gains of the upper layer from nut angles to motor torques, (6, 6), in N m/rad, N m s/rad, N m/(rad s).
+    lower
+        Gains of every motor's torque loop.
+    at
+        The trim; its torques and voltages are added to what the controller gives.
+    """
+
+    p_up: float
+    p_low: float
+    Kp: Array
+    Kd: Array
+    Ki: Array
+    lower: TorqueGains
+    at: Trim
+
+    def __post_init__(self) -> None:
+        for gain in (self.Kp, self.Kd, self.Ki):
+            gain.setflags(write=False)
+
+    def upper_layer(self) -> StateSpaceModel:
+        """The upper layer alone: 6 states, inputs r, phi, phidot (6 each), outputs the six motor torques."""
+        one, none = np.eye(6), np.zeros((6, 6))
+        b, d = np.hstack([one, -one, none]), np.hstack([none, -self.Kp, -self.Kd])
+        return StateSpaceModel(none, b, self.Ki, d, 0.0, _ABOVE, _TORQUES, where="two-layer: upper layer")
+
+    def state_space(self) -> StateSpaceModel:
+        """Linear model of the controller: 18 states, inputs r, phi, phidot, torque (6 each), outputs the six voltages.
+
+        States: integrals of the angles' errors and of the torques' errors, and sigma.
+        """
+        return _above_torque_loops(self.upper_layer(), self.lower)
+
+    def to_json(self) -> dict[str, Any]:
+        """All gains and poles."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredController:
+    """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed.
+
+    Attributes
+    ----------
+    upper
+        From r, phi, phidot (6 each) to the six motor torques that it asks for; continuous.
+    lower
+        Gains of every motor's torque loop.
+    at
+        The trim; its torques and voltages are added to what the controller gives.
+
+    Raises
+    ------
+    InputError
+        An upper layer of other sizes, or a discrete one.
+    """
+
+    upper: StateSpaceModel
+    lower: TorqueGains
+    at: Trim
+
+    def __post_init__(self) -> None:
+        if (self.upper.n_inputs, self.upper.n_outputs) != (18, 6) or self.upper.is_discrete:
+            kind = "discrete" if self.upper.is_discrete else "continuous"
+            found = f"{self.upper.n_inputs} inputs and {self.upper.n_outputs} outputs, {kind}"
+            raise InputError("layered controller", found, "r, phi, phidot (6 each) in and 6 torques out, continuous")
+
+    def state_space(self) -> StateSpaceModel:
+        """Linear model of the controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages."""
+        return _above_torque_loops(self.upper, self.lower)
+
+
+def _signals(*kinds: tuple[str, str]) -> list[Signal]:
+    return [Signal(f"{name}_{i}", unit) for name, unit in kinds for i in NUMBERS]
+
+
+_ABOVE = _signals(("r", "rad"), ("phi", "rad"), ("phidot", "rad/s"))
+_TORQUES = _signals(("torque", "N m"))
+
+
+def _above_torque_loops(upper: StateSpaceModel, lower: TorqueGains) -> StateSpaceModel:
+    """The upper layer's torques as references of the motors' torque loops; states: its own, xi, sigma."""
+    n, one, none = upper.n_states, np.eye(6), np.zeros((6, 6))
+    below = np.zeros((6, n))
+    a = np.block(
+        [[upper.A, np.zeros((n, 12))], [upper.C, none, none], [below, lower.ki * one, none]]
+    )  # fmt: skip
+    b = np.block([[upper.B, np.zeros((n, 6))], [upper.D, -one], [np.zeros((6, 18)), -lower.kp * one]])
+    c, d = np.hstack([below, none, one]), np.hstack([np.zeros((6, 18)), -lower.kd * one])
+    return StateSpaceModel(a, b, c, d, 0.0, [*_ABOVE, *_TORQUES], _signals(("u", "V")), where="two-layer")
+
+
+def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
+    """Gains that give the torque of a motor with the free rotor J the triple pole -p.
+
+    Examples
+    --------
+    >>> round(torque_gains(3000.0, R=2.07, L=0.62e-3, Km=0.052, Kb=0.052, Kf=4.8e-5, J=7.2e-6).kd, 6)
+    67.420513
+    """
+    b, c, d = -(L * Kf + R * J) / (L * J), -(R * Kf + Kb * Km) / (L * J), Km / L
+    return TorqueGains(kp=(3 * p**2 + c) / d, kd=(3 * p + b) / d, ki=p**3 / d)
+
+
+def two_layer(
+    plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0, at: Trim | None = None, rotor_J: float = ROTOR
+) -> TwoLayerController:
+    """Two-layer controller of a Stewart platform with motors.
+
+    Parameters
+    ----------
+    plant
+        ``plant("stewart-platform", motors=True)``, of either preset.
+    p_up, p_low
+        Triple poles of the upper and the lower layer in 1/s. 236 gives the tracking errors of section 9.1.3.
+    at
+        Trim to design at; home where left out.
+    rotor_J
+        Rotor inertia in kg m2 with which the lower layer is designed.
+
+    Raises
+    ------
+    InputError
+        A plant without motors, poles or an inertia that are not positive.
+    """
+    if not (isinstance(plant, StewartPlatform) and plant.motors):
+        raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
+    for name, value in (("p_up", p_up), ("p_low", p_low), ("rotor_J", rotor_J)):
+        if not float(real_array(name, value, 0, "two_layer")) > 0:
+            raise InputError(f"two_layer: {name}", f"{value:g}", "a positive number")
+    point = trim(plant) if at is None else at
+    p, a, one = plant.values, linearise(plant, point).A, np.eye(6)
+    gain = a[6:12, 12:] / p["Km"]
+    stiffness, damping = a[6:12, :6], a[6:12, 6:12] + gain * p["Kf"] * p["ratio"]  # the motor's own damping is in m
+    right = np.hstack([3 * p_up**2 * one + stiffness, 3 * p_up * one + damping, p_up**3 * one])
+    upper = np.asarray(np.linalg.solve(gain, right), dtype=np.float64)
+    motor = {name: p[name] for name in ("R", "L", "Km", "Kb", "Kf")}
+    return TwoLayerController(
+        p_up, p_low, upper[:, :6], upper[:, 6:12], upper[:, 12:], torque_gains(p_low, J=rotor_J, **motor), point
+    )
+
+
+def measured(plant: StewartPlatform) -> Array:
+    """What the controller is fed, ``(phi, phidot, torque) = C x``, shape (18, 18); torque = Km i - Kf n phidot."""
+    p, c = plant.values, np.eye(18)
+    c[12:, 12:] *= p["Km"]
+    c[12:, 6:12] = -p["Kf"] * p["ratio"] * np.eye(6)
+    return c
+
+
+def closed_loop(
+    plant: StewartPlatform, controller: TwoLayerController | LayeredController, at: Trim | None = None
+) -> StateSpaceModel:
+    """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18).
+
+    Its states are the machine's 18 and the controller's.
+
+    Parameters
+    ----------
+    at
+        Trim to linearise the machine at; the controller's own where left out.
+    """
+    model, k, c = linearise(plant, controller.at if at is None else at), controller.state_space(), measured(plant)
+    from_r, from_y = k.B[:, :6], k.B[:, 6:]
+    direct = k.D[:, 6:] @ c
+    a = np.block([[model.A + model.B @ direct, model.B @ k.C], [from_y @ c, k.A]])
+    b = np.vstack([np.zeros((18, 6)), from_r])
+    none = np.zeros((6, k.n_states))
+    outputs = np.vstack([np.hstack([c[:6], none]), np.hstack([c[12:], none]), np.hstack([direct, k.C])])
+    names = _signals(("phi", "rad"), ("torque", "N m"), ("u", "V"))
+    return StateSpaceModel(a, b, outputs, np.zeros((18, 6)), 0.0, k.inputs[:6], names, where="closed_loop")

@@ -1,0 +1,311 @@
+r"""What every effect is: a name, an equation, parameters with priors, and the way it enters a plant.
+
+An effect enters in one or more of five ways: it scales parameters of the plant, changes or extends the linear
+equations, acts as a force law at a port, maps an input before the plant sees it, or maps an output before it is
+recorded. `Effect` gives each of them a method that does nothing; a file of this folder overrides those that apply.
+
+Priors are given in units of the record's own magnitudes (`Scales`), since a friction torque that is large for one
+machine is nothing for another.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.plant_contract import Array
+from robustlab.dynamics.ports.port_model import PortModel, parameter_groups
+from robustlab.errors import InputError, did_you_mean
+
+__all__ = ["Effect", "EffectParameter", "Footprint", "Law", "Prior", "Scales", "Site"]
+
+SiteKind = Literal["joint", "current", "input", "output", "parameter"]
+
+
+@dataclass(frozen=True)
+class Prior:
+    r"""Distribution of a parameter, as a map from a standard normal z.
+
+    ``"log"``: :math:`c\, e^{s z}`; ``"linear"``: :math:`c + s z`; ``"share"``: a share of ``top``,
+    :math:`\mathrm{top} / (1 + e^{-(m + s z)})` with the median ``centre``.
+    """
+
+    kind: Literal["log", "linear", "share"]
+    centre: float
+    spread: float
+    top: float = 1.0
+
+    def value(self, z: float) -> float:
+        """The parameter at the standardised z."""
+        if self.kind == "log":
+            return self.centre * math.exp(max(-40.0, min(40.0, self.spread * z)))
+        if self.kind == "linear":
+            return self.centre + self.spread * z
+        median = math.log(self.centre / (self.top - self.centre))
+        return self.top / (1.0 + math.exp(-max(-40.0, min(40.0, median + self.spread * z))))
+
+    def standardised(self, value: float) -> float:
+        """The z of a parameter value."""
+        if self.kind == "log":
+            return math.log(value / self.centre) / self.spread
+        if self.kind == "linear":
+            return (value - self.centre) / self.spread
+        median = math.log(self.centre / (self.top - self.centre))
+        return (math.log(value / (self.top - value)) - median) / self.spread
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """One parameter of an effect: symbol, unit, meaning in words, and prior."""
+
+    name: str
+    unit: str
+    meaning: str
+    prior: Prior
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where an effect sits: the kind of place and its name.
+
+    The name is that of a velocity or current state, of an input or output, or of a group of parameters as
+    `robustlab.dynamics.ports.port_model.parameter_groups` labels it.
+    """
+
+    kind: SiteKind
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Magnitudes seen in a record, for priors and starting values.
+
+    Attributes
+    ----------
+    force, speed, position
+        At the site's port: RMS of the force that moves it, largest speed, range of the position; 1 where not known.
+    inertia
+        Force per acceleration at the port.
+    input
+        Largest absolute value of the site's input.
+    output
+        Half the range of the site's output.
+    current
+        Largest absolute current.
+    lowest, highest
+        Extremes of the position; None where not known.
+    dt, duration
+        Sample time and length of the record in s.
+    orders
+        Strongest spatial frequencies of the residual force in rad^-1 or m^-1, strongest first (empty: not looked at).
+    force_unit, speed_unit, position_unit, signal_unit
+        Units at the site.
+    """
+
+    force: float = 1.0
+    speed: float = 1.0
+    position: float = 1.0
+    lowest: float | None = None
+    highest: float | None = None
+    inertia: float = 1.0
+    input: float = 1.0
+    output: float = 1.0
+    current: float = 1.0
+    dt: float = 1e-3
+    duration: float = 1.0
+    orders: tuple[float, ...] = ()
+    force_unit: str = ""
+    speed_unit: str = ""
+    position_unit: str = ""
+    signal_unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A compiled force law at a port of the (extended) model.
+
+    Attributes
+    ----------
+    function
+        Compiled by `robustlab.dynamics.ports.law_kernel.law`.
+    port
+        Name of the port.
+    parameters
+        What the function is given as p.
+    memory
+        Number of its memory cells; they start at zero.
+    """
+
+    function: Any
+    port: str
+    parameters: tuple[float, ...]
+    memory: int = 0
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """What robust design must know of an effect.
+
+    Attributes
+    ----------
+    port
+        Name of the port or signal at which it acts.
+    signal
+        What it acts on there: ``"speed"``, ``"position"``, ``"input"``, ``"output"``, ``"current"``.
+    gain_lower, gain_upper
+        Sector: the effect lies between these two gains (force per speed, and so on) at the amplitude asked for.
+    delay
+        Pure delay in s that it stands for (0: none).
+    offset
+        Bound of the part that is no gain of the signal at all (a constant load), in units of the effect.
+    describing
+        Gain of the describing function at just this amplitude, of a law whose gain only falls with it; NaN where it is
+        not known, or no number.
+    """
+
+    port: str
+    signal: str
+    gain_lower: float
+    gain_upper: float
+    delay: float = 0.0
+    offset: float = 0.0
+    describing: float = math.nan
+
+
+class Effect(ABC):
+    """One physical effect; the instance ``EFFECT`` of each file of this folder.
+
+    Attributes
+    ----------
+    id
+        Name in the catalogue.
+    title
+        In words.
+    equation
+        One line, in the field's notation, with the symbols of the parameters.
+    site_kind
+        Where it sits.
+    refines
+        Id of the parent on top of which alone it is looked for, or None. A refinement contains its parent.
+    substeps
+        Smallest number of steps per sample (at 1 ms) that its law needs.
+    nameable
+        False for what is known noise and never a name (quantisation).
+    spatial
+        True where its period over the position is a parameter; it is then tried at each strong spatial line
+        (``scales.orders`` holds the one line of a trial).
+    gain_like
+        True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
+        tolerances tell the two apart.
+    long_memory
+        True where its memory outlasts a window (heat), so that windows cannot be simulated out of order.
+    structural
+        True where it splits the joint in two (backlash, a flexible coupling); a plant carries one of these.
+    """
+
+    id: str
+    title: str
+    equation: str
+    site_kind: SiteKind
+    refines: str | None = None
+    substeps: int = 1
+    nameable: bool = True
+    spatial: bool = False
+    structural: bool = False
+    long_memory: bool = False
+    gain_like: bool = False
+
+    @abstractmethod
+    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+        """Parameters with priors at these magnitudes."""
+
+    def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
+        """All places of this plant where the effect can sit; empty where it makes no sense."""
+        if self.site_kind == "input":
+            return tuple(Site("input", s.name) for s in plant.inputs)
+        if self.site_kind == "output":
+            return tuple(Site("output", s.name) for s in plant.outputs)
+        if self.site_kind == "parameter":
+            return tuple(Site("parameter", label) for role, label, _ in parameter_groups(plant) if role == self.id)
+        return tuple(
+            Site(self.site_kind, p.name) for p in model.ports.values() if p.kind == self.site_kind and self.fits(p)
+        )
+
+    def fits(self, port: Any) -> bool:
+        """False for ports that lack what the effect needs (a position, say)."""
+        return True
+
+    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+        """Starting values of a fit, each a dict of all parameters; by default the centres of the priors."""
+        return ({p.name: p.prior.value(0.0) for p in self.parameters(scales)},)
+
+    def factors(self, plant: LinearPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
+        """Plant parameter -> factor."""
+        return {}
+
+    def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
+        """The linear equations with the effect."""
+        return model
+
+    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
+        """Force laws."""
+        return ()
+
+    def input(self, u: Array, values: Mapping[str, float], h: float) -> Array:
+        """What the plant sees of the input u, (n,), given in steps of h seconds."""
+        return u
+
+    def input_error(self, values: Mapping[str, float]) -> float | None:
+        """Bound of ``|input(u) - u|`` for every u; None where there is none."""
+        return None
+
+    def output(self, y: Array, values: Mapping[str, float], h: float) -> Array:
+        """What is recorded of the output y, shape (n_windows, n), in samples of h seconds."""
+        return y
+
+    def lag(self, values: Mapping[str, float]) -> float:
+        """Time in s by which the recorded outputs, and states told from them, lie behind the plant."""
+        return 0.0
+
+    def shown(self, values: Mapping[str, float]) -> float:
+        """What is recorded of an output over what is there; 1 where the output is not scaled as a whole."""
+        return 1.0
+
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
+        """Sector, delay or bound of the effect at this amplitude of its signal; None where the model has it all."""
+        return None
+
+    def checked(self, values: Mapping[str, float]) -> dict[str, float]:
+        """The values by name, all there and finite.
+
+        Raises
+        ------
+        InputError
+            A missing or unknown name, NaN.
+        """
+        return self._checked(values, self.parameters(Scales()))
+
+    def _checked(self, values: Mapping[str, float], parameters: tuple[EffectParameter, ...]) -> dict[str, float]:
+        names = [p.name for p in parameters]
+        for name in values:
+            if name not in names:
+                raise InputError(
+                    f"effect {self.id}: {name!r}", "no such parameter", f"{', '.join(names)}", did_you_mean(name, names)
+                )
+        missing = [name for name in names if name not in values]
+        if missing:
+            raise InputError(f"effect {self.id}", f"no value for {missing[0]!r}", f"{', '.join(names)}")
+        checked = {name: float(values[name]) for name in names}
+        for name, value in checked.items():
+            if not np.isfinite(value):
+                raise InputError(f"effect {self.id}: {name}", f"{value}", "a finite number")
+        return checked

@@ -1,0 +1,275 @@
+r"""The linear part of a plant with effects with its tolerances, as an exact linear fractional transformation.
+
+Tolerances are those of the plant's parameters, and ``sigmas`` standard deviations of the effects that a fit has
+determined, where these are linear:
+
+- a misjudged parameter (s times the nominal one): the tolerance of s takes the place of the members' own, which move
+  together;
+- a spring or a damper at a joint: one delta;
+- a gain of an input or of a sensor: one delta at that signal.
+
+Force laws stand in with their slopes at the point, without tolerance, and a coupling's own parameters stay nominal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.extended_linear_model import signal_gains
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.plant_contract import Array
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel, real_array
+from robustlab.structural import drop_unconnected
+from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+
+if TYPE_CHECKING:
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
+
+__all__ = ["GAINS", "uncertain", "without_signals"]
+
+# Effects that are a gain s of their signal and nothing else.
+GAINS = ("input-gain", "sensor-gain")
+# Entries that differ by less than this share of their matrix' largest are equal.
+ROUNDING = 1e-9
+
+
+def uncertain(plant: ExtendedPlant, outputs: Sequence[str] | None, sigmas: float) -> UncertainModel:
+    """All models within the tolerances.
+
+    Parameters
+    ----------
+    outputs
+        Outputs to keep, all where left out.
+    sigmas
+        Half width of the range of a fitted value in its standard deviations.
+
+    Raises
+    ------
+    InputError
+        A standard deviation so large that the range leaves what physics allows; an unknown output.
+    NoTrustworthyNumber
+        The form is not exact for this plant (a split joint whose inertia stands in more than one equation).
+    """
+    width = float(real_array("sigmas", sigmas, 0, "uncertain"))
+    if width < 0:
+        raise InputError("uncertain: sigmas", f"{width:g}", "0 or more")
+    linear = plant.linear_model()
+    point = linear.operating_point
+    assert point is not None
+    into, out = signal_gains(plant, point.x, point.u, {})
+    whole = _with_signal_gains(without_signals(plant, linear, width).uncertain(), plant, into, out, width)
+    _check(plant, whole, linear, width)
+    if outputs is None:
+        return UncertainModel(whole.M, whole.blocks, point)
+    kept = whole.M.select(whole.M.input_names, [*(s.name for s in whole.M.outputs[: -len(plant.outputs)]), *outputs])
+    return UncertainModel(drop_unconnected(kept), whole.blocks)
+
+
+# --- between the drivers and the sensors -----------------------------------------------------------------------------
+
+
+def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
+    """The linear model as a plant in descriptor form, affine in the parameters that carry the tolerances."""
+    base, scaled = plant.plant, _scaled_values(plant)
+    parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
+    tied: dict[str, list[str]] = {}
+    for e in plant.effects:
+        names = list(_scaled_by(plant, e))
+        if not (names and e.std.get("s")):
+            continue
+        tolerance = width * e.std["s"] / e.values["s"]
+        for name in names:
+            parameters[name] = replace(parameters[name], tolerance=tolerance if len(names) == 1 else 0.0)
+        if len(names) > 1:
+            label = f"{e.effect.id}({e.site.name})"
+            parameters[label] = Parameter(
+                label, 1.0, "", tolerance, e.source, f"{e.effect.title}, over the fitted value"
+            )
+            tied[label] = names
+    terms = _joint_terms(plant, linear, width)
+    parameters |= {label: parameter for label, (parameter, _) in terms.items()}
+    structure = _structure(plant, linear)
+    nominal = structure(scaled)
+    constant = nominal[0] @ linear.A - nominal[1]
+
+    def equations(p: Mapping[str, float]) -> Descriptor:
+        values = {name: p[name] for name in base.parameters}
+        for label, names in tied.items():
+            for name in names:
+                values[name] += scaled[name] * (p[label] - 1.0)
+        e, f, g, c, d = structure(values)
+        for label, (parameter, per_unit) in terms.items():
+            f = f + (p[label] - parameter.value) * per_unit
+        return Descriptor(e, f + constant, g, c, d)
+
+    return LinearPlant(plant.name, parameters, plant.inputs, plant.outputs, plant.states, equations, base.exact)
+
+
+def _scaled_by(plant: ExtendedPlant, e: AttachedEffect) -> dict[str, float]:
+    """Parameters of the plant that the effect scales, and by how much."""
+    return e.effect.factors(plant.plant, e.site, e.values)
+
+
+def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
+    values = plant.plant.values
+    for e in plant.effects:
+        for name, factor in _scaled_by(plant, e).items():
+            values[name] *= factor
+    return values
+
+
+def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
+    """Fitted springs and dampers at joints: parameter, and the entries of F per unit of it.
+
+    They are told by what they do: without a law or a state of their own, and A affine in the value.
+    """
+    found: dict[str, tuple[Parameter, Array]] = {}
+    inertia = _structure(plant, linear)(_scaled_values(plant))[0]
+    for e in plant.effects:
+        if e.site.kind not in ("joint", "current") or e.effect.laws(e.site, e.values):
+            continue
+        for parameter in e.parameters:
+            value, std = e.values[parameter.name], e.std.get(parameter.name, 0.0)
+            if not std or "share" in e.values:  # a split joint stays nominal
+                continue
+            first, second = (_changed(plant, e, {parameter.name: share * value}) for share in (1.25, 1.5))
+            if not np.allclose(second, 2.0 * first, rtol=ROUNDING, atol=0.0):
+                continue
+            label = f"{e.effect.id}@{e.site.name}.{parameter.name}"
+            tolerance = width * std / abs(value)
+            per_unit = inertia @ first / (0.25 * value)
+            found[label] = Parameter(label, value, parameter.unit, tolerance, e.source, e.effect.title), per_unit
+    return found
+
+
+def _changed(plant: ExtendedPlant, e: AttachedEffect, values: Mapping[str, float]) -> Array:
+    """Change of A when some values of an effect are changed."""
+    from robustlab.dynamics.extended.extended_plant import extended_model
+
+    other = replace(e, values={**e.values, **values})
+    return extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
+
+
+def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
+    r"""E, F, G, C, D of all states at any parameter values, less a constant part of F.
+
+    A split joint keeps the share 1 - s of its inertia, and its relative motion follows
+    :math:`\ddot\delta - \dot v = (\text{constant entries})\,(\delta, \dot\delta)`, whatever the inertia.
+    """
+    base, own, size = plant.plant, plant.model.own, len(plant.states)
+    inertia = base.matrices(_scaled_values(plant))[0]
+    split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
+    for name, port in plant.model.ports.items():
+        if name.endswith(".load"):
+            joint = [s.name for s in plant.states].index(name.removesuffix(".load"))
+            rate = int(np.flatnonzero(port.velocity[own:])[0]) + own
+            split.append((joint, rate - 1, 1.0 / (float(port.velocity @ port.force) * inertia[joint, joint])))
+
+    def matrices(values: Mapping[str, float]) -> list[Array]:
+        e0, f0, g0, c0, d0 = base.matrices(values)
+        e, f, g = np.eye(size), np.zeros((size, size)), np.zeros((size, g0.shape[1]))
+        e[:own, :own], f[:own, :own], g[:own] = e0, f0, g0
+        for joint, first, share in split:
+            e[joint, joint] = (1.0 - share) * e0[joint, joint]
+            f[joint, first : first + 2] = e[joint, joint] * linear.A[joint, first : first + 2]
+            e[first + 1, joint] = -1.0
+        return [e, f, g, np.hstack([c0, np.zeros((len(c0), size - own))]), d0]
+
+    return matrices
+
+
+# --- drivers and sensors ---------------------------------------------------------------------------------------------
+
+
+def _with_signal_gains(
+    inner: UncertainModel, plant: ExtendedPlant, into: Array, out: Array, width: float
+) -> UncertainModel:
+    r"""Gains at inputs and outputs around the model; fitted ones as :math:`s + r \delta`.
+
+    With the model's channels in front, u enters as ``into u + R_i w_i`` with ``z_i = S_i u``, and
+    ``y = out y_0 + w_o`` with ``z_o = R_o y_0``.
+    """
+    m, n_u, n_y = inner.M, len(plant.inputs), len(plant.outputs)
+    q, p = m.n_inputs - n_u, m.n_outputs - n_y
+    fitted = {
+        kind: [e for e in plant.effects if e.site.kind == kind and e.effect.id in GAINS and e.std.get("s")]
+        for kind in ("input", "output")
+    }
+    place_i, place_o = (
+        np.eye(len(signals))[[[s.name for s in signals].index(e.site.name) for e in fitted[kind]]]
+        for kind, signals in (("input", plant.inputs), ("output", plant.outputs))
+    )
+    share_i, share_o = (
+        np.array([width * e.std["s"] / e.values["s"] for e in fitted[kind]]) for kind in ("input", "output")
+    )
+    k_i, k_o = len(share_i), len(share_o)
+    before = np.zeros((q + n_u, q + k_i + k_o + n_u))
+    before[:q, :q] = np.eye(q)
+    before[q:, q : q + k_i] = (into[:, None] * place_i.T) * share_i
+    before[q:, q + k_i + k_o :] = np.diag(into)
+    after = np.zeros((p + k_i + k_o + n_y, p + n_y))
+    after[:p, :p] = np.eye(p)
+    after[p + k_i : p + k_i + k_o, p:] = share_o[:, None] * (place_o * out)
+    after[p + k_i + k_o :, p:] = np.diag(out)
+    past = np.zeros((len(after), before.shape[1]))
+    past[p : p + k_i, q + k_i + k_o :] = place_i
+    past[p + k_i + k_o :, q + k_i : q + k_i + k_o] = place_o.T
+    gains = [*fitted["input"], *fitted["output"]]
+    names = [f"{e.effect.id}@{e.site.name}" for e in gains]
+    whole = StateSpaceModel(
+        m.A, m.B @ before, after @ m.C, after @ m.D @ before + past, 0.0,
+        [*m.inputs[:q], *(f"w_{name}" for name in names), *plant.inputs],
+        [*m.outputs[:p], *(f"z_{name}" for name in names), *plant.outputs],
+        m.states, None, f"{plant.name}: uncertain",
+    )  # fmt: skip
+    spans = [ParameterRange(e.values["s"], width * e.std["s"]) for e in gains]
+    return UncertainModel(
+        whole, [*inner.blocks, *(RealScalar(name, 1, span) for name, span in zip(names, spans, strict=True))]
+    )
+
+
+# --- is it so? -------------------------------------------------------------------------------------------------------
+
+
+def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
+    """The nominal model, and the plant rebuilt with every deviation at its upper end, must come out."""
+    from robustlab.dynamics.extended.extended_plant import with_effects
+
+    changed = {n: (p.value * (1.0 + p.tolerance), 0.0) for n, p in plant.parameters.items() if p.tolerance}
+    for e in plant.effects:
+        for name in _scaled_by(plant, e) if e.std.get("s") else ():
+            changed.pop(name, None)
+    terms = _joint_terms(plant, linear, width)
+    effects = []
+    for e in plant.effects:
+        linear_ones = {n for n in e.std if _is_covered(plant, e, n, terms)}
+        up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
+        effects.append(replace(e, values=up))
+    rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
+    point = linear.operating_point
+    for delta, other in ((0.0, linear), (1.0, rebuilt.linear_model(point))):
+        found = whole.evaluate({block.name: delta for block in whole.blocks})
+        for name in "ABCD":
+            off = np.abs(getattr(found, name) - getattr(other, name)).max(initial=0.0)
+            if off > ROUNDING * np.abs(getattr(other, name)).max(initial=0.0):
+                raise NoTrustworthyNumber(
+                    f"{plant.name}: uncertain",
+                    f"the form is not exact: {name} is off by {off:.2g} at delta = {delta:g}",
+                    None,
+                    "take the tolerances off the parameters that act together with an effect, or take it off",
+                )
+
+
+def _is_covered(
+    plant: ExtendedPlant, e: AttachedEffect, name: str, terms: Mapping[str, tuple[Parameter, Array]]
+) -> bool:
+    gain = e.effect.id in GAINS and e.site.kind in ("input", "output")
+    return (name == "s" and (gain or bool(_scaled_by(plant, e)))) or f"{e.effect.id}@{e.site.name}.{name}" in terms

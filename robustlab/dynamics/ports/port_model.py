@@ -1,0 +1,331 @@
+r"""A linear plant with its ports: the places where effects push and where their motion is seen.
+
+.. math::
+    \dot x = A x + B u + \sum_j b_j f_j, \qquad v_j = c_j^T x, \qquad q_j = p_j^T x, \qquad y = C x + D u
+
+A *joint* is a velocity state with the position state that integrates it; its force direction is the column of
+:math:`E^{-1}` that belongs to its equation of motion, so that f is a force in N or a torque in N m. A *current* port is
+a current state; f is a voltage there.
+
+A joint's inertia split in two: the drive, which is the joint that is measured, and a load behind it.
+
+.. math::
+    (1 - s) J\,\dot v_1 = F_1 + F, \qquad s J\,\dot v_2 = F_2 - F, \qquad
+    \delta = q_1 - q_2, \quad \dot\delta = v_1 - v_2
+
+All that acts on the joint, friction included, acts on the drive: :math:`F_1`. F is what the load does to the drive. The
+further states are relative, :math:`\delta, \dot\delta`; they may be carried over where the joint's own starts anew.
+J is the inertia that a force meets at the joint while every other velocity is held by nothing but its own equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.plant_contract import Array
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+
+__all__ = [
+    "Port",
+    "PortModel",
+    "linear_plant_of",
+    "parameter_groups",
+    "port_model",
+    "with_load_side",
+]
+
+
+SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a velocity -> unit of the force at that joint
+ASSUMED = "read off the matrices of the model"
+
+
+@dataclass(frozen=True, eq=False)
+class Port:
+    """One place where a force acts.
+
+    Attributes
+    ----------
+    name
+        State whose velocity (or current) it is.
+    kind
+        ``"joint"``, ``"current"``, or ``"relative"`` (between two sides that an effect has made of a joint).
+    unit, speed_unit, position_unit
+        Of the force, of the velocity or current, of the position (empty without one).
+    force
+        b, shape (n_x,): rate of the states per unit of force.
+    velocity
+        c, shape (n_x,).
+    position
+        p, shape (n_x,), or None where no state integrates the velocity.
+    """
+
+    name: str
+    kind: Literal["joint", "current", "relative"]
+    unit: str
+    speed_unit: str
+    position_unit: str
+    force: Array
+    velocity: Array
+    position: Array | None
+
+    def widened(self, extra: int) -> Port:
+        """The same port of a model with ``extra`` further states at the end."""
+        position = None if self.position is None else np.append(self.position, np.zeros(extra))
+        return replace(
+            self,
+            force=np.append(self.force, np.zeros(extra)),
+            velocity=np.append(self.velocity, np.zeros(extra)),
+            position=position,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PortModel:
+    """Matrices and ports of a linear plant at given parameter values.
+
+    Attributes
+    ----------
+    A, B, C, D
+        Shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u).
+    ports
+        Name -> `Port`.
+    own
+        Number of leading states that belong to the plant itself; effects append theirs.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    ports: Mapping[str, Port]
+    own: int
+
+    def with_state_feedback(self, port: Port, row: Array) -> PortModel:
+        """The model with the force ``row @ x`` at the port: ``A + b row``."""
+        return replace(self, A=self.A + np.outer(port.force, row))
+
+    def with_port(self, port: Port) -> PortModel:
+        """The model with one more port."""
+        return replace(self, ports={**self.ports, port.name: port})
+
+    def widened(self, rows: Array) -> PortModel:
+        """The model with further states ``z' = rows @ [x; z]``; ``rows`` has shape (extra, n_x + extra).
+
+        Inputs and outputs do not touch the new states; ports get a zero force on them.
+        """
+        extra = len(rows)
+        n = len(self.A)
+        a = np.vstack([np.hstack([self.A, np.zeros((n, extra))]), rows])
+        return replace(
+            self,
+            A=a,
+            B=np.vstack([self.B, np.zeros((extra, self.B.shape[1]))]),
+            C=np.hstack([self.C, np.zeros((len(self.C), extra))]),
+            ports={name: port.widened(extra) for name, port in self.ports.items()},
+        )
+
+
+def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -> PortModel:
+    """The plant's matrices and ports with some parameters multiplied by ``factors`` (name -> factor).
+
+    Velocity states are those with the unit rad/s or m/s, current states those with the unit A.
+
+    Raises
+    ------
+    InputError
+        A factor for an unknown parameter.
+    """
+    values = dict(plant.values)
+    for name, factor in (factors or {}).items():
+        if name not in values:
+            raise InputError(f"{plant.name}: {name!r}", "no such parameter", f"one of {', '.join(values)}")
+        values[name] *= factor
+    e, f, g, c, d = plant.matrices(values)
+    n, n_u = len(plant.states), len(plant.inputs)
+    solved = np.asarray(np.linalg.solve(e, np.hstack([f, g, np.eye(n)])), dtype=float)
+    a, b, push = solved[:, :n], solved[:, n : n + n_u], solved[:, n + n_u :]
+    ports = {}
+    for k, (name, unit) in enumerate(plant.states):
+        eye = np.eye(n)[k]
+        if unit in SPEED_UNITS:
+            q = _integrating_state(a, b, k)
+            position = None if q is None else np.eye(n)[q]
+            position_unit = "" if q is None else plant.states[q].unit
+            force_unit = SPEED_UNITS[unit] if k in _mechanical(plant) else f"{unit.removesuffix('/s')}/s2"
+            ports[name] = Port(name, "joint", force_unit, unit, position_unit, push[:, k], eye, position)
+        elif unit == "A":
+            ports[name] = Port(name, "current", "V", "A", "", push[:, k], eye, None)
+    return PortModel(a, b, c, d, ports, n)
+
+
+def _integrating_state(a: Array, b: Array, velocity: int) -> int | None:
+    """Index of the state whose rate is exactly the velocity state."""
+    unit = np.eye(len(a))[velocity]
+    for k, row in enumerate(a):
+        if np.array_equal(row, unit) and not b[k].any():
+            return k
+    return None
+
+
+@lru_cache(maxsize=64)
+def _mechanical(plant: LinearPlant) -> frozenset[int]:
+    """States whose equations carry an inertia with a unit, so that their terms are forces and not accelerations."""
+    inertias = [name for name, p in plant.parameters.items() if p.role == "inertia" and p.unit]
+    return frozenset[int]().union(*(_rows(plant, name) for name in inertias))
+
+
+def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
+    """Equations in which the parameter stands."""
+    values = plant.values
+    other = {**values, name: values[name] * 1.25 + (values[name] == 0)}
+    changed = [
+        np.abs(there - here).sum(axis=1)
+        for there, here in zip(plant.matrices(other)[:3], plant.matrices(values)[:3], strict=True)
+    ]
+    return frozenset(int(k) for k in np.flatnonzero(np.sum(changed, axis=0)))
+
+
+def parameter_groups(plant: LinearPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Parameters that a misjudgement of one physical quantity changes together: (role, label, names).
+
+    Those of one role that stand in the same equations belong together (the inertias of a drive train); torque constant
+    and back-EMF constant are one quantity in SI units. Parameters without a role, or with the value zero, are left out.
+    """
+    groups: dict[tuple[str, frozenset[int]], list[str]] = {}
+    for name, parameter in plant.parameters.items():
+        if parameter.role and parameter.value:
+            rows = frozenset[int]() if parameter.role == "torque-constant" else _rows(plant, name)
+            groups.setdefault((parameter.role, rows), []).append(name)
+    return tuple((role, "+".join(names), tuple(names)) for (role, _), names in groups.items())
+
+
+def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects") -> LinearPlant:
+    """The plant itself, or a bare continuous model as a plant whose gains and dampings are parameters.
+
+    A model's parameters are ``gain_<input>`` (1, role input-gain), ``inertia_<v>`` (1) and ``damping_<v>``
+    (:math:`-A_{vv}`) for each velocity state v; forces at its joints are accelerations, in units of speed per second.
+
+    Raises
+    ------
+    InputError
+        A discrete model, or anything that is no linear plant.
+    """
+    if isinstance(plant, LinearPlant):
+        return plant
+    if not isinstance(plant, StateSpaceModel):
+        raise InputError(where, f"a {type(plant).__name__}", "a linear Plant or a StateSpaceModel")
+    if plant.is_discrete:
+        raise InputError(where, f"a discrete model (dt = {plant.dt:g} s)", "a continuous model")
+    speeds = [(k, s) for k, s in enumerate(plant.states) if s.unit in SPEED_UNITS]
+    parameters = {}
+    for name, _ in plant.inputs:
+        parameters[f"gain_{name}"] = Parameter(f"gain_{name}", 1.0, source=ASSUMED, role="input-gain")
+    for k, (name, _) in speeds:
+        parameters[f"inertia_{name}"] = Parameter(f"inertia_{name}", 1.0, "", 0.0, ASSUMED, role="inertia")
+        parameters[f"damping_{name}"] = Parameter(
+            f"damping_{name}", -plant.A[k, k], "1/s", 0.0, ASSUMED, role="viscous-friction"
+        )
+
+    def equations(p: Mapping[str, float]) -> Descriptor:
+        e, f = np.eye(plant.n_states), plant.A.copy()
+        g = plant.B * np.array([p[f"gain_{name}"] for name in plant.input_names])
+        for k, (name, _) in speeds:
+            e[k, k] = p[f"inertia_{name}"]
+            f[k, k] = -p[f"damping_{name}"]
+        return Descriptor(e, f, g, plant.C, plant.D)
+
+    return LinearPlant("model", parameters, plant.inputs, plant.outputs, plant.states, equations=equations)
+
+
+def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:
+    r"""The model with the joint's load behind it, not yet connected: no force between the two.
+
+    Two ports are added. ``<joint>.load`` is the load: a force on it, its velocity and position.
+    ``<joint>.<relative>`` sees :math:`\delta` and its rate; its force is divided by the reduced inertia
+    :math:`s (1 - s) J`, so that a unit of it accelerates :math:`\delta` by one.
+
+    Parameters
+    ----------
+    share
+        s, the load's share of the joint's inertia, between 0 and 1.
+    relative
+        Name of the relative port: ``"twist"`` or ``"gap"``.
+    where
+        What messages call the effect.
+
+    Raises
+    ------
+    InputError
+        A second load side at the joint, or a share outside 0..1.
+    """
+    port = model.ports.get(joint)
+    if port is None or port.kind != "joint":
+        joints = ", ".join(p.name for p in model.ports.values() if p.kind == "joint")
+        raise InputError(f"{where}: {joint!r}", "no such joint", f"one of {joints}")
+    if f"{joint}.load" in model.ports or "." in joint:
+        raise InputError(f"{where}: {joint!r}", "another effect that splits the joint in two", "one of them at a joint")
+    if not 0.0 < share < 1.0:
+        raise InputError(f"{where}: share", f"{share:g}", "a share of the inertia between 0 and 1")
+    split = _with_less_inertia(model, port, share)
+    n, drive = len(split.A), split.ports[joint]
+    rows = np.zeros((2, n + 2))
+    rows[0, n + 1] = 1.0
+    wide = split.widened(rows)
+    a, b = wide.A.copy(), wide.B.copy()
+    a[n + 1] = drive.velocity @ split.A @ np.eye(n, n + 2)  # the load is free: the rate grows as the drive's does
+    b[n + 1] = drive.velocity @ split.B
+    ports = {name: _on_drive(p, float(drive.velocity @ split.ports[name].force)) for name, p in wide.ports.items()}
+    drive = ports[joint]
+    load = _load(drive, 1.0 / (share * _inertia(port)))
+    reduced = share * (1.0 - share) * _inertia(port)
+    gap = replace(
+        drive,
+        name=f"{joint}.{relative}",
+        kind="relative",
+        unit=f"{drive.speed_unit.removesuffix('/s')}/s2",
+        position_unit=drive.speed_unit.removesuffix("/s"),
+        force=reduced * (drive.force - load.force),
+        velocity=np.eye(n + 2)[n + 1],
+        position=np.eye(n + 2)[n],
+    )
+    return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
+
+
+def _inertia(port: Port) -> float:
+    """Force per acceleration at the joint."""
+    return 1.0 / float(port.velocity @ port.force)
+
+
+def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
+    r"""The equations with :math:`(1 - s) J` at the joint.
+
+    :math:`(E - s J e e^T)^{-1} = (I + \frac{s}{1 - s} \frac{b}{c^T b} c^T) E^{-1}` with :math:`b = E^{-1} e`
+    (Sherman, Morrison); for a joint with an inertia of its own it divides one row by 1 - s.
+    """
+    change = np.eye(len(model.A)) + share / (1.0 - share) * np.outer(_inertia(port) * port.force, port.velocity)
+    ports = {name: replace(p, force=change @ p.force) for name, p in model.ports.items()}
+    return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
+
+
+def _on_drive(port: Port, acceleration: float) -> Port:
+    """The port with the drive's acceleration by its force in the rate of the relative velocity as well."""
+    force = port.force.copy()
+    force[-1] = acceleration
+    return replace(port, force=force)
+
+
+def _load(drive: Port, mobility: float) -> Port:
+    """Port of the load: its motion is the drive's less the relative one."""
+    delta, rate = np.eye(len(drive.force))[-2:]
+    position = None if drive.position is None else drive.position - delta
+    return replace(
+        drive, name=f"{drive.name}.load", force=-mobility * rate, velocity=drive.velocity - rate, position=position
+    )

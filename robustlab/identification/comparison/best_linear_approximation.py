@@ -1,0 +1,375 @@
+r"""Best linear approximation of a measured system, with its uncertainty, beside the model's frequency response.
+
+The best linear approximation G is the linear system nearest to a (nonlinear) system in mean square, for inputs of this
+kind and power: :math:`G = S_{yu} S_{uu}^{-1}`.
+
+*Periodic data* give it line by line from the averaged spectra of the periods, :math:`\hat G_k = \bar Y_k / \bar U_k`,
+free of leakage, and also in closed loop. Two variances are told apart:
+
+- the *noise* variance, from the scatter of the periods;
+- the *total* variance, from the scatter over realisations of the excitation where several are given (the robust
+  method), else from the scatter from line to line about a local parabola. What it exceeds the noise by are
+  *nonlinear distortions*: they repeat in every period, and no linear model explains them. (From one realisation, a
+  resonance narrower than the lines' spacing looks the same.)
+
+*Other data* give the H1 estimate of Welch's method. There noise and distortion cannot be told apart, and where the
+input was computed from the output (closed loop) the estimate is biased towards minus the inverse of the controller.
+
+References
+----------
+Pintelon and Schoukens, *System Identification: A Frequency Domain Approach* (2012), sections 2.7, 4.3 and 7.2;
+Bendat and Piersol, *Random Data* (2010), section 9.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.identification.comparison.localisation import log_bands, uniform_samples, welch_segments
+from robustlab.identification.response.response import Evidence
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["BestLinearApproximation", "arbitrary_bla", "held_response", "periodic_bla"]
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+EXCITED = 1e-10  # of the strongest line's power: weaker lines are rounding
+SIGNAL_TO_NOISE = 10.0  # power of a line's average input over that of its noise
+LOCAL_LINES = 7  # through which the parabola goes
+PARABOLA = 3  # its coefficients
+MISSED = 0.05  # of the lines of a right model lie outside their circle
+
+
+@dataclass(frozen=True)
+class BestLinearApproximation(Evidence):
+    r"""Frequency response from one input to one output, measured and modelled; arrays have shape (n_f,).
+
+    Attributes
+    ----------
+    method
+        ``"periods"``, ``"realisations"`` or ``"Welch H1"``.
+    frequency
+        In Hz; the excited lines only where the data are periodic.
+    response
+        The estimate, complex, in units of output per input.
+    std
+        Standard deviation of ``response``: :math:`\sqrt{E|\hat G - G|^2}`, everything included.
+    noise_std, nonlinear_std
+        The parts due to noise and to nonlinear distortions; None where the data cannot tell them apart.
+    coherence
+        Share of the measured output's power (of one period, one segment) that is linear in the inputs.
+    model
+        The model's response for an input held between samples, complex.
+    bands
+        Edges of bands in Hz, shape (n_bands + 1,).
+    relative_error
+        Per band: RMS of model minus response over RMS of the response, shape (n_bands,); None where no line lies.
+    outside
+        Per band: share of the lines at which the model lies outside the 95 % circle; about 0.05 for a right model.
+    notes
+        What a reader must know.
+    """
+
+    method: str
+    frequency: Array
+    response: ComplexArray
+    std: Array
+    noise_std: Array | None
+    nonlinear_std: Array | None
+    coherence: Array
+    model: ComplexArray
+    bands: Array
+    relative_error: tuple[float | None, ...]
+    outside: tuple[float | None, ...]
+    notes: tuple[str, ...]
+
+    def band_coherence(self) -> list[float | None]:
+        """Median coherence of each band; None where no line lies."""
+        return self._medians(self.coherence)
+
+    def _medians(self, values: Array) -> list[float | None]:
+        part = _band_index(self.frequency, self.bands)
+        return [float(np.median(values[part == k])) if (part == k).any() else None for k in range(len(self.bands) - 1)]
+
+    def band_table(self) -> dict[str, object]:
+        """The bands only: error of the model, and the medians of coherence, noise and distortion over the response."""
+        part = _band_index(self.frequency, self.bands)
+        size = np.abs(self.response)
+
+        relative = {
+            name: None if s is None else self._medians(np.divide(s, size, out=np.zeros_like(s), where=size > 0))
+            for name, s in (("noise", self.noise_std), ("nonlinear", self.nonlinear_std), ("std", self.std))
+        }
+        return {
+            "method": self.method,
+            "bands": self.bands,
+            "lines": [int((part == k).sum()) for k in range(len(self.bands) - 1)],
+            "relative_error": list(self.relative_error),
+            "outside": list(self.outside),
+            "coherence": self.band_coherence(),
+            "relative_std": relative["std"],
+            "relative_noise": relative["noise"],
+            "relative_nonlinear": relative["nonlinear"],
+            "notes": list(self.notes),
+        }
+
+    def to_json(self) -> dict[str, object]:
+        """The bands, and all series as real numbers: magnitude and phase (degrees) of the responses."""
+        return self.band_table() | {
+            "frequency": self.frequency,
+            "magnitude": np.abs(self.response),
+            "phase": np.degrees(np.angle(self.response)),
+            "std": self.std,
+            "noise_std": self.noise_std,
+            "nonlinear_std": self.nonlinear_std,
+            "line_coherence": self.coherence,
+            "model_magnitude": np.abs(self.model),
+            "model_phase": np.degrees(np.angle(self.model)),
+        }
+
+
+def periodic_bla(
+    u: ArrayLike,
+    y: ArrayLike,
+    dt: float,
+    model: StateSpaceModel | None = None,
+    lines: NDArray[np.int_] | None = None,
+) -> BestLinearApproximation | None:
+    r"""Best linear approximation from whole periods in steady state.
+
+    Parameters
+    ----------
+    u, y
+        Input and output, shape (n_realisations, n_periods, n) or (n_periods, n); at least two periods. Realisations
+        excite the same lines with other (random) phases.
+    dt
+        Sample time in s.
+    model
+        A model with one input and one output; None: the response of 0.
+    lines
+        The excited harmonics, 1 the first; left out: those of the input. In closed loop they must be those of the
+        reference: at its other lines the input only answers the output, and the ratio is minus the inverse of the
+        controller.
+
+    Returns
+    -------
+    BestLinearApproximation or None
+        None where no line is excited above the noise.
+
+    Raises
+    ------
+    InputError
+        Shapes that differ, or fewer than two periods.
+    """
+    u, y = (np.asarray(x, dtype=np.float64) for x in (u, y))
+    u, y = (x[None] if x.ndim == 2 else x for x in (u, y))
+    if u.shape != y.shape or u.ndim != 3 or u.shape[1] < 2:
+        raise InputError("periodic_bla", f"shapes {u.shape} and {y.shape}", "equal, at least two periods")
+    realisations, count, n = u.shape
+    lines = np.arange(1, (n + 1) // 2) if lines is None else np.asarray(lines)
+    U, Y = (np.fft.rfft(x, axis=2)[:, :, lines] / n for x in (u, y))
+    mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
+    power = (np.abs(mean_u) ** 2).min(axis=0)
+    noise_u = (np.abs(U - mean_u[:, None]) ** 2).sum(axis=1).max(axis=0) / (count - 1) / count
+    keep = (power > EXCITED * power.max(initial=0.0)) & (power > SIGNAL_TO_NOISE * noise_u)
+    if not keep.any():
+        return None
+    lines, U, Y, mean_u, mean_y = lines[keep], U[:, :, keep], Y[:, :, keep], mean_u[:, keep], mean_y[:, keep]
+    f = lines / (n * dt)
+    G = mean_y / mean_u
+    # First-order propagation: e_G = (e_y - G e_u) / U, from the same periods, so also for a noise that feeds back.
+    error = (Y - G[:, None] * U) / mean_u[:, None]
+    of_noise = (np.abs(error) ** 2).sum(axis=1) / (count - 1) / count
+    response = G.mean(axis=0)
+    noise_variance = of_noise.mean(axis=0) / realisations
+    at = held_response(model, f, dt)[:, 0, 0] if model is not None else np.zeros(len(f), complex)
+    notes: list[str] = []
+    degrees = realisations * (count - 1)
+    if realisations > 1:
+        method, degrees = "realisations", realisations - 1
+        total = (np.abs(G - response) ** 2).sum(axis=0) / (realisations - 1) / realisations
+    else:
+        method = "periods"
+        total = _local_scatter(lines, response, at)
+        if total is None:
+            notes.append(f"fewer than {LOCAL_LINES} lines: distortions are not separated from the linear response")
+        else:
+            degrees = LOCAL_LINES - PARABOLA
+    nonlinear = None if total is None else np.sqrt(np.maximum(0.0, total - noise_variance))
+    variance = noise_variance if total is None else np.maximum(total, noise_variance)
+    linear = np.abs(response) ** 2
+    # In one period: the noise of a single period, and the distortions of a single realisation.
+    rest = noise_variance * count * realisations
+    if nonlinear is not None:
+        rest = rest + nonlinear**2 * realisations
+    coherence = np.divide(linear, linear + rest, out=np.zeros_like(linear), where=linear > 0)
+    return _judged(
+        method, f, response, variance, np.sqrt(noise_variance), nonlinear, coherence, at, degrees, tuple(notes)
+    )
+
+
+def arbitrary_bla(
+    t: Array, inputs: Mapping[str, Array], y: Array, model: StateSpaceModel
+) -> dict[str, BestLinearApproximation]:
+    r"""H1 estimate from each input to one output by Welch's method (Hann window, half overlap).
+
+    .. math:: \hat G = \hat S_{yu} \hat S_{uu}^{-1}, \qquad \mathrm{var}\, \hat G_j = \frac{1 - \gamma^2}{m - n_u} \hat
+              S_{yy} (\hat S_{uu}^{-1})_{jj}
+
+    with the multiple coherence :math:`\gamma^2` and m effective averages.
+
+    Parameters
+    ----------
+    t, inputs, y
+        Clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is not uniform is
+        interpolated to its mean step.
+    model
+        Model from these inputs to this output.
+
+    Returns
+    -------
+    dict
+        Input name -> estimate; without the inputs that are constant, and empty where the record is too short for
+        more averages than inputs.
+    """
+    from scipy.signal import csd
+
+    names = [name for name, x in inputs.items() if np.ptp(x)]
+    dt, (y, *columns) = uniform_samples(t, y, *(inputs[name] for name in names))
+    segment, averages = welch_segments(len(y))
+    if not names or averages < len(names) + 1 or segment < 8:
+        return {}
+    options: dict[str, Any] = {
+        "fs": 1.0 / dt,
+        "window": "hann",
+        "nperseg": segment,
+        "noverlap": segment // 2,
+        "detrend": "constant",
+    }
+
+    def cross(a: Array, b: Array) -> tuple[Array, ComplexArray]:
+        f, s = csd(a, b, **options)  # conj(A) B
+        return np.asarray(f, dtype=np.float64), np.asarray(s, dtype=np.complex128)
+
+    f, of_y = cross(y, y)
+    use = slice(1, None)  # the means are taken off: frequency 0 says nothing
+    Suu = np.array([[cross(b, a)[1][use] for b in columns] for a in columns]).transpose(2, 0, 1)
+    Syu = np.array([cross(b, y)[1][use] for b in columns]).T
+    f, Syy = f[use], of_y.real[use]
+    trace = np.trace(Suu, axis1=1, axis2=2).real
+    excited = (np.linalg.eigvalsh(Suu)[:, 0] > EXCITED * trace.max()) & (Syy > 0)
+    if not excited.any():
+        return {}
+    f, Suu, Syu, Syy = f[excited], Suu[excited], Syu[excited], Syy[excited]
+    inverse = np.linalg.inv(Suu)
+    G = np.einsum("fj,fji->fi", Syu, inverse)
+    coherence = np.clip(np.einsum("fi,fi->f", G, Syu.conj()).real / Syy, 0.0, 1.0)
+    at = held_response(model.select(inputs=names), f, dt)[:, 0, :]
+    notes = (
+        "noise and nonlinear distortion are not told apart: the record does not repeat",
+        "biased where the input was computed from the output (closed loop)",
+    )
+    spare = averages - len(names)
+    result: dict[str, BestLinearApproximation] = {}
+    for j, name in enumerate(names):
+        variance = (1.0 - coherence) * Syy * inverse[:, j, j].real / spare
+        result[name] = _judged("Welch H1", f, G[:, j], variance, None, None, coherence, at[:, j], spare, notes)
+    return result
+
+
+def held_response(model: StateSpaceModel, f: Array, dt: float) -> ComplexArray:
+    r"""Response of a model whose input is held between samples and whose output is sampled, (n_f, n_y, n_u).
+
+    .. math:: G(e^{j \omega \Delta t}) = C (e^{j \omega \Delta t} I - e^{A \Delta t})^{-1}
+              \int_0^{\Delta t} e^{A s} ds B + D
+
+    Frequencies in Hz, below 1 / (2 dt). A pole on a frequency raises `NoTrustworthyNumber`.
+    """
+    omega = 2.0 * np.pi * np.asarray(f, dtype=np.float64)
+    if model.is_discrete or not model.n_states:
+        return frequency_response(model, omega)
+    from scipy.linalg import expm
+
+    n, m = model.n_states, model.n_inputs
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = model.A * dt, model.B * dt
+    step = np.asarray(expm(block), dtype=np.float64)
+    held = StateSpaceModel(step[:n, :n], step[:n, n:], model.C, model.D, dt=dt)
+    return frequency_response(held, omega)
+
+
+def _local_scatter(lines: NDArray[np.int_], response: ComplexArray, model: ComplexArray) -> Array | None:
+    """Variance of the response about a parabola through the nearest lines; None where there are too few.
+
+    The parabola goes through response / model, which is smoother than the response.
+    """
+    n = len(lines)
+    if n < LOCAL_LINES:
+        return None
+    scale = np.where(np.abs(model) > 0, model, 1.0)
+    ratio = response / scale
+    first = np.clip(np.arange(n) - LOCAL_LINES // 2, 0, n - LOCAL_LINES)
+    near = first[:, None] + np.arange(LOCAL_LINES)
+    x = (lines[near] - lines[:, None]).astype(float)
+    x /= np.abs(x).max(axis=1, keepdims=True)
+    basis = np.stack([np.ones_like(x), x, x**2], axis=2)
+    q, _ = np.linalg.qr(basis)
+    values = ratio[near]
+    left = values - np.einsum("kij,kj->ki", q, np.einsum("kij,ki->kj", q, values))
+    scatter = (np.abs(left) ** 2).sum(axis=1) / (LOCAL_LINES - PARABOLA)
+    return scatter * np.abs(scale) ** 2
+
+
+def _band_index(f: Array, bands: Array) -> NDArray[np.int_]:
+    return np.clip(np.searchsorted(bands, f, side="right") - 1, 0, len(bands) - 2)
+
+
+def _judged(
+    method: str,
+    f: Array,
+    response: ComplexArray,
+    variance: Array,
+    noise_std: Array | None,
+    nonlinear_std: Array | None,
+    coherence: Array,
+    model: ComplexArray,
+    degrees: float,
+    notes: tuple[str, ...],
+) -> BestLinearApproximation:
+    """The estimate with the model's error band by band; ``variance`` was estimated with so many complex degrees."""
+    # |e|² / s² of a complex normal e exceeds x with the probability (1 + x / d)^-d.
+    circle = degrees * (MISSED ** (-1.0 / degrees) - 1.0)
+    bands = log_bands(f[0], f[-1])
+    part = _band_index(f, bands)
+    error = np.abs(model - response) ** 2
+    relative: list[float | None] = []
+    outside: list[float | None] = []
+    for k in range(len(bands) - 1):
+        inside = part == k
+        size = float((np.abs(response[inside]) ** 2).sum())
+        relative.append(float(np.sqrt(error[inside].sum() / size)) if size else None)
+        # Rounding is no disagreement.
+        limit = circle * variance[inside] + (1e-9 * np.abs(response[inside])) ** 2
+        outside.append(float(np.mean(error[inside] > limit)) if inside.any() else None)
+    return BestLinearApproximation(
+        method,
+        f,
+        response,
+        np.sqrt(variance),
+        noise_std,
+        nonlinear_std,
+        coherence,
+        model,
+        bands,
+        tuple(relative),
+        tuple(outside),
+        notes,
+    )

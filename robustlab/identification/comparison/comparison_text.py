@@ -1,0 +1,207 @@
+"""The text of a comparison for a terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from robustlab.identification.comparison.comparison import Comparison
+
+__all__ = ["summary"]
+
+LINEAR = 0.5  # bands whose coherence is lower say nothing about a linear model
+ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything
+
+
+def summary(c: Comparison) -> str:
+    """A dozen lines: sizes of the gap, where it lives, what the residual tests say, warnings."""
+    head = (
+        f"{c.model} against {c.record}: {c.measured.n} samples, {c.measured.duration:.4g} s; "
+        f"windows of {c.window:.4g} s; percent of the record's range"
+    )
+    lines = [head]
+    for name in c.outputs:
+        lines += ["", *_gap_lines(c, name), *_noise_lines(c, name), *_place_lines(c, name)]
+        lines += [*_response_lines(c, name), *_residual_lines(c, name)]
+    lines += ["", *_repetition_lines(c), *_harmonic_lines(c)]
+    lines += _disturbance_lines(c)
+    if c.warnings:
+        lines += ["", *(f"warning: {text}" for text in c.warnings)]
+    return "\n".join(lines)
+
+
+def _gap_lines(c: Comparison, name: str) -> list[str]:
+    g = c.outputs[name]
+    unit = f" {g.unit}" if g.unit else ""
+    free = (
+        f"  free run   peak {g.peak:.4g}{unit} ({g.peak_percent:.3g} %) at {g.peak_time:.4g} s, "
+        f"rms {g.rms:.4g}{unit} ({g.rms_percent:.3g} %), fit {g.fit:.2f} %"
+    )
+    windowed = (
+        f"  windowed   peak {g.windowed_peak:.4g}{unit} ({g.windowed_peak_percent:.3g} %), "
+        f"rms {g.windowed_rms:.4g}{unit} ({g.windowed_rms_percent:.3g} %), fit {g.windowed_fit:.2f} %"
+    )
+    return [f"{name}: range {g.range:.4g}{unit}", free, windowed]
+
+
+def _place_lines(c: Comparison, name: str) -> list[str]:
+    w, s = c.windows[name], c.frequency[name]
+    time = (
+        f"  time       worst window {w.start[w.worst]:.4g} to {w.stop[w.worst]:.4g} s holds "
+        f"{100 * w.windowed_share[w.worst]:.1f} % of the windowed squared error "
+        f"({100 / len(w.start):.1f} % if spread evenly)"
+    )
+    top = int(s.error_share.argmax())
+    frequency = (
+        f"  frequency  {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz holds {100 * s.error_share[top]:.0f} % of the "
+        f"free run's squared error, where it is {100 * s.relative_error[top]:.3g} % of the recorded signal"
+    )
+    return [time, *_speed_lines(c, name), *_amplitude_lines(c, name), frequency]
+
+
+def _speed_lines(c: Comparison, name: str) -> list[str]:
+    if name not in c.speed:
+        return []
+    b = c.speed[name]
+    rest = len(b) // 2
+    parts = {"backward": b[:rest], "rest": b[rest : rest + 1], "forward": b[rest + 1 :]}
+    shares = ", ".join(f"{word} {100 * sum(x.share for x in part):.0f} %" for word, part in parts.items())
+    worst = max(b, key=lambda x: x.rms)
+    text = (
+        f"  speed      windowed squared error: {shares}; largest rms {worst.rms:.3g} {c.outputs[name].unit} "
+        f"at {worst.low:.3g} to {worst.high:.3g} {c.motion.speed_unit}"
+    )
+    return [text]
+
+
+def _amplitude_lines(c: Comparison, name: str) -> list[str]:
+    lines: list[str] = []
+    for u, bins in c.amplitude[name].items():
+        filled = [b for b in bins if b.samples]
+        least, most = min(filled, key=lambda b: b.rms), max(filled, key=lambda b: b.rms)
+        unit, of_input = c.outputs[name].unit, c.measured.unit(u)
+        text = (
+            f"  amplitude  windowed rms {least.rms:.3g} {unit} at |{u}| {least.low:.3g} to {least.high:.3g} {of_input}"
+            f", {most.rms:.3g} {unit} at {most.low:.3g} to {most.high:.3g} {of_input}"
+        )
+        lines.append(text)
+    return lines
+
+
+def _noise_lines(c: Comparison, name: str) -> list[str]:
+    gap = c.against_noise.get(name)
+    if gap is None:
+        return []
+    unit = c.outputs[name].unit
+    if gap.rms_percent is None or gap.windowed_rms_percent is None or gap.excess.F is None:
+        return ["  noise      none: the repeats are equal to the last bit"]
+    e = gap.excess
+    verdict = "the model leaves something to explain" if (e.p_value or 0.0) < 0.01 else "nothing is left to explain"
+    text = (
+        f"  noise      {gap.std:.3g} {unit} a sample; the error is {_times(gap.rms_percent)} (free run), "
+        f"{_times(gap.windowed_rms_percent)} (windowed) the noise"
+    )
+    test = (
+        f"             {verdict}: F {e.F:.4g} (p {_p(e.p_value or 0.0)}); "
+        f"of the windowed error {e.repeatable:.3g} {unit} repeat, {e.noise:.3g} {unit} do not"
+    )
+    return [text, test]
+
+
+def _times(percent: float) -> str:
+    return f"{percent / 100:.3g} times"
+
+
+def _response_lines(c: Comparison, name: str) -> list[str]:
+    lines: list[str] = []
+    for u, g in c.linear.get(name, {}).items():
+        head = f"  response   {u} to {name} ({g.method}): "
+        known = [k for k, share in enumerate(g.band_coherence()) if share is not None and share >= LINEAR]
+        errors = [(error, k) for k in known if (error := g.relative_error[k]) is not None]
+        if not errors:
+            lines.append(f"{head}nowhere linear in the input (coherence below {LINEAR:g} in all bands)")
+            continue
+        (least, a), (most, b) = min(errors), max(errors)
+        text = f"{head}model off by {100 * most:.3g} % at {g.bands[b]:.3g} to {g.bands[b + 1]:.3g} Hz"
+        if a != b:
+            text += f", {100 * least:.3g} % at {g.bands[a]:.3g} to {g.bands[a + 1]:.3g} Hz"
+        if len(known) < len(g.bands) - 1:
+            text += (
+                f" (coherence above {LINEAR:g} from {g.bands[known[0]]:.3g} to {g.bands[known[-1] + 1]:.3g} Hz only)"
+            )
+        lines.append(text)
+        size = np.abs(g.response)
+        if g.noise_std is not None and g.nonlinear_std is not None and (size > 0).all():
+            distortion, noise = (100 * np.median(s / size) for s in (g.nonlinear_std, g.noise_std))
+            text = (
+                f"             no linear model explains {distortion:.2g} % of the response (nonlinear distortion; "
+                f"noise {noise:.2g} %; medians over {len(size)} lines)"
+            )
+            lines.append(text)
+    return lines
+
+
+def _repetition_lines(c: Comparison) -> list[str]:
+    n = c.noise
+    if n is None:
+        return [f"noise floor: none ({c.noise_reason})"]
+    what = (
+        f"{n.count} records with the same input"
+        if n.period is None
+        else f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
+    )
+    fed_back = ", ".join(f"{name} {s:.3g} {c.measured.units.get(name, '')}".rstrip() for name, s in n.input_std.items())
+    closed = f"; not repeated exactly, so fed back by a controller: {fed_back}" if fed_back else ""
+    return [f"noise floor: from {what}{closed}", *(f"             {note}" for note in n.notes)]
+
+
+def _harmonic_lines(c: Comparison) -> list[str]:
+    t = c.nonlinearity
+    if not t.signals:
+        return [f"even/odd nonlinearity: {t.reason}"]
+    lines = [f"even/odd nonlinearity, from {t.excitation}:"]
+    lines += [f"  {name}: {s.words()} of its power" for name, s in t.signals.items()]
+    return [*lines, *([f"  {t.reason}"] if t.reason else [])]
+
+
+def _disturbance_lines(c: Comparison) -> list[str]:
+    lines: list[str] = []
+    for name, d in c.disturbance.items():
+        unit = c.measured.unit(name)
+        share = f"{100 * d.explained_share:.0f} % of the error"
+        text = f"as an addition to input {name}: {share} in pieces of {d.seconds:.3g} s"
+        if np.isfinite(d.forward) and np.isfinite(d.backward):
+            text += f"; mean {d.forward:+.3g} {unit} moving forward, {d.backward:+.3g} {unit} backward"
+        lines += ["", text]
+    return lines
+
+
+def _residual_lines(c: Comparison, name: str) -> list[str]:
+    r = c.residual[name]
+    w = r.whiteness
+    if r.rms <= ROUNDING * c.outputs[name].range:
+        return [f"  residual   zero to rounding (rms {r.rms:.1g} {c.outputs[name].unit})"]
+    past = (
+        f"  residual   {_verdict(w.p_value, 'white', 'not white')} (Ljung-Box {w.statistic:.4g}, {w.dof} lags, "
+        f"p {_p(w.p_value)}); {100 * w.predictable_share:.1f} % of its variance is predictable from its past"
+    )
+    lines = [past]
+    for u, test in r.inputs.items():
+        text = (
+            f"  input {u:<5}{_verdict(test.p_value, 'independent of the residual', 'still in the residual')} "
+            f"(statistic {test.statistic:.4g}, {test.dof} degrees, p {_p(test.p_value)}); "
+            f"explains {100 * test.explained_share:.1f} % of its variance; "
+            f"largest correlation {np.abs(test.correlation).max():.3f} (99 % band {test.band:.3f})"
+        )
+        lines.append(text)
+    return lines
+
+
+def _verdict(p_value: float, accepted: str, rejected: str) -> str:
+    return accepted if p_value >= 0.01 else rejected
+
+
+def _p(p_value: float) -> str:
+    return f"{p_value:.2g}" if p_value > 1e-6 else "< 1e-6"

@@ -1,0 +1,520 @@
+r"""Noise floor without a model, where a record repeats.
+
+A system that is driven twice by the same signal gives the same response twice, but for noise. So from P repeats of the
+N samples of a period (or of a whole record) follows, for an output y,
+
+.. math:: \hat\sigma^2 = \frac{1}{(P - 1) N} \sum_{p,k} (y_{p,k} - \bar y_k)^2
+
+the variance of the noise of a single sample; the half difference of two repeats has the variance
+:math:`\sigma^2 / 2`. What repeats in a model's residual r is no noise: with nothing left to explain,
+
+.. math:: F = \frac{\frac{1}{N} \sum_k \bar r_k^2}{\hat\sigma_r^2 / P}
+
+is near 1, with :math:`\sigma_r` from the spread of the residual itself between the repeats. In open loop this is the
+noise of the output; in closed loop the noise also enters through the recorded input, and a floor of the output alone
+would be too low.
+
+The noise of a machine is coloured and changes along the period, so the N samples are not N independent ones. The test
+counts their effective number by Satterthwaite's rule from the spectrum and the local variance of the deviations.
+
+In closed loop the input does not repeat exactly, as the controller feeds the noise back: there the *reference* tells
+the period, or it is stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import lcm
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.response.response import Evidence
+from robustlab.record import Record
+
+__all__ = ["Excess", "NoiseFloor", "effective_dof", "noise_floor", "period_of"]
+
+Array = NDArray[np.float64]
+
+SHORTEST_PERIOD = 8  # samples
+EXACT = 1e-9  # of the range: differences below are rounding
+FINEST_LEVELS = 200  # a signal with fewer levels than this over its range must repeat exactly
+ROUGHLY = 0.1  # an input whose repeats differ by less than this share of its standard deviation is driven alike
+ALMOST = 0.05  # a period that is suggested but not taken: the input repeats to this share
+LEVEL = 3.0  # a level that moves by more than this many standard deviations of a sample is drift
+TRANSIENT_P, TRANSIENT_F = 1e-3, 2.0  # a first period is a transient beyond both
+BLOCKS = 20  # of the period, over which the local variance is taken
+
+
+@dataclass(frozen=True)
+class Excess(Evidence):
+    """What of a residual repeats, against what noise alone would leave in the average of the repeats.
+
+    Attributes
+    ----------
+    F
+        Mean square of the averaged residual over the mean square that noise leaves in it: 1 if nothing is left to
+        explain. None where the repeats are equal to the last bit: there is no noise to compare with.
+    p_value
+        Probability of a larger F if the residual were (Gaussian, coloured) noise alone; None as for F.
+    dof
+        Effective degrees of freedom of numerator and denominator, after the colour of the noise.
+    repeatable
+        RMS of the repeating part in the unit of the output, noise taken off (0 where noise explains all of it).
+    noise
+        Standard deviation of the residual's noise in a single sample: no model can get below it.
+    """
+
+    F: float | None
+    p_value: float | None
+    dof: tuple[float, float]
+    repeatable: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class NoiseFloor(Evidence):
+    """Noise of the outputs of a record that repeats; see `noise_floor`.
+
+    Attributes
+    ----------
+    source
+        ``"periods"`` of one record, or ``"repeated records"``.
+    signal
+        The signal that repeats; empty where the period was stated and no recorded signal repeats exactly.
+    period
+        Its period in s; None for repeated records.
+    samples, count
+        Samples of one repeat, and the number of repeats.
+    first
+        Sample of the record at which the first whole period that is used starts. The last whole periods are used,
+        and a first one that is still a start-up transient is left out.
+    std
+        Output name -> standard deviation of the noise in a single sample, in the unit of the output.
+    level
+        Output name -> standard deviation of the level of the repeats, where it was taken off because the output
+        drifts (an integrator in open loop); 0 where it was not. Then ``std`` holds no noise slower than a period.
+    input_std
+        Input name -> the same as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back.
+    notes
+        What a reader must know.
+    """
+
+    source: str
+    signal: str
+    period: float | None
+    samples: int
+    count: int
+    first: int
+    std: Mapping[str, float]
+    level: Mapping[str, float]
+    input_std: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    def repeats(self, samples: ArrayLike) -> Array:
+        """Samples (n,) on the clock of the record as repeats, shape (count, samples); repeats stay as they are."""
+        x = np.asarray(samples, dtype=np.float64)
+        if x.ndim == 2 and x.shape == (self.count, self.samples):
+            return x
+        last = self.first + self.count * self.samples
+        if x.ndim != 1 or len(x) < last or self.source != "periods":
+            need = f"({self.count}, {self.samples})" + (f" or (n,), n >= {last}" if self.source == "periods" else "")
+            raise InputError("noise floor", f"samples of shape {x.shape}", need)
+        return x[self.first : last].reshape(self.count, self.samples)
+
+    def periodic(self, samples: ArrayLike) -> Array:
+        """As `repeats`, but with a drift from period to period taken off: (count, samples).
+
+        A drifting output is a ramp plus a periodic part; the ramp has the mean step of the levels of the periods.
+        """
+        x = self.repeats(samples)
+        if not _drifts(x):
+            return x
+        level = x.mean(axis=1, keepdims=True)
+        step = float(np.diff(level[:, 0]).mean()) if self.source == "periods" else 0.0
+        ramp = step * ((np.arange(self.samples) + 0.5) / self.samples - 0.5)
+        return x - level - ramp + level.mean()
+
+    def excess(self, residual: ArrayLike) -> Excess:
+        """Test whether anything repeats in a residual: (n,) on the record's clock, or (count, samples).
+
+        The residual must be made alike in every repeat: windows of a windowed simulation must fall on the same phases
+        of every period. Phases with NaN in any repeat are left out.
+
+        Raises
+        ------
+        InputError
+            Another shape.
+        NoTrustworthyNumber
+            Fewer than 8 phases without NaN.
+        """
+        from scipy.stats import f as fisher
+
+        r = self.repeats(residual)
+        r = r[:, np.isfinite(r).all(axis=0)]
+        if r.shape[1] < SHORTEST_PERIOD:
+            raise NoTrustworthyNumber("noise floor", f"{r.shape[1]} phases without NaN", f"at least {SHORTEST_PERIOD}")
+        mean = r.mean(axis=0)
+        deviation = r - mean
+        power, variance = float(np.mean(mean**2)), float((deviation**2).sum() / ((self.count - 1) * r.shape[1]))
+        # Residuals are differences of larger numbers: a spread at the level of their rounding is no noise.
+        if variance <= (1e-14 * float(np.abs(r).max())) ** 2:
+            return Excess(None, None, (0.0, 0.0), float(np.sqrt(power)), 0.0)
+        above = effective_dof(deviation)
+        below = above * (self.count - 1)
+        ratio = power * self.count / variance
+        repeatable = float(np.sqrt(max(0.0, power - variance / self.count)))
+        return Excess(
+            ratio, float(fisher.sf(ratio, above, below)), (above, below), repeatable, float(np.sqrt(variance))
+        )
+
+
+def noise_floor(
+    record: Record,
+    *,
+    period: float | None = None,
+    repeats: Sequence[Record] = (),
+    outputs: Sequence[str] | None = None,
+) -> NoiseFloor:
+    """Noise of the outputs of a record, from its own periods or from further records with the same input.
+
+    Parameters
+    ----------
+    record
+        The measurement, on a uniform clock. Every input that is not constant must repeat: exactly or within the
+        quantisation of its samples, or, beside another signal that does (a controller's reference), to 10 %.
+    period
+        The period in s, where no signal that repeats exactly is recorded; a whole number of samples.
+    repeats
+        Further records with the same input, sample by sample, and the same sample time.
+    outputs
+        The outputs to judge; all if left out. Recorded outputs that are not among them may serve as the reference
+        if they repeat to rounding.
+
+    Returns
+    -------
+    NoiseFloor
+        With ``std`` of a single sample.
+
+    Raises
+    ------
+    InputError
+        A stated period or a stated repeat which the inputs contradict.
+    NoTrustworthyNumber
+        The record does not repeat; the reason is in the message.
+
+    References
+    ----------
+    Pintelon and Schoukens, *System Identification: A Frequency Domain Approach* (2012), section 2.5.
+
+    Examples
+    --------
+    >>> t = np.arange(3000) * 0.01
+    >>> u = np.sign(np.sin(2 * np.pi * t / 5.0 + 0.01))
+    >>> y = 2.0 * u + 0.1 * np.random.default_rng(0).standard_normal(3000)
+    >>> floor = noise_floor(Record(t, {"u": u}, {"y": y}))
+    >>> floor.period, floor.count, round(floor.std["y"], 2)
+    (5.0, 6, 0.1)
+    """
+    names = list(record.outputs) if outputs is None else list(outputs)
+    for name in names:
+        record[name]
+    if repeats and period is not None:
+        raise InputError("noise floor", "both a period and repeated records", "one of the two")
+    if not all(r.is_uniform for r in (record, *repeats)):
+        raise NoTrustworthyNumber(f"noise floor of {record.name}", "the clock is not uniform", "a uniform clock")
+    if repeats:
+        return _from_records(record, repeats, names)
+    if period is None:
+        samples, signal = _found_period(record, names)
+    else:
+        samples, signal = _stated_period(record, period), ""
+    count = record.n // samples
+    first = record.n - count * samples
+    stacked = {name: x[first:].reshape(count, samples) for name, x in (*record.inputs.items(), *record.outputs.items())}
+    _require_alike(record, {name: stacked[name] for name in record.inputs}, f"a period of {samples * record.dt:.6g} s")
+    skipped = _transient([stacked[name] for name in names])
+    notes = []
+    if skipped:
+        notes.append(f"{skipped} period(s) left out at the start: transient")
+    elif count == 2 and first < samples // 2:
+        notes.append("two periods only: a transient at the start would count as noise")
+    stacked = {name: x[skipped:] for name, x in stacked.items()}
+    return _floor(
+        "periods", signal, samples * record.dt, first + skipped * samples, stacked, names, list(record.inputs), notes
+    )
+
+
+def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
+    """Shortest period in samples with which a signal (n,) repeats throughout, or None.
+
+    Parameters
+    ----------
+    samples
+        At least two periods of the signal.
+    tolerance
+        Largest difference between repeats of one phase; left out: one step of the signal's quantisation where it
+        has more than 200 levels, else rounding.
+
+    Returns
+    -------
+    int or None
+        At least 8; None too for a constant.
+
+    Examples
+    --------
+    >>> period_of(np.tile(np.arange(10.0), 3))
+    10
+    """
+    x = np.asarray(samples, dtype=np.float64)
+    spread = float(np.ptp(x))
+    if not spread or len(x) < 2 * SHORTEST_PERIOD:
+        return None
+    tolerance = max(EXACT * spread, _step(x, spread) if tolerance is None else tolerance)
+    difference = _lag_differences(x)
+    # The sums behind it are exact to about 1e-12 of the energy; the check below is exact.
+    bound = tolerance**2 + 1e-9 * spread**2
+    lags = np.arange(SHORTEST_PERIOD, len(difference) - 1)
+    hollow = (difference[lags] <= difference[lags - 1]) & (difference[lags] <= difference[lags + 1])
+    last = len(difference) - 1  # half the record: it has only one neighbour
+    candidates = [*lags[hollow & (difference[lags] <= bound)].tolist(), *([last] if difference[last] <= bound else [])]
+    return next((p for p in candidates if p >= SHORTEST_PERIOD and _repeats(x, p, tolerance)), None)
+
+
+def effective_dof(deviation: Array) -> float:
+    r"""Effective number of independent samples in the mean square of one repeat of a noise.
+
+    .. math:: \nu = \frac{(\sum_k S_k)^2}{\sum_k S_k^2} \frac{P}{P - 1} \cdot
+              \frac{(\mathrm{mean}\; v_b)^2}{\mathrm{mean}\; v_b^2}
+
+    with the spectrum S of the deviations, averaged over the repeats, the factor P / (P - 1) for its own scatter, and
+    the variances v of 20 blocks of the period. White noise of constant size: N.
+
+    Parameters
+    ----------
+    deviation
+        Deviations of the repeats from their mean, shape (P, N).
+    """
+    count, n = deviation.shape
+    power = (np.abs(np.fft.fft(deviation, axis=1)) ** 2).sum(axis=0)
+    colour = min(float(n), float(power.sum() ** 2 / (power**2).sum()) * count / (count - 1))
+    blocks = np.array_split((deviation**2).sum(axis=0), max(1, min(BLOCKS, n // SHORTEST_PERIOD)))
+    v = np.array([block.mean() for block in blocks])
+    return max(1.0, colour * float(v.mean() ** 2 / np.mean(v**2)))
+
+
+def _lag_differences(x: Array) -> Array:
+    """Mean square of x[k + p] - x[k] for the lags p = 0..n // 2."""
+    n = len(x)
+    x = x - x.mean()
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(x, size)
+    lags = np.arange(n // 2 + 1)
+    product = np.fft.irfft(np.abs(spectrum) ** 2, size)[lags]
+    energy = np.concatenate([[0.0], np.cumsum(x**2)])
+    return np.maximum(0.0, energy[n - lags] + (energy[n] - energy[lags]) - 2.0 * product) / (n - lags)
+
+
+def _step(x: Array, spread: float) -> float:
+    """One step of the quantisation; 0 where there is none or where it is coarse."""
+    gaps = np.diff(np.unique(x))
+    gaps = gaps[gaps > EXACT * spread]
+    if not len(gaps):
+        return 0.0
+    step = float(gaps.min())
+    multiples = gaps / step
+    on_grid = bool(np.abs(multiples - np.round(multiples)).max() < 0.01) and spread / step < 1e6
+    return 1.01 * step if on_grid and spread >= FINEST_LEVELS * step else 0.0
+
+
+def _repeats(x: Array, period: int, tolerance: float) -> bool:
+    """Do all repeats of every phase lie within the tolerance?"""
+    count = len(x) // period
+    first = len(x) - count * period
+    whole = x[first:].reshape(count, period)
+    low, high = whole.min(axis=0), whole.max(axis=0)
+    if first:
+        low, high = low.copy(), high.copy()
+        low[-first:], high[-first:] = np.minimum(low[-first:], x[:first]), np.maximum(high[-first:], x[:first])
+    return bool((high - low).max() <= tolerance) and bool(np.ptp(whole[0]) > tolerance)
+
+
+def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
+    """Common period of all signals that repeat, and their names."""
+    where = f"noise floor of {record.name}"
+    periods = {name: period_of(x) for name, x in record.inputs.items()}
+    periods |= {name: period_of(x, 0.0) for name, x in record.outputs.items() if name not in names}
+    found = {name: p for name, p in periods.items() if p}
+    if not found:
+        hint = _suggestion(record)
+        raise NoTrustworthyNumber(where, "no recorded input or reference repeats", None, hint)
+    common = lcm(*found.values())
+    signal = ", ".join(found)
+    if record.n < 2 * common:
+        each = ", ".join(f"{name} {p * record.dt:.4g} s" for name, p in found.items())
+        raise NoTrustworthyNumber(
+            where, f"the common period of {each} is {common * record.dt:.4g} s", "two common periods in the record"
+        )
+    still = [
+        name
+        for name, x in record.inputs.items()
+        if name not in found and not _alike(x[record.n % common :].reshape(-1, common))
+    ]
+    if still:
+        raise NoTrustworthyNumber(where, f"{signal} repeats, input {', '.join(still)} does not", "one common period")
+    return common, signal
+
+
+def _suggestion(record: Record) -> str | None:
+    """Hint at the period with which the first moving input almost repeats."""
+    for name, x in record.inputs.items():
+        variance = float(x.var())
+        if not variance or record.n < 4 * SHORTEST_PERIOD:
+            continue
+        difference = _lag_differences(x)
+        # Beyond the first lag at which the signal has become unlike itself: neighbours are always alike.
+        unlike = np.flatnonzero(difference > variance)
+        if not len(unlike):
+            continue
+        beyond = difference[unlike[0] :]
+        alike = np.flatnonzero(beyond <= 1.5 * beyond.min())
+        # The first of the lags that are about as good as the best, and of its neighbourhood the best.
+        near = alike[alike < alike[0] + unlike[0]]
+        lag = int(unlike[0] + near[beyond[near].argmin()])
+        if difference[lag] <= 2.0 * ALMOST**2 * variance:
+            period, percent = lag * record.dt, 100 * np.sqrt(difference[lag] / 2 / variance)
+            return (
+                f"{name} repeats every {period:.6g} s to {percent:.2g} %: if it was commanded so, state the period "
+                f"({period:.6g} s)"
+            )
+    return None
+
+
+def _stated_period(record: Record, period: float) -> int:
+    where = f"noise floor of {record.name}: period"
+    longest = record.n * record.dt / 2
+    if not np.isfinite(period) or not SHORTEST_PERIOD * record.dt * (1 - 1e-9) <= period <= longest * (1 + 1e-9):
+        raise InputError(
+            where, f"{period:g} s", f"{SHORTEST_PERIOD * record.dt:.4g} s to half the record, {longest:.6g} s"
+        )
+    samples = round(period / record.dt)
+    slip = abs(period / record.dt - samples) * (record.n // samples)
+    if slip > 0.5:
+        raise InputError(
+            where,
+            f"{period:g} s is {period / record.dt:.4f} samples",
+            "a whole number of samples",
+            "resample the record to a fraction of the period",
+        )
+    return samples
+
+
+def _alike(stacked: Array) -> bool:
+    """Do the repeats of an input differ by less than 10 % of its standard deviation (or is it constant)?"""
+    spread = float(np.sqrt(np.mean((stacked - stacked.mean(axis=0)) ** 2)))
+    return spread <= ROUGHLY * float(stacked.std())
+
+
+def _require_alike(record: Record, inputs: Mapping[str, Array], what: str) -> None:
+    for name, x in inputs.items():
+        if not _alike(x):
+            raise InputError(
+                f"noise floor of {record.name}: {name}",
+                f"does not repeat with {what}",
+                "the same input in every repeat (to 10 % in closed loop)",
+            )
+
+
+def _transient(outputs: Sequence[Array]) -> int:
+    """Number of first periods that differ from the later ones by more than these differ among themselves."""
+    from scipy.stats import f as fisher
+
+    skipped = 0
+    count = min((len(x) for x in outputs), default=0)
+    while count - skipped >= 3:
+        for x in (x[skipped:] for x in outputs):
+            if _drifts(x):  # a drift's level is no transient, what its shape does is
+                x = x - x.mean(axis=1, keepdims=True)
+            later = x[1:]
+            deviation = later - later.mean(axis=0)
+            noise = float((deviation**2).sum() / ((len(later) - 1) * x.shape[1]))
+            if not noise:
+                continue
+            ratio = float(np.mean((x[0] - later.mean(axis=0)) ** 2)) / (noise * (1.0 + 1.0 / len(later)))
+            dof = effective_dof(deviation)
+            if ratio > TRANSIENT_F and fisher.sf(ratio, dof, dof * (len(later) - 1)) < TRANSIENT_P:
+                skipped += 1
+                break
+        else:
+            break
+    return skipped
+
+
+def _drifts(x: Array) -> bool:
+    level = x.mean(axis=1)
+    rest = x - x.mean(axis=0) - (level - level.mean())[:, None]
+    sigma = float(np.sqrt((rest**2).sum() / ((x.shape[0] - 1) * (x.shape[1] - 1))))
+    return bool(np.abs(level - level.mean()).max() > max(LEVEL * sigma, EXACT * float(np.ptp(x))))
+
+
+def _spread(x: Array) -> tuple[float, float]:
+    """Standard deviation of the noise in a sample, and of the level where that was taken off."""
+    count, n = x.shape
+    deviation = x - x.mean(axis=0)
+    if not _drifts(x):
+        return float(np.sqrt((deviation**2).sum() / ((count - 1) * n))), 0.0
+    level = x.mean(axis=1)
+    deviation = deviation - (level - level.mean())[:, None]
+    return float(np.sqrt((deviation**2).sum() / ((count - 1) * (n - 1)))), float(level.std(ddof=1))
+
+
+def _floor(
+    source: str,
+    signal: str,
+    period: float | None,
+    first: int,
+    stacked: Mapping[str, Array],
+    outputs: list[str],
+    inputs: list[str],
+    notes: list[str],
+) -> NoiseFloor:
+    found = {name: _spread(stacked[name]) for name in outputs}
+    drifting = [name for name in outputs if found[name][1]]
+    if drifting:
+        notes.append(
+            f"{', '.join(drifting)} drifts from repeat to repeat: its level was taken off, noise slower than a repeat "
+            "is not in the floor"
+        )
+    fed_back = {name: _spread(stacked[name])[0] for name in inputs if np.ptp(stacked[name])}
+    fed_back = {name: s for name, s in fed_back.items() if s > EXACT * float(np.ptp(stacked[name]))}
+    count, samples = next(iter(stacked.values())).shape
+    std = {name: s for name, (s, _) in found.items()}
+    level = {name: s for name, (_, s) in found.items()}
+    return NoiseFloor(source, signal, period, samples, count, first, std, level, fed_back, tuple(notes))
+
+
+def _from_records(record: Record, repeats: Sequence[Record], outputs: list[str]) -> NoiseFloor:
+    """Noise floor from records with the same input; they are cut to the shortest."""
+    n = min(r.n for r in (record, *repeats))
+    stacked: dict[str, Array] = {}
+    for number, other in enumerate(repeats, start=1):
+        if abs(other.dt - record.dt) > 1e-3 * record.dt:
+            raise InputError(f"repeat {number} ({other.name})", f"sample time {other.dt:g} s", f"{record.dt:g} s")
+        missing = [name for name in (*record.inputs, *outputs) if name not in (*other.inputs, *other.outputs)]
+        if missing:
+            raise InputError(
+                f"repeat {number} ({other.name})", f"no signal {missing[0]!r}", "the signals of the record"
+            )
+    for name in (*record.inputs, *outputs):
+        stacked[name] = np.stack([r[name][:n] for r in (record, *repeats)])
+    if n < SHORTEST_PERIOD:
+        raise InputError(f"noise floor of {record.name}", f"{n} samples in common", f"at least {SHORTEST_PERIOD}")
+    _require_alike(record, {name: stacked[name] for name in record.inputs}, "the repeats")
+    exact = [
+        name
+        for name in record.inputs
+        if np.ptp(stacked[name]) > 0 and np.ptp(stacked[name], axis=0).max() <= EXACT * np.ptp(stacked[name])
+    ]
+    return _floor("repeated records", ", ".join(exact), None, 0, stacked, outputs, list(record.inputs), [])

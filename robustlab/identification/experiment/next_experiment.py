@@ -1,0 +1,410 @@
+r"""What to measure next, so that hypotheses which the present records leave open can be told apart (T-optimality).
+
+For every test signal s of a menu, every set of sensors, and every pair of open hypotheses, A predicts the outputs from
+rest without noise and B is refitted to that prediction, with its nominal parameters under their tolerances. The refit
+distance d is in standard deviations of the noise; the signal proposed is
+
+.. math:: \arg\max_s \min_{A \ne B} d_s(A, B),
+
+and where several reach what is safe, the one with the fewest sensors to add, and of these the shortest. A pair in which
+B contains A (Stribeck friction contains Coulomb friction) is judged with the richer one as the truth only.
+
+.. math:: d^2 = \min_{z, \xi} V_B\bigl(z, \xi;\, \hat y_A\bigr) - \|z_B\|^2
+
+The prior that B pays already for the present records, with its parameters z_B there, is not counted: d is what the
+experiment adds. The menu is looked through with a linearised refit, one Gauss-Newton step of B, at all sensors and
+lengths at once; what this finds best is then refitted properly.
+
+References
+----------
+Atkinson, Fedorov, "The design of experiments for discriminating between two rival models", Biometrika 62 (1975) 57-70.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.identification.experiment.experiment_bench import (
+    SAFE,
+    Bench,
+    Entry,
+    Limits,
+    Pair,
+    distances,
+    noise_of,
+    preference,
+    trials_of,
+)
+from robustlab.identification.hypotheses.effect_fit import Fit, Problem
+from robustlab.identification.hypotheses.prepared_record import FEWEST_WINDOWS
+from robustlab.identification.response.response import Evidence
+
+__all__ = ["NextExperiment", "Pair", "Tried", "propose_experiment"]
+
+Array = NDArray[np.float64]
+
+CANNOT_TELL = 3.0  # noise sigmas
+LONGEST = 5000  # samples of an experiment
+SEEN = 20.0  # slowest time constants of the plant in an experiment, at least
+SETTLED = 8.0  # the same in a beat of the signals
+BEATS = (16, 4)  # most and fewest beats in an experiment
+MOST_RIVALS = 3
+
+# What would settle a name without any record of this kind.
+INDEPENDENT = {
+    "sensor-gain": "move the axis by a length or angle known from elsewhere (a gauge, counted turns) and compare",
+    "sensor-bias": "read the sensor at a known reference",
+    "sensor-eccentricity": "turn slowly against a second encoder",
+    "sensor-delay": "put command and sensor on an oscilloscope with one trigger",
+    "input-delay": "put command and driver output on an oscilloscope with one trigger",
+    "torque-constant": "turn the motor from outside and measure its open-circuit voltage per speed",
+    "resistance": "measure the winding with an ohmmeter, rotor held, in several positions",
+    "resistance-heating": "measure the winding with an ohmmeter, cold and right after a long run",
+    "inertia": "weigh the parts, or add a known inertia and compare",
+    "viscous-friction": "measure the no-load current at several speeds",
+    "coulomb-friction": "measure the breakaway force or torque with a spring balance in both directions",
+    "stribeck-friction": "measure the breakaway force and the force at a slow constant speed with a spring balance",
+    "constant-load": "turn the machine on its side or take the weight off",
+    "quadratic-drag": "let it run down from full speed without drive",
+    "gear-efficiency": "measure the input torque at two known loads",
+    "backlash": "hold the motor and move the output by hand against a dial gauge",
+    "flexible-coupling": "hold the motor and twist the output with a known torque",
+    "cogging": "turn it slowly by hand without power",
+    "stiffness": "push with known forces and read the displacement",
+    "cubic-stiffness": "push with known forces and read the displacement",
+    "end-stop": "move it slowly by hand to its ends",
+    "input-dead-zone": "measure the driver's output voltage at small commands",
+    "brush-drop": "measure voltage and current at the terminals with the rotor held",
+    "input-saturation": "measure the driver's output voltage at full command",
+    "input-gain": "measure the driver's output voltage over the command",
+}
+
+
+class Tried(NamedTuple):
+    """One entry of the menu: signal, sensors, duration in s, smallest d; refitted, or from the linearised refit."""
+
+    name: str
+    sensors: tuple[str, ...]
+    duration: float
+    separation: float
+    refitted: bool
+
+
+@dataclass(frozen=True)
+class NextExperiment(Evidence):
+    """The experiment to make next.
+
+    Attributes
+    ----------
+    name
+        Entry of the menu.
+    description
+        Signal, duration and sensors in words.
+    advice
+        Where the experiment is not safe to separate the hypotheses: what else would.
+    t
+        Clock in s, (n,).
+    inputs, units
+        Input -> samples (n,), each held until the next; input -> unit.
+    duration
+        In s.
+    sensors, added
+        Outputs to record; those of them that were not recorded so far.
+    assumed_noise
+        Added sensor -> standard deviation that was assumed for it, in its unit.
+    separation
+        Smallest predicted refit distance d over all pairs of open hypotheses, in noise sigmas: below 3 nothing will be
+        told, beyond 10 it is safe.
+    if_named
+        The same over the pairs with the named hypothesis as the truth.
+    now
+        Smallest refit distance of the named hypothesis and a rival for the present records (`rivals.refit_distance`).
+    hypotheses
+        What is to be separated, the named one first.
+    pairs
+        d of each ordered pair.
+    menu
+        All that was tried.
+    """
+
+    name: str
+    description: str
+    advice: str
+    t: Array
+    inputs: Mapping[str, Array]
+    units: Mapping[str, str]
+    duration: float
+    sensors: tuple[str, ...]
+    added: tuple[str, ...]
+    assumed_noise: Mapping[str, float]
+    separation: float
+    if_named: float
+    now: float
+    hypotheses: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    menu: tuple[Tried, ...]
+
+    @property
+    def separates(self) -> bool:
+        """True where the choice will be safe (d of 10 or more)."""
+        return self.separation >= SAFE
+
+    def summary(self) -> str:
+        """Description, predicted separation, and what else would help."""
+        told = f"predicted separation of {', '.join(self.hypotheses)}: {self.separation:.3g} noise sigmas"
+        lines = [self.description, f"{told} (present records: {self.now:.3g}; 3 tell, {SAFE:.0f} are safe)"]
+        return "\n".join([*lines, self.advice] if self.advice else lines)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the signal as a text table: a head of names, then the clock in s and each input, sample by sample.
+
+        Raises
+        ------
+        EnvironmentFault
+            The file cannot be written.
+        """
+        from robustlab.files.atomic import atomic_write
+
+        table = np.column_stack([self.t, *self.inputs.values()])
+        lines = [",".join(["t", *self.inputs]), *(",".join(f"{v:.9g}" for v in row) for row in table)]
+        text = "\n".join(lines) + "\n"
+        return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def propose_experiment(
+    problem: Problem,
+    named: Fit,
+    rivals: Sequence[Fit],
+    *,
+    input_range: Mapping[str, tuple[float, float]] | None = None,
+    travel: Mapping[str, float] | None = None,
+    longest: float | None = None,
+    may_add: Sequence[str] | None = None,
+) -> NextExperiment | None:
+    """The experiment of the menu that separates the named hypothesis and its rivals best.
+
+    Parameters
+    ----------
+    problem
+        The records and the plant that the fits belong to.
+    named, rivals
+        Fits on these records. Of the rivals the three with the largest evidence are looked at.
+    input_range
+        Input -> (lowest, highest) allowed. By default up to the largest absolute value recorded, both ways; for a plant
+        without a speed that has a joint (tanks), within the recorded values.
+    travel
+        State -> largest range it may run through. By default a position in m keeps to its range in the records; angles
+        are not limited.
+    longest
+        Longest experiment in s. By default as long as the longest record (or 20 of the plant's slowest time constants),
+        up to 5000 samples.
+    may_add
+        Outputs of the plant that could be measured in addition; by default all.
+
+    Returns
+    -------
+    NextExperiment or None
+        None without rivals, and where the plant allows none of the signals.
+
+    Raises
+    ------
+    InputError
+        An unknown name, a range that is empty, a duration of fewer than four windows.
+    """
+    rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
+    if not rivals:
+        return None
+    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[:MOST_RIVALS]]
+    labels = _labels(open_ones)
+    limits = _limits(problem, input_range, travel, longest, may_add)
+    trials = trials_of(problem, open_ones, limits)
+    if not trials:
+        return None
+    noise, assumed = noise_of(problem, named.noise, trials)
+    bench = Bench(problem, tuple(open_ones), labels, noise)
+    screened = sorted((e for trial in trials for e in bench.screened(trial, limits)), key=preference)
+    chosen, pairs, refitted = bench.best_refitted(screened)
+    now = min(p.separation for p in distances(problem, open_ones, labels))
+    done = {(e.trial.excitation.name, e.sensors, e.count): e for e in refitted}
+    menu = [done.get((e.trial.excitation.name, e.sensors, e.count), e) for e in screened]
+    return _proposal(
+        problem,
+        chosen,
+        pairs,
+        now,
+        labels,
+        open_ones,
+        assumed,
+        [_tried(problem, e) for e in sorted(menu, key=preference)],
+        limits,
+    )
+
+
+# --- limits ----------------------------------------------------------------------------------------------------------
+
+
+def _limits(
+    problem: Problem,
+    input_range: Mapping[str, tuple[float, float]] | None,
+    travel: Mapping[str, float] | None,
+    longest: float | None,
+    may_add: Sequence[str] | None,
+) -> Limits:
+    plant, records = problem.plant, problem.records
+    first = records[0]
+    dt, length = first.record.dt, first.windows.length
+    outputs = [s.name for s in plant.outputs]
+    _known("may_add", may_add or (), outputs)
+    new = [k for k, name in enumerate(outputs) if k not in first.columns and (may_add is None or name in may_add)]
+    slowest = _slowest(problem)
+    fewest = FEWEST_WINDOWS * length
+    if longest is None:
+        wanted = max(round(SEEN * slowest / dt), *(r.record.n for r in records))
+        samples = max(min(wanted, LONGEST), fewest)
+    else:
+        if not fewest * dt <= longest < np.inf:
+            raise InputError(
+                "propose_experiment: longest", f"{longest:g} s", f"at least {fewest * dt:g} s (four windows)"
+            )
+        samples = round(longest / dt)
+    duration = samples * dt
+    beat = min(max(SETTLED * slowest, duration / BEATS[0]), duration / BEATS[1])
+    return Limits(_ranges(problem, input_range), _travel(problem, travel), samples, beat, tuple(new))
+
+
+def _slowest(problem: Problem) -> float:
+    """Slowest time constant of the nominal plant in s; integrators do not count."""
+    rates = np.abs(problem.plant.state_space().poles().real)
+    rates = rates[rates > 1e-9 * rates.max(initial=1e-300)]
+    return float(1.0 / rates.min()) if len(rates) else 0.0
+
+
+def _ranges(problem: Problem, given: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
+    names = [s.name for s in problem.plant.inputs]
+    _known("input_range", given or (), names)
+    both_ways = any(unit in ("rad/s", "m/s") for _, unit in problem.plant.states)
+    ranges = {}
+    for k, name in enumerate(names):
+        lowest = min(float(r.u[:, k].min()) for r in problem.records)
+        highest = max(float(r.u[:, k].max()) for r in problem.records)
+        if both_ways:
+            highest = max(abs(lowest), abs(highest))
+            lowest = -highest
+        if given and name in given:
+            lowest, highest = (float(v) for v in given[name])
+            if not -np.inf < lowest < highest < np.inf:
+                raise InputError(f"propose_experiment: input_range of {name}", f"{given[name]}", "lowest < highest")
+        ranges[name] = (lowest, highest)
+    return ranges
+
+
+def _travel(problem: Problem, given: Mapping[str, float] | None) -> dict[int, float]:
+    names = [s.name for s in problem.plant.states]
+    _known("travel", given or (), names)
+    limits = {}
+    for k, (name, unit) in enumerate(problem.plant.states):
+        if given and name in given:
+            if not given[name] > 0:
+                raise InputError(f"propose_experiment: travel of {name}", f"{given[name]}", "a positive range")
+            limits[k] = float(given[name])
+        elif unit == "m":
+            limits[k] = max(float(np.ptp(r.smoothed.x[:, k])) for r in problem.records)
+    return limits
+
+
+def _known(what: str, given: Sequence[str] | Mapping[str, object], names: Sequence[str]) -> None:
+    for name in given:
+        if name not in names:
+            hint = did_you_mean(name, tuple(names))
+            raise InputError(f"propose_experiment: {what}", f"no {name!r}", f"one of {', '.join(names)}", hint)
+
+
+# --- the answer ------------------------------------------------------------------------------------------------------
+
+
+def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
+    """What each hypothesis has that not all have: effect ids, with their sites where the ids alone say too little."""
+    keys = [[c.key for c in f.hypothesis.candidates] for f in fits]
+    common = set(keys[0]).intersection(*keys[1:])
+    own = [[c for c in f.hypothesis.candidates if c.key not in common] for f in fits]
+    short = tuple(" + ".join(c.effect.id for c in cs) or "none" for cs in own)
+    return short if len(set(short)) == len(short) else tuple(" + ".join(c.key for c in cs) or "none" for cs in own)
+
+
+def _tried(problem: Problem, entry: Entry) -> Tried:
+    first = problem.records[0]
+    names = tuple(problem.plant.outputs[k].name for k in entry.sensors)
+    duration = entry.count * first.windows.length * first.record.dt
+    return Tried(entry.trial.excitation.name, names, duration, entry.separation, entry.refitted)
+
+
+def _proposal(
+    problem: Problem, entry: Entry, pairs: tuple[Pair, ...], now: float, labels: tuple[str, ...], fits: Sequence[Fit],
+    assumed: Mapping[str, float], menu: Sequence[Tried], limits: Limits,
+) -> NextExperiment:  # fmt: skip
+    tried = _tried(problem, entry)
+    plant, dt = problem.plant, problem.records[0].record.dt
+    n = entry.count * problem.records[0].windows.length
+    added = tuple(plant.outputs[k].name for k in entry.added)
+    noise = {name: assumed[name] for name in added}
+    return NextExperiment(
+        tried.name,
+        _description(entry, n, dt, plant, tried, noise),
+        _advice(entry, pairs, labels, fits, limits, plant),
+        dt * np.arange(n, dtype=float),
+        {s.name: entry.trial.u[:n, k].copy() for k, s in enumerate(plant.inputs)},
+        {s.name: s.unit for s in plant.inputs},
+        n * dt,
+        tried.sensors,
+        added,
+        noise,
+        tried.separation,
+        entry.named,
+        now,
+        labels,
+        pairs,
+        tuple(menu),
+    )
+
+
+def _description(entry: Entry, n: int, dt: float, plant: object, tried: Tried, noise: Mapping[str, float]) -> str:
+    units = {s.name: s.unit for s in plant.outputs}  # type: ignore[attr-defined]
+    text = f"{entry.trial.excitation.text(n, dt)}. {n * dt:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
+    text += ", ".join(tried.sensors)
+    for name, std in noise.items():
+        text += f" ({name} is new: a noise of {std:.2g} {units[name]} a sample is assumed)"
+    return text
+
+
+def _advice(
+    entry: Entry, pairs: Sequence[Pair], labels: Sequence[str], fits: Sequence[Fit], limits: Limits, plant: object
+) -> str:
+    if entry.separation >= SAFE:
+        return ""
+    units = {s.name: s.unit for s in plant.inputs}  # type: ignore[attr-defined]
+    within = ", ".join(
+        f"{name} between {lo:.3g} and {hi:.3g} {units[name]}" for name, (lo, hi) in limits.ranges.items()
+    )
+    open_labels = {label for p in pairs if p.separation < SAFE for label in p[:2]}
+    ids = dict.fromkeys(
+        c.effect.id
+        for label, f in zip(labels, fits, strict=True)
+        if label in open_labels
+        for c in f.hypothesis.candidates
+        if c.effect.id in label
+    )
+    ways = [f"{name}: {INDEPENDENT[name]}" for name in ids if name in INDEPENDENT]
+    word = "this may, but need not, separate"
+    if entry.separation < CANNOT_TELL:
+        word = "nothing on the menu separates"
+    if entry.named >= SAFE:
+        word = f"if {labels[0]} is right, this will show it ({entry.named:.3g} noise sigmas); else it may not separate"
+    text = f"{word} {' and '.join(sorted(open_labels))} with {within}"
+    return f"{text}; an independent measurement would ({'; '.join(ways)})" if ways else text

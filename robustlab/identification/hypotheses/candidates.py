@@ -1,0 +1,258 @@
+"""Which effects a plant and its records allow, where, and at what magnitudes.
+
+Nominal parameters that every hypothesis refits, and the tolerances that hold them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.contract import Effect, Scales, Site
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups
+from robustlab.errors import InputError, did_you_mean
+from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.units import share
+
+__all__ = [
+    "candidates",
+    "spatial_orders",
+    "nuisance_parameters",
+    "stated_tolerances",
+]
+
+
+Array = NDArray[np.float64]
+
+ORDERS = 3  # spatial lines tried
+FINEST_LINES = 1500  # per range of the position
+
+
+def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
+    """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
+
+    An effect whose period over the position must be known is given once for each strong spatial line.
+    """
+    model = _with_told_positions(model, records)
+    found = []
+    known: dict[Site, Scales] = {}
+    for effect in catalogue().values():
+        if not effect.nameable:
+            continue
+        for site in effect.sites(plant, model):
+            if site.kind == "output" and not _recorded(plant, site, records):
+                continue
+            if site not in known:
+                known[site] = _scales(site, plant, model, records)
+            found.extend(_at(effect, site, known[site]))
+    return found
+
+
+def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) -> PortModel:
+    """The model without the positions that the recorded outputs do not tell: nothing can be said to follow them."""
+    c = model.C[list(records[0].columns)]
+    size = max(float(np.linalg.norm(model.A, 2)), 1e-300)
+    rows = [c / max(float(np.abs(c).max()), 1e-300)]
+    for _ in range(len(model.A) - 1):
+        rows.append(rows[-1] @ model.A / size)
+    basis = np.linalg.svd(np.vstack(rows), full_matrices=False)
+    span = basis.Vh[1e-9 * basis.S.max(initial=0.0) < basis.S]
+    ports = {}
+    for name, port in model.ports.items():
+        q = port.position
+        seen = q is not None and float(np.linalg.norm(q - span.T @ (span @ q))) < 1e-3 * float(np.linalg.norm(q))
+        ports[name] = port if seen else replace(port, position=None, position_unit="")
+    return replace(model, ports=ports)
+
+
+def _recorded(plant: LinearPlant, site: Site, records: Sequence[PreparedRecord]) -> bool:
+    return all(site.name in r.record.outputs for r in records)
+
+
+def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
+    variants = [scales]
+    if scales.orders and effect.spatial:
+        variants = [replace(scales, orders=(k,)) for k in scales.orders]
+    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in variants]
+
+
+def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:
+    dt, duration = records[0].record.dt, max(r.record.duration for r in records)
+    if site.kind == "input":
+        k = [s.name for s in plant.inputs].index(site.name)
+        largest = max(float(np.abs(r.u[:, k]).max()) for r in records)
+        return Scales(dt=dt, duration=duration, input=largest or 1.0, signal_unit=plant.inputs[k].unit)
+    if site.kind == "output":
+        k = [s.name for s in plant.outputs].index(site.name)
+        half = max(float(np.ptp(r.record.outputs[site.name])) for r in records) / 2.0
+        orders = _orders_at_output(plant, model, site, records)
+        return Scales(dt=dt, duration=duration, output=half or 1.0, signal_unit=plant.outputs[k].unit, orders=orders)
+    if site.kind == "parameter":
+        return Scales(dt=dt, duration=duration)
+    port = model.ports[site.name]
+    motion = [_port_motion(port, r) for r in records]
+    inertia = 1.0 / float(port.velocity @ port.force)
+    currents = [
+        np.abs(r.smoothed.x @ p.velocity).max() for r in records for p in model.ports.values() if p.kind == "current"
+    ]
+    if port.kind == "current":
+        largest = max(float(np.abs(r.u).max()) for r in records)
+        speed = max(float(np.abs(v).max()) for _, v, _, _ in motion)
+        return Scales(dt=dt, duration=duration, force=largest or 1.0, speed=speed or 1.0,
+                      current=speed or 1.0, inertia=inertia,
+                      force_unit=port.unit, speed_unit=port.speed_unit)  # fmt: skip
+    force = max(float(np.sqrt(np.mean((inertia * np.gradient(v, dt)) ** 2))) for _, v, _, _ in motion)
+    lacking = max(float(np.sqrt(np.mean(d**2))) for _, _, d, _ in motion)
+    return Scales(
+        dt=dt,
+        duration=duration,
+        force=max(force, lacking) or 1.0,
+        speed=max(float(np.abs(v).max()) for _, v, _, _ in motion) or 1.0,
+        position=max(float(np.ptp(q)) for q, _, _, _ in motion) or 1.0,
+        lowest=min(float(q.min()) for q, _, _, _ in motion),
+        highest=max(float(q.max()) for q, _, _, _ in motion),
+        inertia=inertia,
+        current=float(max(currents, default=1.0)) or 1.0,
+        orders=_merged_orders(motion) if port.position is not None else (),
+        force_unit=port.unit,
+        speed_unit=port.speed_unit,
+        position_unit=port.position_unit,
+    )
+
+
+def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Array, Array]:
+    """Position, velocity, unknown force and its standard deviation along a record."""
+    s = record.smoothed
+    v = s.x @ port.velocity
+    q = s.x @ port.position if port.position is not None else np.zeros(len(v))
+    # The smoother's forces are those of the joints, in the order of the ports; a current port has none.
+    j = int(np.argmax([abs(float(port.force @ column)) for column in record.push.T])) if record.push.shape[1] else 0
+    return q, v, s.d[:, j], s.d_std[:, j]
+
+
+def _orders_at_output(
+    plant: LinearPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord]
+) -> tuple[float, ...]:
+    """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
+    row = model.C[[s.name for s in plant.outputs].index(site.name)]
+    for port in model.ports.values():
+        if port.position is not None and np.array_equal(row[: model.own] != 0, port.position != 0):
+            return _merged_orders([_port_motion(port, r) for r in records])
+    return ()
+
+
+def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple[float, ...]:
+    q = np.concatenate([m[0] for m in motion])
+    v = np.concatenate([m[1] for m in motion])
+    d = np.concatenate([m[2] for m in motion])
+    moving = np.abs(v) > 0.01 * np.abs(v).max(initial=0.0)
+    plain, flipped = spatial_orders(q, d, v, moving), spatial_orders(q, d * np.sign(v), v, moving)
+    merged: list[float] = []
+    for pair in zip(plain, flipped, strict=False):
+        for k in pair:
+            if all(abs(k - other) > 0.02 * other for other in merged):
+                merged.append(k)
+    return tuple(merged[: 2 * ORDERS])
+
+
+def spatial_orders(q: Array, d: Array, v: Array, moving: NDArray[np.bool_]) -> tuple[float, ...]:
+    """Strongest spatial frequencies of the force d over the position q, in rad per unit of q, strongest first.
+
+    A periodogram over the position, after the part of d that depends on the direction and linearly on the speed is
+    taken out. Frequencies below one period in the range are trends and no lines.
+    """
+    q, d, v = q[moving], d[moving], v[moving]
+    span = float(np.ptp(q)) if len(q) else 0.0
+    if len(q) < 50 or span == 0.0:
+        return ()
+    trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
+    rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
+    # Force summed in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
+    bins = int(min(4 * FINEST_LINES, max(64, len(q) // 2)))
+    place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
+    padded = 8 * bins
+    k = 2.0 * np.pi / span * bins / padded * np.arange(padded // 2 + 1)
+    keep = (k >= 2.0 * np.pi / span) & (k <= 2.0 * np.pi / span * min(FINEST_LINES, bins / 4))
+    k = k[keep]
+    found: list[float] = []
+    # A line brings side lobes that stand above weaker lines; each is taken out before the next is looked for.
+    for _ in range(ORDERS):
+        power = np.abs(np.fft.rfft(np.bincount(place, weights=rest, minlength=bins), padded))[keep]
+        peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
+        if not len(peaks):
+            break
+        found.append(float(k[peaks[np.argmax(power[peaks])]]))
+        wave = np.column_stack([np.cos(found[-1] * q), np.sin(found[-1] * q)])
+        rest = rest - wave @ np.linalg.lstsq(wave, rest, rcond=None)[0]
+    return tuple(found)
+
+
+# Tolerances (relative) of parameters for which the plant states none. A gain without one is taken as exact: it is what
+# forces are measured in.
+ASSUMED = {
+    "inertia": 0.05,
+    "resistance": 0.05,
+    "inductance": 0.10,
+    "torque-constant": 0.03,
+    "stiffness": 0.05,
+    "viscous-friction": 1.0,
+    "input-gain": 0.0,
+}
+
+
+def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
+    """Parameter -> (relative tolerance, whether it was assumed).
+
+    Parameters
+    ----------
+    given
+        Name -> tolerance, 0.05 or ``"5%"``, that overrides the plant's own; 0 holds the parameter.
+
+    Raises
+    ------
+    InputError
+        An unknown name, a negative tolerance.
+    """
+    given = {name: share(f"tolerances: {name}", value) for name, value in (given or {}).items()}
+    for name, tolerance in given.items():
+        if name not in plant.parameters:
+            known = tuple(plant.parameters)
+            raise InputError(
+                f"tolerances: {name!r}",
+                f"no such parameter of {plant.name}",
+                ", ".join(known),
+                did_you_mean(name, known),
+            )
+        if not tolerance >= 0 or not math.isfinite(tolerance):
+            raise InputError(f"tolerances: {name}", f"{tolerance}", "a relative tolerance, 0 or more")
+    result = {}
+    for name, parameter in plant.parameters.items():
+        if name in given:
+            result[name] = (float(given[name]), False)
+        elif parameter.tolerance or not parameter.role:
+            result[name] = (parameter.tolerance, False)
+        else:
+            result[name] = (ASSUMED[parameter.role], True)
+    return result
+
+
+def nuisance_parameters(plant: LinearPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
+    r"""The groups of parameters with a tolerance r, each with a common factor :math:`e^{s z}`, z standard normal.
+
+    Of a group only those with a tolerance move, by the widest of theirs.
+    :math:`s = \ln(1 + r) / \sqrt 3` gives the factor the spread of one that lies anywhere within the tolerance.
+    """
+    found = []
+    for _, label, names in parameter_groups(plant):
+        moving = tuple(name for name in names if tolerances[name][0] > 0)
+        if moving:
+            widest = max(tolerances[name][0] for name in moving)
+            found.append(Nuisance(label, moving, math.log1p(widest) / math.sqrt(3.0)))
+    return tuple(found)

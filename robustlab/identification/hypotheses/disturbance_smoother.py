@@ -1,0 +1,514 @@
+r"""States and the unknown force along a record, from a Kalman smoother.
+
+What a model lacks acts as a generalised force d at its ports. It is taken as a random walk,
+
+.. math::
+    \dot x = A x + B u + P d, \qquad \dot d_j = \sqrt{q_j}\, w_j, \qquad y_k = C x(t_k) + D u_k + e_k,
+    \qquad e_{k,i} \sim N(0, \sigma_i^2),
+
+with w white noise of unit density. Nothing is known of d beforehand and the smoother looks both ways, so d neither
+lags nor has to be explained. The intensity :math:`q_j` is told by a bandwidth :math:`f_j`: the frequency at which a
+random walk of that intensity, seen through the plant, is as strong as the noise of the samples,
+
+.. math:: q_j = (2 \pi f_j)^2 \Big/ \sum_i |G_{ij}(2 \pi \mathrm i f_j)|^2 / (\sigma_i^2 h).
+
+Below it the record tells d, above it does not. Bandwidths and noise maximise the likelihood of the innovations (a
+common factor of all variances in closed form).
+
+Dry friction makes d jump. Jumps are found by the score of a shock at each sample; each is given a variance of its
+own, spread over the samples at which it may have happened, and the smoother runs again. So the bands grow where d
+jumped, and only there. The intensity stays that of the walk without jumps: with all jumps explained the likelihood
+would ask for a nearly constant force between them, and a force that creeps while a joint sticks would be smoothed away
+under bands much too narrow.
+
+Units of the states are those of the model; the unit of d_j is that of ``ports[:, j] * d_j`` over the state's rate.
+
+References
+----------
+Kailath, Sayed, Hassibi, *Linear Estimation* (2000); Harvey, *Forecasting, Structural Time Series Models and the Kalman
+Filter* (1989), section 3.4; de Jong, Penzer, "Diagnosing shocks in time series", JASA 93 (1998).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.dynamics.simulation import transition
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.response.response import Evidence
+from robustlab.record import UNIFORM_TOLERANCE
+from robustlab.statespace import StateSpaceModel, real_array
+
+__all__ = ["Jump", "SmoothedRecord", "smooth_disturbance"]
+
+Array = NDArray[np.float64]
+WHERE = "smooth_disturbance"
+
+GRID = 9  # bandwidths tried before the search
+HIGHEST = 0.1  # bandwidth over the sample rate: noise that was filtered before it was stored would ask for more
+SHOCK = 3.0  # a shock beyond this many standard deviations is given a variance of its own
+JUMP = 4.5  # and beyond this many it is called a jump
+JUMP_ROUNDS = 4
+MOST_JUMPS = 0.05  # of all samples may belong to jumps; beyond, d is rough everywhere and the random walk says so
+PLACE = 9.0  # a jump may be at any sample whose squared score is within this of the peak's
+START_HORIZON = 30  # samples within which a state at its prior's size would move the outputs by 10 times their range
+START_FACTOR = 10.0
+ROUNDING = 1e-13  # of the prior's size: noise in every state and sample, below which no root is followed
+SMALLEST_NOISE = 1e-12  # of an output's range
+NODES = 8
+
+
+@dataclass(frozen=True)
+class Jump(Evidence):
+    """A jump of the force at port ``port`` at about ``time`` in s by about ``size`` (unit of the port)."""
+
+    time: float
+    port: int
+    size: float
+
+
+@dataclass(frozen=True)
+class SmoothedRecord(Evidence):
+    """States and forces given the whole record.
+
+    Attributes
+    ----------
+    t
+        Clock in s, (n,).
+    x, x_std
+        States and their standard deviations, (n, n_x); in deviations from the operating point where the model has
+        one. A state that the outputs do not tell has the std it was given before the record (much more than the
+        record's range).
+    covariance
+        Joint covariance of the states at each sample, (n, n_x, n_x).
+    d, d_std
+        Force at each port and its standard deviation, (n, m), in the unit of the port.
+    noise_std
+        Noise of each output, (n_y,).
+    bandwidth
+        Frequency in Hz up to which the record tells each force, (m,).
+    intensity
+        q_j, in the port's unit squared per second, (m,).
+    innovations
+        Whitened one-step prediction errors, (n, n_y): standard normal and independent where the model holds. NaN
+        where a sample is missing.
+    jumps
+        Jumps of the forces, in order of time.
+    log_likelihood
+        Of the innovations after the first n_x + m samples.
+    """
+
+    t: Array
+    x: Array
+    x_std: Array
+    covariance: Array
+    d: Array
+    d_std: Array
+    noise_std: Array
+    bandwidth: Array
+    intensity: Array
+    innovations: Array
+    jumps: tuple[Jump, ...]
+    log_likelihood: float
+
+
+def smooth_disturbance(
+    model: StateSpaceModel,
+    ports: ArrayLike,
+    t: ArrayLike,
+    u: ArrayLike,
+    y: ArrayLike,
+    noise_std: ArrayLike | None = None,
+    bandwidth: ArrayLike | None = None,
+    *,
+    jumps: bool = True,
+) -> SmoothedRecord:
+    r"""Smoothed states and forces of a record.
+
+    Parameters
+    ----------
+    model
+        Continuous model, without the missing effect.
+    ports
+        Directions P in which the forces act on the rates of the states, (n_x, m): a torque on an inertia J enters the
+        rate of its speed as 1/J.
+    t
+        Uniform clock in s, (n,).
+    u
+        Inputs, held between samples, (n, n_u).
+    y
+        Measured outputs, (n, n_y); NaN is a missing sample.
+    noise_std
+        Standard deviation of each output's noise, (n_y,); estimated where left out. Never taken below
+        1/sqrt(12) of the smallest step between values of the output (its resolution).
+    bandwidth
+        Bandwidth of each force in Hz, (m,) or one for all; estimated where left out.
+    jumps
+        Look for jumps of the forces.
+
+    Raises
+    ------
+    InputError
+        A discrete model, shapes that do not fit, NaN in t or u, a clock that is not uniform, an output without
+        samples, fewer samples than 3 (n_x + m), a port to which no output responds.
+    NoTrustworthyNumber
+        The response outgrows double precision.
+    """
+    task = _prepared(model, ports, t, u, y, noise_std)
+    given = None
+    if bandwidth is not None:
+        given = np.log(_positive("bandwidth", np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,))))
+    with np.errstate(over="ignore", invalid="ignore"):
+        choice = _searched(task, given)
+        result = _smoothed(task, choice)
+        for _ in range(JUMP_ROUNDS if jumps else 0):
+            found = _jumps(task, choice, result)
+            if found is None:
+                break
+            task = found
+            result = _smoothed(task, choice)
+    return _as_record(task, choice, result)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """The problem in discrete time; ``shock`` (n, m) holds the variances given to jumps."""
+
+    t: Array
+    h: float
+    model: StateSpaceModel
+    ports: Array
+    phi: Array
+    port_roots: Array  # (m, n_z, n_z): L_j for q_j = 1
+    forced: Array
+    H: Array
+    y: Array
+    start: Array  # prior standard deviation of z, (n_z,)
+    floor: Array
+    guess: Array
+    known_noise: bool
+    shock: Array
+    sizes: Array = field(default_factory=lambda: np.zeros((0, 4)))  # time, port, size and statistic of the shocks
+
+    @property
+    def m(self) -> int:
+        return self.ports.shape[1]
+
+    def span(self) -> tuple[float, float]:
+        """Logarithms of the lowest and highest bandwidth in Hz that a record of this length can tell."""
+        return math.log(0.2 / (self.h * len(self.t))), math.log(HIGHEST / self.h)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """Logarithms of the bandwidths, noise of the outputs, and the log-likelihood they reach."""
+
+    bandwidth: Array
+    sigma: Array
+    log_likelihood: float
+
+
+@dataclass(frozen=True)
+class _Run:
+    mean: Array
+    covariance: Array
+    score: Array
+    precision: Array
+    innovation: Array
+
+
+# --- the problem in discrete time ------------------------------------------------------------------------------------
+
+
+def _positive(name: str, value: Array) -> Array:
+    array = real_array(name, value, 1, WHERE)
+    if not (array > 0).all():
+        raise InputError(f"{WHERE}: {name}", f"{array.min():g}", "positive numbers")
+    return array
+
+
+def _prepared(
+    model: StateSpaceModel, ports: ArrayLike, t: ArrayLike, u: ArrayLike, y: ArrayLike, noise_std: ArrayLike | None
+) -> _Task:
+    if model.is_discrete:
+        raise InputError(WHERE, f"a model with dt = {model.dt:g} s", "a continuous model")
+    p = real_array("ports", ports, 2, WHERE)
+    t, u = real_array("t", t, 1, WHERE), real_array("u", u, 2, WHERE)
+    y = np.array(y, dtype=np.float64)
+    n, n_z = len(t), model.n_states + p.shape[1]
+    for name, found, shape in (
+        ("ports", p.shape, (model.n_states, max(1, p.shape[1]))),
+        ("u", u.shape, (n, model.n_inputs)),
+        ("y", y.shape, (n, model.n_outputs)),
+    ):
+        if found != shape:
+            raise InputError(f"{WHERE}: {name}", f"shape {found}", f"{shape}")
+    if np.isinf(y).any():
+        raise InputError(f"{WHERE}: y", f"infinite at sample {int(np.argwhere(np.isinf(y))[0, 0])}", "finite or NaN")
+    samples = np.isfinite(y).sum(axis=0)
+    if n < 3 * n_z or samples.min(initial=n) < 3 * n_z:
+        found = f"{min(n, samples.min(initial=n))} samples"
+        raise InputError(WHERE, found, f"at least {3 * n_z} of every output for {n_z} states and forces")
+    step = np.diff(t)
+    if not (step > 0).all() or np.abs(step - step.mean()).max() > UNIFORM_TOLERANCE * step.mean():
+        raise InputError(f"{WHERE}: t", f"steps of {step.min():.6g} to {step.max():.6g} s", "a uniform clock")
+    if model.operating_point is not None:
+        u, y = u - model.operating_point.u, y - model.operating_point.y
+    y = y - u @ model.D.T
+    h = float(step.mean())
+    wide = _with_forces(model, p)
+    phi, gamma, _ = transition(wide, h)
+    floor = np.maximum([_resolution(column) / math.sqrt(12.0) for column in y.T], SMALLEST_NOISE * _size(y))
+    if noise_std is None:
+        guess = np.maximum([_rough_noise(column) for column in y.T], floor)
+    else:
+        guess = np.maximum(_positive("noise_std", np.asarray(noise_std, dtype=float)), floor)
+        if guess.shape != (model.n_outputs,):
+            raise InputError(f"{WHERE}: noise_std", f"shape {np.shape(noise_std)}", f"({model.n_outputs},)")
+    return _Task(
+        t=t,
+        h=h,
+        model=model,
+        ports=p,
+        phi=np.ascontiguousarray(phi),
+        port_roots=np.stack([_walk_root(wide, h, model.n_states + j) for j in range(p.shape[1])]),
+        forced=np.ascontiguousarray(u @ gamma.T),
+        H=wide.C.copy(),
+        y=np.ascontiguousarray(y),
+        start=_prior(wide, phi, u @ gamma.T, y),
+        floor=floor,
+        guess=guess,
+        known_noise=noise_std is not None,
+        shock=np.zeros((n, p.shape[1])),
+    )
+
+
+def _with_forces(model: StateSpaceModel, ports: Array) -> StateSpaceModel:
+    """The model with the forces as integrator states after its own."""
+    n_x, m = ports.shape
+    a = np.block([[model.A, ports], [np.zeros((m, n_x + m))]])
+    return StateSpaceModel(
+        a,
+        np.vstack([model.B, np.zeros((m, model.n_inputs))]),
+        np.hstack([model.C, np.zeros((model.n_outputs, m))]),
+        np.zeros((model.n_outputs, model.n_inputs)),
+    )
+
+
+def _walk_root(wide: StateSpaceModel, h: float, place: int) -> Array:
+    r"""L with :math:`L^T L = \int_0^h e^{F s} b b^T e^{F^T s} ds`, b the unit vector of a force.
+
+    Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; squared roots would lose half
+    the digits of the states that d reaches last.
+    """
+    fastest = float(np.abs(wide.poles()).max(initial=0.0)) * h
+    doublings = max(0, math.ceil(math.log2(fastest))) if fastest > 0 else 0
+    short = h / 2.0**doublings
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    rows = [
+        math.sqrt(0.5 * short * w) * transition(wide, 0.5 * short * (1.0 + s))[0][:, place]
+        for s, w in zip(nodes, weights, strict=True)
+    ]
+    root = _compressed(np.array(rows))
+    for k in range(doublings):
+        root = _compressed(np.vstack([root, root @ transition(wide, short * 2.0**k)[0].T]))
+    return root
+
+
+def _compressed(rows: Array) -> Array:
+    """The n x n triangle with the same R^T R."""
+    n = rows.shape[1]
+    missing = np.zeros((max(0, n - len(rows)), n))
+    return np.asarray(np.linalg.qr(np.vstack([rows, missing]), mode="r"), dtype=np.float64)
+
+
+def _size(y: Array) -> Array:
+    size = np.nanmax(np.abs(y), axis=0) + (np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
+    return np.where(size > 0, size, 1.0)
+
+
+def _resolution(y: Array) -> float:
+    """Smallest step between values of an output; next to nothing where it is not quantised."""
+    values = np.unique(y[np.isfinite(y)])
+    steps = np.diff(values)
+    steps = steps[steps > 1e-9 * max(abs(values[0]), abs(values[-1]))]
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def _rough_noise(y: Array) -> float:
+    """Noise from third differences, of which white noise leaves 20 times its variance and smooth motion little."""
+    third = np.diff(y, 3)
+    third = third[np.isfinite(third)]
+    return float(np.sqrt(np.mean(third**2) / 20.0)) if len(third) else 0.0
+
+
+def _prior(wide: StateSpaceModel, phi: Array, forced: Array, y: Array) -> Array:
+    """Prior standard deviations: far more than the record can mean, and finite."""
+    size, n = _size(y), len(y)
+    reach, row = np.zeros_like(wide.C), wide.C.copy()
+    for _ in range(min(START_HORIZON, n)):
+        reach = np.maximum(reach, np.abs(row))
+        row = row @ phi
+    with np.errstate(divide="ignore"):
+        start = START_FACTOR * np.where(reach > 0, size[:, None] / reach, np.inf).min(axis=0)
+    unseen = ~np.isfinite(start)
+    # A state that no output shows: as large as the states that drive it, over the whole record, can make it.
+    for _ in range(len(start)):
+        seen = np.where(np.isfinite(start), start, 0.0)
+        driven = np.abs(phi - np.eye(len(phi))) @ seen * n
+        start = np.where(unseen & (driven > 0), np.maximum(driven, np.where(np.isfinite(start), start, 0.0)), start)
+    own = START_FACTOR * n * np.abs(forced).max(axis=0)
+    start = np.where(np.isfinite(start), start, np.where(own > 0, own, 1.0))
+    return np.maximum(start, 1e-150)
+
+
+# --- likelihood ------------------------------------------------------------------------------------------------------
+
+
+def _intensities(task: _Task, log_bandwidth: Array, sigma: Array) -> Array:
+    """q_j of bandwidths in Hz."""
+    omega = 2 * np.pi * np.exp(log_bandwidth)
+    q, n_x = np.empty(task.m), task.model.n_states
+    for j in range(task.m):
+        gain = task.model.C @ np.linalg.solve(1j * omega[j] * np.eye(n_x) - task.model.A, task.ports[:, j])
+        power = float((np.abs(gain) ** 2 / (sigma**2 * task.h)).sum())
+        if not power > 0:
+            raise InputError(
+                f"{WHERE}: ports[:, {j}]", "no output responds to this force", "a measured output that does"
+            )
+        q[j] = omega[j] ** 2 / power
+    return q
+
+
+def _roots(task: _Task, q: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Roots of the process noise, and which one each sample uses: 0 the usual one, the others with a jump."""
+    rounding = np.diag(ROUNDING * task.start)
+
+    def root(intensity: Array) -> Array:
+        return _compressed(
+            np.vstack([rounding, *(math.sqrt(v) * r for v, r in zip(intensity, task.port_roots, strict=True))])
+        )
+
+    kind = np.zeros(len(task.t), dtype=np.int64)
+    at = np.flatnonzero(task.shock.any(axis=1))
+    kind[at] = np.arange(1, len(at) + 1)
+    return np.stack([root(q), *(root(q + task.shock[k] / task.h) for k in at)]), kind
+
+
+def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:
+    """Sums of log variance and squared innovation, and their number."""
+    from robustlab.identification.hypotheses.smoother_kernels import forward
+
+    roots, kind = _roots(task, _intensities(task, log_bandwidth, sigma))
+    none2, none3 = np.zeros((0, 0)), np.zeros((0, 0, 0))
+    return forward(
+        task.phi, roots, kind, task.forced, task.H, task.y, sigma, np.diag(task.start), False, np.empty_like(task.y),
+        none2, none2, np.zeros(0, np.int64), none3, none3, none3, np.zeros_like(task.phi),
+    )  # fmt: skip
+
+
+def _searched(task: _Task, given: Array | None) -> _Choice:
+    """Bandwidths (their logarithms, where given) and noise of the greatest likelihood."""
+    best = _maximised(task, given, task.known_noise, task.guess)
+    if not task.known_noise and (best.sigma < task.floor).any():
+        best = _maximised(task, given, True, np.maximum(best.sigma, task.floor))
+    if not math.isfinite(best.log_likelihood):
+        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
+    return best
+
+
+def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _Choice:
+    """Best bandwidths and, unless the noise is known, ratios of the outputs' noise and a common factor."""
+    from scipy.optimize import minimize
+
+    n_width, n_ratio = task.m if given is None else 0, 0 if known else task.model.n_outputs - 1
+    low, high = task.span()
+    best = _Choice(np.zeros(task.m), sigma, -np.inf)
+
+    def cost(point: Array) -> float:
+        nonlocal best
+        width = np.clip(point[:n_width], low, high) if given is None else given
+        noise = sigma * np.exp(np.clip(np.concatenate([[0.0], point[n_width:]]), -12.0, 12.0)) if n_ratio else sigma
+        logs, squares, count = _filtered(task, width, noise)
+        scale = 1.0 if known else math.sqrt(squares / count)
+        value = -0.5 * (logs + (squares if known else count * (2.0 * math.log(scale) + 1.0)))
+        if value > best.log_likelihood:
+            best = _Choice(width, noise * scale, value)
+        return -value if math.isfinite(value) else 1e300
+
+    tried = np.linspace(low, high, GRID) if n_width else np.zeros(1)
+    for width in tried:
+        cost(np.concatenate([np.full(n_width, width), np.zeros(n_ratio)]))
+    size = n_width + n_ratio
+    if size and math.isfinite(best.log_likelihood):
+        at = np.concatenate([best.bandwidth[:n_width], np.zeros(n_ratio)])
+        options = {"initial_simplex": np.vstack([at, at + 0.7 * np.eye(size)]), "xatol": 0.03, "fatol": 0.1}
+        minimize(cost, at, method="Nelder-Mead", options=options | {"maxfev": 40 * size})
+    return best
+
+
+# --- smoothing and jumps ---------------------------------------------------------------------------------------------
+
+
+def _smoothed(task: _Task, choice: _Choice) -> _Run:
+    from robustlab.identification.hypotheses.smoother_kernels import backward, forward
+
+    n, n_z = len(task.t), len(task.phi)
+    roots, kind = _roots(task, _intensities(task, choice.bandwidth, choice.sigma))
+    innovation, slot, last = np.empty_like(task.y), np.zeros(n, np.int64), np.zeros((n_z, n_z))
+    predicted, filtered, mean = np.empty((n, n_z)), np.empty((n, n_z)), np.empty((n, n_z))
+    root, gain, rest = np.empty((n, n_z, n_z)), np.empty((n, n_z, n_z)), np.empty((n, n_z, n_z))
+    covariance, score, precision = np.empty((n, n_z, n_z)), np.zeros((n, task.m)), np.zeros((n, task.m))
+    forward(
+        task.phi, roots, kind, task.forced, task.H, task.y, choice.sigma, np.diag(task.start), True, innovation,
+        predicted, filtered, slot, root, gain, rest, last,
+    )  # fmt: skip
+    backward(predicted, filtered, slot, root, gain, rest, last, task.model.n_states, mean, covariance, score, precision)
+    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
+    return _Run(mean, covariance, score, precision, innovation)
+
+
+def _jumps(task: _Task, choice: _Choice, run: _Run) -> _Task | None:
+    """The task with the further jumps that a run shows; None where it shows none."""
+    statistic = np.where(run.precision > 0, run.score / np.sqrt(np.where(run.precision > 0, run.precision, 1.0)), 0.0)
+    shock, sizes = task.shock.copy(), list(task.sizes)
+    for j in range(task.m):
+        reach = max(2, round(0.5 / (2 * np.pi * math.exp(choice.bandwidth[j]) * task.h)))
+        loud = np.abs(statistic[:, j])
+        while True:
+            k = int(np.argmax(loud))
+            if not loud[k] > SHOCK:
+                break
+            size = run.score[k, j] / run.precision[k, j]
+            first, last = max(0, k - reach), min(len(loud), k + reach + 1)
+            may_be = first + np.flatnonzero(loud[first:last] ** 2 > loud[k] ** 2 - PLACE)
+            shock[may_be, j] += size**2 / len(may_be)
+            sizes.append((task.t[k], j, size, loud[k]))
+            loud[max(0, k - 4 * reach) : k + 4 * reach + 1] = 0.0
+    if len(sizes) == len(task.sizes) or (shock > 0).sum() > MOST_JUMPS * shock.size:
+        return None
+    return replace(task, shock=shock, sizes=np.array(sizes))
+
+
+def _as_record(task: _Task, choice: _Choice, run: _Run) -> SmoothedRecord:
+    n_x = task.model.n_states
+    std = np.sqrt(np.maximum(np.diagonal(run.covariance, axis1=1, axis2=2), 0.0))
+    return SmoothedRecord(
+        t=task.t,
+        x=run.mean[:, :n_x].copy(),
+        x_std=std[:, :n_x].copy(),
+        covariance=run.covariance[:, :n_x, :n_x].copy(),
+        d=run.mean[:, n_x:].copy(),
+        d_std=std[:, n_x:].copy(),
+        noise_std=choice.sigma,
+        bandwidth=np.exp(choice.bandwidth),
+        intensity=_intensities(task, choice.bandwidth, choice.sigma),
+        innovations=run.innovation,
+        jumps=tuple(Jump(float(a), int(b), float(c)) for a, b, c, d in sorted(map(tuple, task.sizes)) if d > JUMP),
+        log_likelihood=choice.log_likelihood,
+    )

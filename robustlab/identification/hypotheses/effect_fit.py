@@ -1,0 +1,548 @@
+r"""Fit of one hypothesis: the nominal parameters within their tolerances, plus effects, by windowed simulation.
+
+With the standardised parameters z and the start :math:`\xi_w` of each window, both a priori standard normal,
+
+.. math::
+    V(z, \xi) = \sum_w \| r_w(z, \xi_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
+    r_w = \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w)
+
+with the errors averaged over a few samples, filtered by the autoregression F that makes the errors of the best
+hypothesis white, and scaled by their standard deviation. The starts are eliminated window by window (Schur
+complement), so that a step costs one simulation a parameter and one a state. The evidence is Laplace's:
+
+.. math:: \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
+
+References
+----------
+Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration);
+Björck, *Numerical Methods for Least Squares Problems* (1996), section 9.3 (separable problems); MacKay, *Information
+Theory, Inference, and Learning Algorithms* (2003), chapter 28 (Occam factors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+
+__all__ = ["Candidate", "Fit", "Hypothesis", "NoiseModel", "Nuisance", "Problem", "simulated_outputs"]
+
+Array = NDArray[np.float64]
+
+STEP = 2e-3  # of a standardised parameter, for differences
+START_STEP = 0.02  # of a window's start
+FARTHEST = 8.0  # standardised parameters are kept within this of their priors
+RELATIVE = 1e-5  # fall of V below which a fit stops
+# Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
+# millionth of its diagonal, and a damping above that creeps.
+DAMPING, LEAST_DAMPING = 1e-4, 1e-10
+BEND = 0.1  # of a step, at which its curvature is measured
+MOST_BENT = 0.75  # share of a step that its correction may be
+TRIES = 8  # damped steps before a fit gives up
+HOPE = 2.0  # times the expected fall of V that a fit may still fall by
+LONGEST_STEP = 2.0  # of a standardised parameter in one step
+WILD = 1e6  # errors beyond this many standard deviations count as this
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Nominal parameters that are refitted together: label, names, log standard deviation of the common factor."""
+
+    label: str
+    names: tuple[str, ...]
+    spread: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect at a site, with its parameters and starting points for this record."""
+
+    effect: Effect
+    site: Site
+    parameters: tuple[EffectParameter, ...]
+    starts: tuple[Mapping[str, float], ...]
+    scales: Scales
+
+    @property
+    def key(self) -> str:
+        """Id and site."""
+        return f"{self.effect.id} @ {self.site.name}"
+
+    def values(self, z: Array) -> dict[str, float]:
+        """Parameter values of the standardised z."""
+        return {p.name: p.prior.value(float(v)) for p, v in zip(self.parameters, z, strict=True)}
+
+    def standardised(self, values: Mapping[str, float]) -> Array:
+        """Z of the values."""
+        return np.array([p.prior.standardised(values[p.name]) for p in self.parameters])
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The nominal model with these effects."""
+
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def key(self) -> str:
+        """Keys of the effects, "none" without any."""
+        return " + ".join(c.key for c in self.candidates) or "none"
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) per measured output."""
+
+    std: Array
+    ar: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """One fitted hypothesis.
+
+    Attributes
+    ----------
+    hypothesis
+        What was fitted.
+    z
+        Standardised parameters: nuisances, then those of each effect.
+    starts
+        Standardised shifts of the window starts, one array (n_windows, n_x) a record.
+    cost
+        V at the solution; ``window_cost`` is the share of each window (residual and start), all records in a row.
+    hessian
+        Of V / 2 over z, starts eliminated, prior included.
+    noise
+        The noise model that V was measured with.
+    covariance
+        Of z from the scatter of the windows' gradients (sandwich), where it was asked for.
+    """
+
+    hypothesis: Hypothesis
+    z: Array
+    starts: tuple[Array, ...]
+    cost: float
+    window_cost: Array
+    hessian: Array
+    noise: NoiseModel
+    evaluations: int
+    covariance: Array | None = None
+
+    @property
+    def evidence(self) -> float:
+        """Laplace's log evidence up to a constant common to all hypotheses."""
+        sign, logdet = np.linalg.slogdet(self.hessian)
+        return -0.5 * self.cost - 0.5 * float(logdet if sign > 0 else 1e6)
+
+    @property
+    def std(self) -> Array:
+        """Posterior standard deviations of z."""
+        laplace = np.sqrt(np.abs(np.diag(np.linalg.pinv(self.hessian))))
+        if self.covariance is None:
+            return laplace
+        return np.maximum(laplace, np.sqrt(np.abs(np.diag(self.covariance))))
+
+
+class Problem:
+    """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows.
+
+    Parameters
+    ----------
+    plant
+        Nominal plant.
+    records
+        Prepared records.
+    nuisances
+        Nominal parameters that every hypothesis refits.
+    chosen
+        For each record the indices of the windows to use.
+    """
+
+    def __init__(
+        self,
+        plant: LinearPlant,
+        records: Sequence[PreparedRecord],
+        nuisances: Sequence[Nuisance],
+        chosen: Sequence[NDArray[np.int_]] | None = None,
+    ) -> None:
+        self.plant, self.records, self.nuisances = plant, tuple(records), tuple(nuisances)
+        self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
+
+    def on(self, records: Sequence[PreparedRecord], chosen: Sequence[NDArray[np.int_]] | None = None) -> Problem:
+        """The same plant and nuisances over other records or windows."""
+        return Problem(self.plant, records, self.nuisances, chosen)
+
+    # --- parameters ------------------------------------------------------------------------------------------------
+
+    def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
+        """Plant factors and effect values of the standardised parameters."""
+        factors = {}
+        wrong = {c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"}
+        for nuisance, value in zip(self.nuisances, z, strict=False):
+            if nuisance.label in wrong:  # the effect's own factor is the whole factor
+                continue
+            factors.update(dict.fromkeys(nuisance.names, float(np.exp(nuisance.spread * value))))
+        values, at = [], len(self.nuisances)
+        for candidate in hypothesis.candidates:
+            values.append(candidate.values(z[at : at + len(candidate.parameters)]))
+            at += len(candidate.parameters)
+        return factors, values
+
+    def size(self, hypothesis: Hypothesis) -> int:
+        """Number of standardised parameters."""
+        return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
+
+    # --- residuals -------------------------------------------------------------------------------------------------
+
+    def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
+        """One simulator a record."""
+        effects = [(c.effect, c.site) for c in hypothesis.candidates]
+        return [Simulator(self.plant, effects, r.u, r.record.dt, 0.0) for r in self.records]
+
+    def errors(
+        self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None
+    ) -> list[Array]:
+        """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples."""
+        factors, values = self.split(hypothesis, z)
+        return [
+            self._record_errors(k, simulator, factors, values, starts[k])
+            for k, simulator in enumerate(simulators or self.simulators(hypothesis))
+        ]
+
+    def _record_errors(
+        self,
+        k: int,
+        simulator: Simulator,
+        factors: Mapping[str, float],
+        values: Sequence[Mapping[str, float]],
+        xi: Array,
+    ) -> Array:
+        record, chosen = self.records[k], self.chosen[k]
+        with np.errstate(all="ignore"):
+            outputs = self.outputs(k, simulator, factors, values, xi)
+        return averaged(record.measured[chosen] - outputs, record.thin)
+
+    def outputs(
+        self,
+        k: int,
+        simulator: Simulator,
+        factors: Mapping[str, float],
+        values: Sequence[Mapping[str, float]],
+        xi: Array,
+    ) -> Array:
+        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
+        record, chosen = self.records[k], self.chosen[k]
+        everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
+        used = np.arange(record.count) if everything else chosen
+        x0 = self.starts_seen(k, simulator, values)
+        x0[chosen] += record.x0_std[chosen] * xi
+        windows = Windows(record.windows.starts[used], record.windows.length)
+        outputs = simulator.run(factors, values, x0[used], windows).outputs[:, :, list(record.columns)]
+        return outputs[chosen] if everything else outputs
+
+    def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
+        """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
+        return [_whiten(e, noise) for e in errors]
+
+    def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
+        """States at all window starts of one record, as they are where its sensors have these effects."""
+        lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
+        return self.records[k].starts_seen(lag, self.shown(simulator.effects, values))
+
+    def shown(self, effects: Sequence[tuple[Effect, Site]], values: Sequence[Mapping[str, float]]) -> dict[int, float]:
+        """Index of each output that the effects scale as a whole -> what is recorded of it over what is there."""
+        found: dict[int, float] = {}
+        names = [s.name for s in self.plant.outputs]
+        for (effect, site), v in zip(effects, values, strict=True):
+            if site.kind == "output" and (gain := effect.shown(v)) != 1.0:
+                k = names.index(site.name)
+                found[k] = found.get(k, 1.0) * gain
+        return found
+
+    # --- the fit ---------------------------------------------------------------------------------------------------
+
+    def fit(
+        self,
+        hypothesis: Hypothesis,
+        noise: NoiseModel,
+        z: Array,
+        starts: Sequence[Array] | None = None,
+        iterations: int = 12,
+        tolerance: float = 0.05,
+        fixed: bool = False,
+        borrowed: Sequence[tuple[Array, Array]] | None = None,
+        robust: bool = False,
+        draft: bool = False,
+        ceiling: float = np.inf,
+    ) -> Fit:
+        """Levenberg-Marquardt from z; stops when V falls, or can be expected to fall, by less than ``tolerance``.
+
+        With ``fixed`` the parameters stay and only the window starts are fitted (a prediction of data that the fit
+        did not see). ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from
+        elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance.
+        The Hessian of a ``draft`` is not that of its last point (its cost is compared, or it is fitted further).
+        A fit is given up after its first step where twice the fall that can be expected does not bring V below the
+        ``ceiling``.
+        """
+        z = np.array(z, dtype=float)
+        n_x = len(self.plant.states)
+        xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
+        simulators = self.simulators(hypothesis)
+        damping, count = DAMPING, 0
+        residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
+        cost = _total(residual, xi, z)
+        hessian = np.eye(len(z))
+        parts: list[_Linearised] = []
+        rounds = iterations
+        while rounds > 0 or not draft:
+            parts = [
+                self._linearised(
+                    k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed, borrowed[k] if borrowed else None
+                )
+                for k in range(len(xi))
+            ]
+            count += 1
+            hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
+            fall = self._expected(z, xi, parts, fixed)
+            if rounds <= 0 or fall < tolerance or (count > 1 and cost - HOPE * fall > ceiling):
+                break
+            improved = 0.0
+            for _ in range(TRIES):
+                dz, dxi = self._step(z, xi, parts, damping, fixed)
+                if not fixed and not borrowed:
+                    bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping)
+                    dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
+                there, moved = _within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
+                trial = self.whitened(self.errors(hypothesis, there, moved, simulators), noise)
+                found = _total(trial, moved, there)
+                if found < cost:
+                    improved, cost = cost - found, found
+                    z, xi, residual = there, moved, trial
+                    damping = max(0.1 * damping, LEAST_DAMPING)
+                    break
+                damping = max(damping, DAMPING) * 10.0
+            rounds -= 1
+            if improved < max(tolerance, RELATIVE * cost):
+                break
+        window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
+        covariance = _sandwich(parts, hessian) if robust else None
+        return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
+
+    def cost(self, hypothesis: Hypothesis, noise: NoiseModel, z: Array, starts: Sequence[Array]) -> float:
+        """V at a point."""
+        return _total(self.whitened(self.errors(hypothesis, z, starts), noise), starts, z)
+
+    @staticmethod
+    def _expected(z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], fixed: bool) -> float:
+        """By how much V would fall in an undamped step, were the errors linear."""
+        reduced = [p.reduced(0.0) for p in parts]
+        fall = sum(float(np.sum(p.xr * r.offset)) for p, r in zip(parts, reduced, strict=True))
+        if fixed:
+            return fall
+        gradient = z + sum(r.gradient for r in reduced)
+        return fall + float(gradient @ np.linalg.solve(np.eye(len(z)) + sum(r.hessian for r in reduced), gradient))
+
+    @staticmethod
+    def _step(
+        z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], damping: float, fixed: bool
+    ) -> tuple[Array, list[Array]]:
+        """The damped step of the parameters and of the window starts."""
+        reduced = [p.reduced(damping) for p in parts]
+        dz = np.zeros_like(z)
+        if not fixed:
+            dz = -np.linalg.solve(_damped(reduced, parts, damping), z + sum(r.gradient for r in reduced))
+            dz = _within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
+        return dz, [-r.offset - r.slope @ dz for r in reduced]
+
+    def _bent(
+        self,
+        z: Array,
+        xi: Sequence[Array],
+        residual: Sequence[Array],
+        parts: Sequence[_Linearised],
+        hypothesis: Hypothesis,
+        simulators: Sequence[Simulator],
+        noise: NoiseModel,
+        step: tuple[Array, list[Array]],
+        damping: float,
+    ) -> tuple[Array, list[Array]]:
+        """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
+        dz, dxi = step
+        ahead = [x + BEND * d for x, d in zip(xi, dxi, strict=True)]
+        errors = self.whitened(self.errors(hypothesis, z + BEND * dz, ahead, simulators), noise)
+        curved = [
+            p.with_residual(2.0 / BEND * ((e - r) / BEND - p.along(dz, d)))
+            for p, r, e, d in zip(parts, residual, errors, dxi, strict=True)
+        ]
+        reduced = [p.reduced(damping) for p in curved]
+        gradient = sum((r.gradient for r in reduced), np.zeros_like(z))
+        bent_z: Array = -0.5 * np.asarray(np.linalg.solve(_damped(reduced, parts, damping), gradient), dtype=float)
+        bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
+        straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
+        bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
+        if bent < MOST_BENT**2 * straight:
+            return bent_z, bent_xi
+        return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
+
+    def _linearised(
+        self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
+        noise: NoiseModel, fixed: bool, borrowed: tuple[Array, Array] | None,
+    ) -> _Linearised:  # fmt: skip
+        """Derivatives of one record's residuals by differences, with the window starts eliminated."""
+
+        def moved(there: Array, start: Array, step: float) -> Array:
+            factors, values = self.split(hypothesis, there)
+            error = self._record_errors(k, simulator, factors, values, start)
+            return (_whiten(error, noise) - residual) / step
+
+        known = len(self.nuisances) if borrowed else 0
+        units = np.eye(len(z))[known:] if not fixed else []
+        columns = [moved(z + STEP * unit, xi, STEP)[:, :, None] for unit in units]
+        j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
+        if borrowed:
+            return _Linearised.of(residual, np.concatenate([borrowed[0], j], axis=2), borrowed[1], xi)
+        x = [moved(z, xi + START_STEP * unit, START_STEP) for unit in np.eye(xi.shape[1])]
+        return _Linearised.of(residual, j, np.stack(x, axis=2), xi)
+
+    def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
+        """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
+        pairs = []
+        for k, simulator in enumerate(self.simulators(fit.hypothesis)):
+            xi = fit.starts[k]
+
+            def residual(z: Array, start: Array, k: int = k, simulator: Simulator = simulator) -> Array:
+                factors, values = self.split(fit.hypothesis, z)
+                return _whiten(self._record_errors(k, simulator, factors, values, start), fit.noise)
+
+            here = residual(fit.z, xi)
+            over_z = [(residual(fit.z + STEP * e, xi) - here) / STEP for e in np.eye(len(fit.z))[: len(self.nuisances)]]
+            over_x = [(residual(fit.z, xi + START_STEP * e) - here) / START_STEP for e in np.eye(xi.shape[1])]
+            empty = np.zeros((*here.shape, 0))
+            pairs.append((np.stack(over_z, axis=2) if over_z else empty, np.stack(over_x, axis=2) if over_x else empty))
+        return pairs
+
+
+class _Reduced(NamedTuple):
+    """Normal equations over z after the starts are eliminated, and the step of the starts: -(offset + slope dz)."""
+
+    hessian: Array
+    gradient: Array
+    offset: Array  # (n_windows, n_x)
+    slope: Array  # (n_windows, n_x, n_z)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Products of the derivatives J over z and X over the starts of one record, window by window."""
+
+    jj: Array  # J^T J summed, (n_z, n_z)
+    jr: Array  # J^T r summed, (n_z,)
+    xx: Array  # X^T X + 1, (n_windows, n_x, n_x)
+    xj: Array  # X^T J, (n_windows, n_x, n_z)
+    xr: Array  # X^T r + xi, (n_windows, n_x)
+    scores: Array  # J^T r of each window, (n_windows, n_z)
+    j: Array  # (n_windows, n_points, n_z)
+    x: Array  # (n_windows, n_points, n_x)
+
+    @classmethod
+    def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> _Linearised:
+        xt = np.swapaxes(x, 1, 2)
+        flat = j.reshape(residual.size, j.shape[2])  # a size of its own: there may be no parameter at all
+        return cls(
+            flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
+            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
+        )  # fmt: skip
+
+    def along(self, dz: Array, dxi: Array) -> Array:
+        """Change of the residuals along a step, were they linear."""
+        return self.j @ dz + (self.x @ dxi[:, :, None])[:, :, 0]
+
+    def with_residual(self, residual: Array) -> _Linearised:
+        """The same derivatives with other residuals, and no start of its own."""
+        scores = np.einsum("wmz,wm->wz", self.j, residual)
+        xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
+        return replace(self, jr=scores.sum(axis=0), xr=xr, scores=scores)
+
+    @property
+    def diagonal(self) -> Array:
+        """Of J^T J."""
+        return np.diag(self.jj)
+
+    def reduced(self, damping: float) -> _Reduced:
+        """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
+        n_x = self.xx.shape[1]
+        inner = self.xx + damping * self.xx * np.eye(n_x)
+        both = np.asarray(np.linalg.solve(inner, np.concatenate([self.xr[:, :, None], self.xj], axis=2)), dtype=float)
+        offset, slope = both[:, :, 0], both[:, :, 1:]
+        hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
+        gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
+        return _Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
+
+
+def _damped(reduced: Sequence[_Reduced], parts: Sequence[_Linearised], damping: float) -> Array:
+    """Hessian of V / 2 over z with the prior and the damping."""
+    hessian = sum((r.hessian for r in reduced), np.eye(len(parts[0].jr)))
+    hessian[np.diag_indices(len(hessian))] += damping * (1.0 + sum(p.diagonal for p in parts))
+    return hessian
+
+
+def _within(z: Array) -> Array:
+    return np.clip(z, -FARTHEST, FARTHEST)
+
+
+def _sandwich(parts: Sequence[_Linearised], hessian: Array) -> Array:
+    """Covariance of z from the scatter of the windows' gradients, starts eliminated: it holds under any noise."""
+    scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
+    inverse = np.linalg.pinv(hessian)
+    count = len(scores)
+    return inverse @ (scores.T @ scores) @ inverse * (count / max(1, count - 1))
+
+
+def averaged(error: Array, thin: int) -> Array:
+    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known.
+
+    The first twentieth of a window is left out: what a late sensor showed then happened before the window.
+    """
+    error = error[:, error.shape[1] // 20 :]
+    count, length, n_y = error.shape
+    points = length // thin
+    blocks = error[:, : points * thin].reshape(count, points, thin, n_y)
+    known = np.isfinite(blocks)
+    if known.all():
+        return blocks.mean(axis=2)
+    number = known.sum(axis=2)
+    total = np.where(known, blocks, 0.0).sum(axis=2)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
+
+def _whiten(errors: Array, noise: NoiseModel) -> Array:
+    order = len(noise.ar)
+    e = errors[:, order:].copy()
+    for lag in range(order):
+        e -= noise.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = np.nan_to_num(e / noise.std, nan=0.0, posinf=WILD, neginf=-WILD)
+    return np.clip(scaled, -WILD, WILD).reshape(len(e), -1)
+
+
+def _total(residual: Sequence[Array], xi: Sequence[Array], z: Array) -> float:
+    squares = sum(float((r**2).sum()) for r in residual) + sum(float((x**2).sum()) for x in xi)
+    return squares + float(z @ z)
+
+
+def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:
+    """Outputs of the chosen windows under a fit, (n_windows, length, n_measured) a record."""
+    factors, values = problem.split(fit.hypothesis, fit.z)
+    return [
+        problem.outputs(k, simulator, factors, values, fit.starts[k])
+        for k, simulator in enumerate(problem.simulators(fit.hypothesis))
+    ]

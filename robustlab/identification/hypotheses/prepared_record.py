@@ -1,0 +1,243 @@
+"""A record made ready for the naming of effects: windows, their starting states, the force the nominal model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.extended.simulator import Windows
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.errors import InputError
+from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.record import Record
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["PreparedRecord", "prepare", "start_std", "window_length"]
+
+Array = NDArray[np.float64]
+
+WINDOWS_WANTED = 12
+SHORTEST, LONGEST = 40, 480  # samples of a window
+FEWEST_WINDOWS = 4
+POINTS_PER_WINDOW = 80  # into which the errors of a window are averaged
+LONGEST_GUESS = 2  # samples in a row without any output: the input between them is held
+CURRENT_SHARE = 2.0  # of its RMS: how far a fit may move a current at a window start
+START_INFLATION = 30.0  # the smoother has seen the window itself, so its start is told by the fit and not by it
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRecord:
+    """One record, cut into windows.
+
+    Attributes
+    ----------
+    record
+        On a uniform clock.
+    u, y
+        Inputs (n, n_u) and outputs (n, n_measured); NaN where an output has no valid sample.
+    columns
+        Index of each measured output among the plant's outputs.
+    windows
+        All windows, in order of time, laid between gaps: where more than two samples in a row are lost, the input is
+        a guess.
+    x0, x0_std
+        Smoothed states at the window starts and the standard deviation that a fit may move them by,
+        (n_windows, n_x).
+    smoothed
+        What the smoother found along the record.
+    told
+        Share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records.
+    push
+        Directions of the unknown forces, (n_x, n_forces).
+    thin
+        Samples averaged into one point of the error.
+    resolution
+        Smallest step of each measured output, (n_measured,); 0 where it has none.
+    """
+
+    record: Record
+    u: Array
+    y: Array
+    columns: tuple[int, ...]
+    windows: Windows
+    x0: Array
+    x0_std: Array
+    smoothed: SmoothedRecord
+    told: Array
+    push: Array
+    thin: int
+    resolution: Array
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return len(self.windows.starts)
+
+    @property
+    def measured(self) -> Array:
+        """Measured outputs in the windows, (n_windows, length, n_measured)."""
+        return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
+
+    def starts_seen(self, lag: float, shown: Mapping[int, float]) -> Array:
+        """States at the window starts, (n_windows, n_x), where sensors show them late or scaled.
+
+        Parameters
+        ----------
+        lag
+            Seconds by which the sensors are late.
+        shown
+            Index of an output of the plant -> what is recorded of it over what is there. The smoother took the records
+            for the truth, and its states are linear in them: of each the share that this output told is divided by
+            the gain.
+        """
+        x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
+        for j, column in enumerate(self.columns):
+            if (gain := shown.get(column, 1.0)) != 1.0:
+                x0 += (1.0 / gain - 1.0) * self._at(self.told[j], lag)
+        return x0
+
+    def _at(self, x: Array, lag: float) -> Array:
+        """Samples of x (n, n_x) at the window starts, ``lag`` seconds later."""
+        at = np.minimum(self.windows.starts + lag / self.record.dt, len(x) - 1.001)
+        k = at.astype(int)
+        part = (at - k)[:, None]
+        return (1.0 - part) * x[k] + part * x[k + 1]
+
+
+def window_length(plant: LinearPlant, records: list[Record]) -> int:
+    """Samples per window: a twelfth of the shortest record, but at least the slowest time constant where it fits."""
+    n = min(r.n for r in records)
+    poles = plant.state_space().poles()
+    rates = np.abs(poles.real)
+    rates = rates[rates > 1e-9 * max(np.abs(poles).max(initial=0.0), 1e-300)]
+    slowest = round(float(1.0 / rates.min()) / records[0].dt) if len(rates) else 0
+    length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), SHORTEST), LONGEST)
+    return min(max(length, min(slowest, 2 * LONGEST)), n // FEWEST_WINDOWS)
+
+
+def prepare(
+    plant: LinearPlant,
+    model: PortModel,
+    record: Record,
+    length: int,
+    valid: dict[str, NDArray[np.bool_]] | None = None,
+    outputs: Collection[str] = (),
+) -> PreparedRecord:
+    """Cut a uniform record into windows of ``length`` samples and smooth it.
+
+    Parameters
+    ----------
+    model
+        Ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
+    valid
+        Output name -> mask of the samples that were measured (all where left out).
+    outputs
+        The outputs that count, those of the record where left out; what the record has not is missing at all samples.
+
+    Raises
+    ------
+    InputError
+        An input of the plant or every output is missing; fewer than four windows, or four without gaps.
+    """
+    missing = [s.name for s in plant.inputs if s.name not in record.inputs]
+    if missing:
+        raise InputError(f"discover {record.name}", f"no input {missing[0]!r}", f"all inputs of {plant.name}")
+    names = [s.name for s in plant.outputs]
+    columns = tuple(k for k, name in enumerate(names) if name in (outputs or record.outputs))
+    own = [j for j, k in enumerate(columns) if names[k] in record.outputs]
+    if not own:
+        raise InputError(
+            f"discover {record.name}", f"outputs {', '.join(record.outputs)}", f"at least one of {', '.join(names)}"
+        )
+    u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
+    y = np.column_stack([record.outputs.get(names[k], np.full(record.n, np.nan)) for k in columns])
+    resolution = np.array([_resolution(column) if j in own else 0.0 for j, column in enumerate(y.T)])
+    for j, k in enumerate(columns):
+        if valid is not None and names[k] in valid:
+            y[~valid[names[k]], j] = np.nan
+    if record.n // length < FEWEST_WINDOWS:
+        raise InputError(
+            f"discover {record.name}",
+            f"{record.n} samples",
+            f"at least {FEWEST_WINDOWS * length} ({FEWEST_WINDOWS} windows)",
+        )
+    joints = [p for p in model.ports.values() if p.kind == "joint"]
+    push = np.column_stack([p.force for p in joints]) if joints else model.B
+    bare = plant.state_space().select(None, [names[columns[j]] for j in own])
+    smoothed = smooth_disturbance(bare, push, record.t, u, y[:, own], jumps=False)
+    told, noise_std = np.zeros((len(columns), *smoothed.x.shape)), np.zeros(len(columns))
+    told[own], noise_std[own] = _told(bare, push, record.t, u, y[:, own], smoothed), smoothed.noise_std
+    smoothed = replace(smoothed, noise_std=noise_std)
+    measured = np.isfinite(y[:, own])
+    known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
+    stretches = _between_gaps(lost)
+    starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
+    usable = [s for s in starts if known[s : s + length].mean() > 0.5]
+    if len(usable) < FEWEST_WINDOWS:
+        raise InputError(
+            f"discover {record.name}",
+            f"{len(usable)} windows of {length} samples without gaps",
+            f"at least {FEWEST_WINDOWS}",
+            "shorter windows, or a record with fewer gaps",
+        )
+    windows = Windows(np.array(usable, dtype=np.int64), length)
+    std = start_std(smoothed, windows)
+    for port in model.ports.values():
+        moved = port.velocity != 0.0
+        # A current that no sensor tells is told by the voltage, which an effect may delay or change.
+        if port.kind == "current" and not bare.C[:, moved].any():
+            amperes = smoothed.x @ port.velocity
+            std[:, moved] = np.maximum(std[:, moved], CURRENT_SHARE * float(np.sqrt(np.mean(amperes**2))))
+    thin = max(1, length // POINTS_PER_WINDOW)
+    return PreparedRecord(
+        record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, told, push, thin, resolution
+    )
+
+
+def _told(bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord) -> Array:
+    """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
+
+    Noise and bandwidth are held, so that the smoother is linear. (A larger output would raise the least noise that it
+    takes for a quantised one.)
+    """
+    shares = []
+    for j in range(y.shape[1]):
+        half = y.copy()
+        half[:, j] *= 0.5
+        less = smooth_disturbance(bare, push, t, u, half, smoothed.noise_std, smoothed.bandwidth, jumps=False)
+        shares.append(2.0 * (smoothed.x - less.x))
+    return np.stack(shares)
+
+
+def _lead(first: int, last: int, length: int) -> int:
+    """First sample of the first window of a stretch.
+
+    What the input was before the record is not known, and a plant with a delay still answers to it: the samples that
+    the windows leave over are left out at the beginning, up to a twentieth of a window.
+    """
+    return first + min((last - first) % length, length // 20)
+
+
+def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
+    """How far a fit may move the window starts, (n_windows, n_x): far beyond what the smoother leaves open."""
+    return START_INFLATION * smoothed.x_std[windows.starts]
+
+
+def _between_gaps(lost: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First sample and end of each stretch between runs of lost samples that are too long to hold the input over."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
+    gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > LONGEST_GUESS]
+    firsts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(lost)]
+    return list(zip(firsts, ends, strict=True))
+
+
+def _resolution(y: Array) -> float:
+    """Smallest step between the values of a quantised signal; 0 for one that takes nearly every value once."""
+    values = np.unique(y)
+    if len(values) < 2 or len(values) > 0.98 * len(y):
+        return 0.0
+    return float(np.diff(values).min())

@@ -1,0 +1,456 @@
+"""`discover`: name the effect that a model lacks, from measured records.
+
+The way: the records are checked and cut into windows; every effect of the catalogue is fitted by simulation, always
+together with the nominal parameters within their tolerances; the most probable one is named if it also helps on data
+that no fit has seen; the search goes on on top of it until nothing helps any more. What could stand in its place for
+these very records is named with it, and what no effect explains is called unknown.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import one_thread
+from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics.extended.simulator import Windows
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import linear_plant_of, parameter_groups, port_model
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
+from robustlab.identification.hypotheses.prepared_record import prepare, start_std, window_length
+from robustlab.identification.naming.discovery_result import (
+    Discovery,
+    EffectValue,
+    Gap,
+    NamedEffect,
+    NamingStep,
+    NominalValue,
+    Rival,
+    StepEntry,
+    Verdict,
+)
+from robustlab.identification.naming.greedy_naming import (
+    Alternative,
+    Naming,
+    held_out_fit,
+    in_doubt,
+    name_effects,
+    overtaken,
+    rms_percent,
+    settled,
+    spans,
+    white,
+)
+from robustlab.identification.naming.ranking import BEYOND_NOISE, noise_ratio
+from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
+from robustlab.identification.naming.updated_plant import updated_plant
+from robustlab.record import Record
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+
+if TYPE_CHECKING:
+    from robustlab.identification.comparison.noise_floor import NoiseFloor
+    from robustlab.identification.experiment.next_experiment import NextExperiment
+
+__all__ = ["discover"]
+
+Array = NDArray[np.float64]
+
+HELD_OUT_EVERY = 4  # without a held-out record, every fourth window is kept from the fit
+INTERVAL = 1.96  # standard deviations of a 95 % interval
+EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
+# Held-out error in percent of the range that is no machine's noise, where it is also this many times the sensors'.
+COARSE, ABOVE_NOISE = 3.0, 5.0
+REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """Prepared records and which of their windows are fitted and which are held out."""
+
+    problem: Problem
+    held: Problem
+    held_text: str
+
+    def everything(self) -> Problem:
+        """All records, those held out as well."""
+        known = [*self.problem.records, *(r for r in self.held.records if r not in self.problem.records)]
+        return self.problem.on(known)
+
+
+@one_thread()
+def discover(
+    plant: Any,
+    records: Record | Sequence[Record],
+    held_out: Record | Sequence[Record] | None = None,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    window: float | None = None,
+    period: float | None = None,
+    repeats: Sequence[Record] = (),
+    exclude: Sequence[str] = (),
+    progress: Callable[[str], None] | None = None,
+) -> Discovery:
+    """Name what a model lacks.
+
+    Parameters
+    ----------
+    plant
+        A linear `Plant`, a continuous `StateSpaceModel` or ``control.StateSpace`` whose velocity, position and current
+        states carry their units (rad/s, m/s, A).
+    records
+        One record or several of the same machine; any subset of the plant's outputs.
+    held_out
+        Records that the fit never sees and the gap is judged on; without them every fourth window is held out.
+    tolerances
+        Parameter -> relative tolerance, over those that the plant states. A parameter without any is given a usual one
+        (5 %; friction 100 %), which the result says.
+    window
+        Length of the windows in s (a twelfth of the shortest record where left out).
+    period, repeats
+        Period of the excitation in s, or further records with the same input: for a noise floor without a model.
+    exclude
+        Effect ids that are not to be tried.
+    progress
+        Called with a line of text now and then.
+
+    Returns
+    -------
+    Discovery
+        ``.verdict``, ``.effects``, ``.rivals``, ``.gap_before``, ``.gap_after``, ``.model``, ``.next_experiment``.
+
+    Raises
+    ------
+    InputError
+        Records that do not fit the plant, have other outputs than the first, or are too short; a wrong sign, unit or
+        swapped channel; an unknown effect in ``exclude``.
+    NoTrustworthyNumber
+        Records that say nothing: no excitation, dead sensors.
+    """
+    began = time.perf_counter()
+    linear = _linear(plant)
+    left_out = {effect(name).id for name in exclude}
+    if window is not None and not 0.0 < window < np.inf:
+        raise InputError("discover: window", f"{window}", "a length in s above 0")
+    measured = [records] if isinstance(records, Record) else list(records)
+    kept_out = [] if held_out is None else [held_out] if isinstance(held_out, Record) else list(held_out)
+    if not measured:
+        raise InputError("discover", "no record", "at least one")
+    findings = _checked(linear, [*measured, *kept_out])
+    stated = stated_tolerances(linear, tolerances)
+    model = port_model(linear)
+    data = _data(linear, model, measured, kept_out, nuisance_parameters(linear, stated), window)
+    pool = [c for c in candidates(linear, model, data.problem.records) if c.effect.id not in left_out]
+    limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(linear)}
+
+    def allowed(problem: Problem, fit: Fit, candidate: Candidate) -> bool:
+        return beyond_tolerance(problem, fit, candidate, limits)
+
+    naming = name_effects(data.problem, data.held, pool, allowed, progress)
+    naming, others = overtaken(data.problem, naming, allowed)
+    rivals = [a for a in others if a.cannot_be_told and allowed(data.problem, a.fit, a.candidate)]
+    rivals += in_doubt(data.problem, naming, allowed)
+    return _result(linear, data, naming, rivals, stated, findings, pool, measured, repeats, period, began)
+
+
+def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
+    """False for a parameter effect whose factor lies within the parameter's tolerance: nothing is missing then."""
+    if candidate.site.kind != "parameter":
+        return True
+    factors, values = problem.split(fit.hypothesis, fit.z)
+    k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
+    own = candidate.effect.factors(problem.plant, candidate.site, values[k])
+    name = next(iter(own))
+    total = np.log(factors.get(name, 1.0) * own[name])
+    return bool(abs(total) > np.log1p(limits[candidate.site.name]))
+
+
+def _linear(plant: Any) -> LinearPlant:
+    if isinstance(plant, (LinearPlant, StateSpaceModel)):
+        return linear_plant_of(plant, "discover")
+    from robustlab.dynamics.plant_contract import Plant
+
+    if isinstance(plant, Plant):
+        raise InputError(
+            "discover",
+            f"the nonlinear plant {plant.name}",
+            "a linear one",
+            "linearise it first: rl.linearise(plant, at=...)",
+        )
+    return linear_plant_of(as_model(plant, "discover"), "discover")
+
+
+def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Any, ...]:
+    """Findings on the records; raises where one forbids a naming."""
+    from robustlab.identification.record_check.suitability import suitability
+
+    findings: list[Any] = []
+    for record in records:
+        found = suitability(plant, record)
+        found.require()
+        findings.extend(found.findings)
+    return tuple(findings)
+
+
+def _data(
+    plant: LinearPlant, model: Any, records: Sequence[Record], held_out: Sequence[Record], nuisances: Any,
+    window: float | None,
+) -> _Data:  # fmt: skip
+    from robustlab.identification.record_check.resampling import clock_step, uniform
+
+    dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
+    uniformed = [uniform(r, None if r.is_uniform else dt) for r in (*records, *held_out)]
+    everything = [u.record for u in uniformed]
+    length = window_length(plant, everything) if window is None else max(8, round(window / dt))
+    # A record may lack a sensor that another has, as the proposed experiments do which add one.
+    seen = {name for r in records for name in r.outputs}
+    prepared = [prepare(plant, model, u.record, length, dict(u.valid), seen) for u in uniformed]
+    fitted, judged = prepared[: len(records)], prepared[len(records) :]
+    if judged:
+        problem = Problem(plant, fitted, nuisances)
+        return _Data(problem, problem.on(judged), ", ".join(r.name for r in held_out))
+    apart = [np.arange(r.count) % HELD_OUT_EVERY == HELD_OUT_EVERY // 2 for r in fitted]
+    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart])
+    held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
+    return _Data(problem, held, f"every {HELD_OUT_EVERY}th window of the records, kept from the fit")
+
+
+# --- the result ------------------------------------------------------------------------------------------------------
+
+
+def _result(
+    plant: LinearPlant, data: _Data, naming: Naming, rivals: Sequence[Alternative],
+    stated: Mapping[str, tuple[float, bool]], findings: tuple[Any, ...], pool: Sequence[Candidate],
+    records: Sequence[Record], repeats: Sequence[Record], period: float | None, began: float,
+) -> Discovery:  # fmt: skip
+    problem, held = data.problem, data.held
+    verdict, complete, left, ratio, floor = _judged(data, naming, records, repeats, period, bool(rivals))
+    if not complete and naming.fit.hypothesis.candidates:
+        naming = replace(naming, settled=settled(problem, naming.fit, naming.noise, 1))
+        _, _, left, ratio, floor = _judged(data, naming, records, repeats, period, bool(rivals))
+    if verdict == "unknown" and not naming.fit.hypothesis.candidates:
+        rivals = ()  # nothing was named, and nothing is missing no longer stands beside them
+    fit = naming.settled
+    gaps, series = _gaps(held, naming)
+    effects = tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates)))
+    remains = left is not None and not complete
+    overall = {key: _overall(gaps, key) for key in ("nominal", "refitted", "updated")}
+    return Discovery(
+        status=Status.CONVERGED if verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
+        verdict=verdict,
+        complete=complete,
+        effects=effects,
+        rivals=tuple(_rival(problem, a) for a in rivals),
+        nominal=_nominal(problem, fit, stated),
+        gap_before=overall["nominal"],
+        gap_refitted=overall["refitted"],
+        gap_after=overall["updated"],
+        gaps=gaps,
+        held_out=data.held_text,
+        plant=plant.name,
+        records=tuple(r.name for r in records),
+        window=problem.records[0].windows.length * problem.records[0].record.dt,
+        steps=tuple(_step(s) for s in naming.steps),
+        candidates=tuple(dict.fromkeys(c.effect.id for c in pool)),
+        structure={"noise_ratio": ratio} | (vars(left.structure) | {"found": left.structure.found} if left else {}),
+        residual_force=left.curves() if remains and left else None,
+        unnamed=left.unnamed() if remains and left else None,
+        noise_floor=floor[0],
+        floor_excess=floor[1],
+        remaining_lines=remaining_lines(left) if left else (),
+        findings=findings,
+        series=series,
+        model=updated_plant(problem, fit, f"fitted to {', '.join(r.name for r in records)}"),
+        next_experiment=_next_experiment(problem, naming, rivals),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _next_experiment(problem: Problem, naming: Naming, rivals: Sequence[Alternative]) -> NextExperiment | None:
+    """What would separate the named effects from their rivals."""
+    if not rivals:
+        return None
+    from robustlab.identification.experiment.next_experiment import propose_experiment
+
+    return propose_experiment(problem, naming.fit, [a.fit for a in rivals])
+
+
+def _floor_excess(
+    records: Sequence[Record], repeats: Sequence[Record], period: float | None, naming: Naming, problem: Problem
+) -> tuple[NoiseFloor | None, dict[str, float]]:
+    """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
+    from robustlab.identification.comparison.noise_floor import noise_floor
+
+    first = problem.records[0]
+    names = [problem.plant.outputs[k].name for k in first.columns]
+    own = [name for name in names if name in first.record.outputs]
+    try:
+        floor = noise_floor(records[0], period=period, repeats=repeats, outputs=own)
+    except NoTrustworthyNumber:
+        return None, {}
+    if floor.source != "periods" or first.record.n != records[0].n:
+        return floor, {}
+    # Windows at the same phases of every period.
+    per_period = max(1, round(floor.samples / first.windows.length))
+    length = floor.samples // per_period
+    starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
+    windows = Windows(starts.astype(np.int64), length)
+    s = first.smoothed
+    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows))
+    there = problem.on([cut])
+    fit = held_out_fit(there, naming.settled, white(naming.noise))
+    errors = cut.measured - simulated_outputs(there, fit)[0]
+    excess = {}
+    for name in own:
+        j = names.index(name)
+        residual = np.full((floor.count, floor.samples), np.nan)
+        residual[:, : per_period * length] = errors[:, :, j].reshape(floor.count, per_period * length)
+        found = floor.excess(residual)
+        if found.F is not None:
+            excess[name] = found.F
+    return floor, excess
+
+
+def _gaps(held: Problem, naming: Naming) -> tuple[dict[str, Gap], dict[str, Any]]:
+    """Windowed errors on held-out data of the three models, and their signals."""
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), naming.noise, 0)
+    plain = white(naming.noise)
+    models = {
+        key: held_out_fit(held, fit, plain)
+        for key, fit in (("nominal", as_given), ("refitted", naming.bare), ("updated", naming.settled))
+    }
+    outputs = {key: simulated_outputs(held, fit) for key, fit in models.items()}
+    measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
+    gaps: dict[str, Gap] = {}
+    richest = int(np.argmax([np.isfinite(r.y).any(axis=0).sum() for r in held.records]))
+    first = held.records[richest]
+    order = (first.windows.starts[held.chosen[richest]][:, None] + np.arange(first.windows.length)).ravel()
+    series: dict[str, Any] = {"t": first.record.t[order], "outputs": {}}
+    series["inputs"] = {s.name: first.record.inputs[s.name][order] for s in held.plant.inputs}
+    for j, column in enumerate(first.columns):
+        signal = held.plant.outputs[column]
+        if not np.isfinite(first.y[:, j]).any():
+            continue
+        rms = {
+            key: _rms([(m - y)[:, :, j] for m, y in zip(measured, values, strict=True)])
+            for key, values in outputs.items()
+        }
+        span = float(spans(held.records)[j])
+        gaps[signal.name] = Gap(signal.name, signal.unit, span, rms["nominal"], rms["refitted"], rms["updated"])
+        series["outputs"][signal.name] = {
+            "measured": measured[richest][:, :, j].ravel(),
+            **{key: values[richest][:, :, j].ravel() for key, values in outputs.items()},
+        }
+    return gaps, series
+
+
+def _rms(errors: Sequence[Array]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate([e.ravel() for e in errors]) ** 2)))
+
+
+def _overall(gaps: Mapping[str, Gap], key: str) -> float:
+    """RMS over the outputs of the error in percent of the range."""
+    shares = [getattr(g, key) / (g.range or 1.0) for g in gaps.values()]
+    return float(100.0 * np.sqrt(np.mean(np.square(shares))))
+
+
+def _judged(
+    data: _Data,
+    naming: Naming,
+    records: Sequence[Record],
+    repeats: Sequence[Record],
+    period: float | None,
+    has_rivals: bool,
+) -> tuple[Verdict, bool, LeftOver | None, float, tuple[NoiseFloor | None, dict[str, float]]]:
+    """Verdict, completeness, and what they rest on: the residual force, error over noise, and F of the floor."""
+    left = left_over(data.everything(), naming.settled, naming.noise)
+    floor = _floor_excess(records, repeats, period, naming, data.problem)
+    ratio = noise_ratio(data.problem, naming.settled)
+    gap = rms_percent(data.held, held_out_fit(data.held, naming.settled, white(naming.noise)))
+    large = ratio > BEYOND_NOISE or (gap > COARSE and ratio > ABOVE_NOISE)
+    return *_verdict(naming, left, floor[1], large, has_rivals), left, ratio, floor
+
+
+def _verdict(
+    naming: Naming, left: LeftOver | None, floor: Mapping[str, float], large: bool, has_rivals: bool
+) -> tuple[Verdict, bool]:
+    """The verdict, and whether the model is complete with what was named."""
+    structure = left is not None and left.structure.found
+    remains = structure or large or any(f > REPEATABLE for f in floor.values())
+    if not naming.fit.hypothesis.candidates:
+        return ("unknown", False) if remains else ("no missing effect", True)
+    if remains and _explained(naming) < EXPLAINED:
+        return "unknown", False
+    return ("ambiguous" if has_rivals else "named"), not remains
+
+
+def _explained(naming: Naming) -> float:
+    """Share of the fall in V from the bare model to noise that the named effects brought about."""
+    bare, now = naming.bare_cost, naming.fit.cost
+    points = float(naming.points)
+    return 1.0 if bare <= points else (bare - now) / (bare - points)
+
+
+def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
+    """Parameters of the k-th effect with posterior intervals."""
+    candidate = fit.hypothesis.candidates[k]
+    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k])
+    z, std = fit.z[at : at + len(candidate.parameters)], fit.std[at : at + len(candidate.parameters)]
+    found = []
+    for p, centre, spread in zip(candidate.parameters, z, std, strict=True):
+        ends = sorted(p.prior.value(float(centre + side * INTERVAL * spread)) for side in (-1.0, 1.0))
+        found.append(EffectValue(p.name, p.prior.value(float(centre)), p.unit, ends[0], ends[1], p.meaning))
+    return tuple(found)
+
+
+def _named(problem: Problem, naming: Naming, k: int, rivals: Sequence[Alternative]) -> NamedEffect:
+    candidate = naming.fit.hypothesis.candidates[k]
+    own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
+    confidence = max(0.0, 1.0 - sum(a.wins for a in own))
+    step = next((s for s in naming.steps if s.taken is not None and s.entry(candidate) is not None), None)
+    place = step.entry(candidate) if step else None
+    evidence = place.evidence - step.ranking.base.evidence if step and place else 0.0
+    effect = candidate.effect
+    return NamedEffect(
+        effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(problem, naming.settled, k),
+        confidence, evidence, tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
+    )  # fmt: skip
+
+
+def _rival(problem: Problem, a: Alternative) -> Rival:
+    k = len(a.fit.hypothesis.candidates) - 1
+    effect = a.candidate.effect
+    return Rival(
+        effect.id, effect.title, a.candidate.site.name, a.instead_of.effect.id if a.instead_of else "none", a.distance,
+        a.evidence, float(a.wins),
+        _effect_values(problem, a.fit, k),
+    )  # fmt: skip
+
+
+def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]]) -> tuple[NominalValue, ...]:
+    factors, _ = problem.split(fit.hypothesis, fit.z)
+    std = {
+        name: nuisance.spread * spread
+        for nuisance, spread in zip(problem.nuisances, fit.std, strict=False)
+        for name in nuisance.names
+    }
+    found = []
+    for name, p in problem.plant.parameters.items():
+        factor, spread = factors.get(name, 1.0), std.get(name, 0.0)
+        ends = sorted(p.value * factor * float(np.exp(side * INTERVAL * spread)) for side in (-1.0, 1.0))
+        found.append(NominalValue(name, p.value, p.value * factor, p.unit, ends[0], ends[1], *stated[name]))
+    return tuple(found)
+
+
+def _step(step: Any) -> NamingStep:
+    entries = tuple(
+        StepEntry(r.id, r.candidate.site.name if r.candidate else "", r.evidence, r.wins) for r in step.ranking.ranked
+    )
+    return NamingStep(tuple(c.effect.id for c in step.base.candidates), entries, step.decision, float(step.held_out))

@@ -1,0 +1,319 @@
+"""Ranking of effects on one record set: fits, evidence, bootstrap, hierarchy.
+
+A step of the naming asks what single effect, added to those already named, explains the records best, and which others
+do as well. All hypotheses are fitted with the nominal parameters free within their tolerances, so that a friction level
+is not bought with a wrong resistance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+
+__all__ = ["BEYOND_NOISE", "Ranking", "Ranked", "first_noise", "noise_ratio", "rank", "whitening"]
+
+Array = NDArray[np.float64]
+
+WORKERS = 2
+# Where the errors are noise, the third order makes them white; where something is still missing, whose small and fast
+# part that would bring out, the first order.
+AR_ORDER = 3
+BEYOND_NOISE = 60.0  # times the sensors' noise; torque noise of a quiet machine stays below 25
+BOOTSTRAPS = 500
+SEED = 20261121
+# Successive halving: iterations of the base and of each round, and how many hypotheses enter the next. The base must be
+# at its optimum, or whatever is added would seem to gain what it still had to gain itself.
+BASE, FIRST, SECOND, LAST = 25, 4, 6, 8
+ROUGH = 0.5  # fall of V at which the first two rounds stop
+KEPT_SECOND, KEPT_LAST = 10, 7
+PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
+MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
+FIRST_WINDOWS, SECOND_WINDOWS = 6, 18
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """One hypothesis of a step.
+
+    Attributes
+    ----------
+    candidate
+        The effect that was added; None for the base, with nothing added.
+    fit
+        Its fit under the step's final noise model.
+    evidence
+        Log evidence, relative to the best of the step.
+    wins
+        Share of bootstrap samples of the windows in which its evidence is the largest.
+    """
+
+    candidate: Candidate | None
+    fit: Fit
+    evidence: float
+    wins: float
+
+    @property
+    def id(self) -> str:
+        """Effect id, ``"none"`` for the base."""
+        return self.candidate.effect.id if self.candidate else "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Hypotheses of one step, best first, with the base among them; and the noise model they were judged with."""
+
+    ranked: tuple[Ranked, ...]
+    noise: NoiseModel
+
+    @property
+    def best(self) -> Ranked:
+        """The hypothesis with the largest evidence."""
+        return self.ranked[0]
+
+    @property
+    def base(self) -> Ranked:
+        """The hypothesis with nothing added."""
+        return next(r for r in self.ranked if r.candidate is None)
+
+
+def first_noise(problem: Problem) -> NoiseModel:
+    """White noise of the size the smoother and the resolution of the sensors tell, averaged."""
+    std = []
+    for record in problem.records:
+        single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0))
+        std.append(2.0 * single / np.sqrt(record.thin))
+    return NoiseModel(np.max(std, axis=0), np.zeros((0, std[0].shape[0])))
+
+
+def whitening(problem: Problem, fit: Fit, order: int = AR_ORDER) -> NoiseModel:
+    """Autoregression and innovation size of a fit's errors, output by output."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    n_y = errors[0].shape[2]
+    ar, std = np.zeros((order, n_y)), np.ones(n_y)
+    for j in range(n_y):
+        past = np.concatenate([_past(e[:, :, j], order) for e in errors])
+        now = np.concatenate([e[:, order:, j].ravel() for e in errors])
+        known = np.isfinite(past).all(axis=1) & np.isfinite(now)
+        past, now = past[known], now[known]
+        ar[:, j] = np.linalg.lstsq(past, now, rcond=None)[0]
+        rest = now - past @ ar[:, j]
+        std[j] = max(float(np.sqrt(np.mean(rest**2))), 1e-12 * float(np.abs(now).max(initial=1e-300)))
+    return NoiseModel(std, ar)
+
+
+def noise_ratio(problem: Problem, fit: Fit) -> float:
+    """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
+    errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+    size = np.sqrt(np.nanmean(np.concatenate([e.reshape(-1, e.shape[2]) for e in errors]) ** 2, axis=0))
+    single = np.max(
+        [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
+        axis=0,
+    )
+    return float(np.max(size / single))
+
+
+def _past(errors: Array, order: int) -> Array:
+    """The ``order`` points before each point of a window, (n, order), latest first."""
+    length = errors.shape[1]
+    lagged = [errors[:, order - lag - 1 : length - lag - 1] for lag in range(order)]
+    return np.stack(lagged, axis=2).reshape(-1, order)
+
+
+def rank(
+    problem: Problem,
+    base: Hypothesis,
+    base_z: Array,
+    candidates: Sequence[Candidate],
+    noise: NoiseModel,
+    progress: Callable[[str], None] | None = None,
+) -> Ranking:
+    """Fit the base and the base plus each candidate, and rank them by evidence.
+
+    Parameters
+    ----------
+    base, base_z
+        Effects already named, and the standardised parameters they were fitted with.
+    candidates
+        Each is added alone. A refinement takes the place of its parent in the base.
+    noise
+        Noise model of the first rounds; the final one is estimated from the best hypothesis.
+    """
+    base_fit = problem.fit(base, noise, base_z, iterations=BASE)
+    jobs = [
+        (candidate, *_extended(problem, base, base_fit.z, candidate, start))
+        for candidate in candidates
+        for start in (*candidate.starts, *_as_refitted(problem, base_fit, candidate))
+    ]
+    jobs += [job for candidate in candidates for job in _unstretched(problem, base_fit, candidate)]
+
+    few, few_starts = _thinned(problem, base_fit, FIRST_WINDOWS)
+    some, some_starts = _thinned(problem, base_fit, SECOND_WINDOWS)
+    few_base = few.fit(base, noise, base_fit.z, few_starts, 1)
+    some_base = some.fit(base, noise, base_fit.z, some_starts, 1)
+    borrowed = few.derivatives(few_base)
+
+    def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
+        ceiling = few_base.cost - 2.0 * PROMISING
+        return job[0], few.fit(
+            job[1], noise, job[2], few_base.starts, FIRST, ROUGH, borrowed=borrowed, draft=True, ceiling=ceiling
+        )
+
+    def second_of(entry: tuple[Candidate, Fit]) -> tuple[Candidate | None, Fit]:
+        ceiling = some_base.cost - 2.0 * PROMISING
+        return entry[0], some.fit(
+            entry[1].hypothesis, noise, entry[1].z, some_base.starts, SECOND, ROUGH, draft=True, ceiling=ceiling
+        )
+
+    def placed(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
+        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, 2, draft=True)
+
+    def finally_(entry: tuple[Candidate, Fit]) -> tuple[Candidate, Fit]:
+        candidate, fit = entry
+        gain = candidate.effect.gain_like
+        z, starts = _better_start(problem, final_base, candidate, fit) if gain else (fit.z, fit.starts)
+        ceiling = np.inf if gain else final_base.cost - 2.0 * PROMISING
+        return candidate, problem.fit(
+            fit.hypothesis, final_noise, z, starts, BASE if gain else LAST, tolerance=0.02, ceiling=ceiling
+        )
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        fitted = _best_of_each(pool.map(first, jobs))
+        if progress:
+            progress(f"{len(jobs)} starts of {len(fitted)} effects tried")
+        gain = {key: few_base.cost - fit.cost for key, (_, fit) in fitted.items()}
+        kept = [key for key in sorted(gain, key=gain.__getitem__, reverse=True) if gain[key] > 2.0 * PROMISING]
+        second = list(pool.map(second_of, [fitted[key] for key in kept[:KEPT_SECOND]]))
+        second.sort(key=lambda c: c[1].cost)
+        gaining = [c for c in second if c[1].cost < some_base.cost][:KEPT_LAST]
+        second = list(pool.map(placed, gaining)) if some is not problem else gaining
+        leader = min([base_fit, *(fit for _, fit in second)], key=lambda f: f.cost)
+        base_fit = _from_leader(problem, base_fit, leader)
+        order = AR_ORDER if noise_ratio(problem, leader) < BEYOND_NOISE else 1
+        final_noise = whitening(problem, leader, order)
+        # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
+        reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
+        wrong = [fitted[key] for key in fitted if key not in reached and fitted[key][0].effect.gain_like]
+        final_base = problem.fit(base, final_noise, base_fit.z, base_fit.starts, BASE, tolerance=0.02)
+        last = [*second[:KEPT_LAST], *((c, replace(fit, starts=base_fit.starts)) for c, fit in wrong)]
+        final = list(pool.map(finally_, last))
+    return _ranked([(None, final_base), *final], final_noise)
+
+
+def _better_start(problem: Problem, base: Fit, candidate: Candidate, fit: Fit) -> tuple[Array, Sequence[Array]]:
+    """Where the fit of a wrong gain goes on: where it is or, if V is lower there, at the base, which it contains."""
+    if candidate.site.kind == "joint":  # friction or a spring that the base has not
+        return fit.z, fit.starts
+    same = _as_refitted(problem, base, candidate) or ({candidate.parameters[0].name: 1.0},)
+    _, z = _extended(problem, base.hypothesis, base.z, candidate, same[0])
+    for k, nuisance in enumerate(problem.nuisances):
+        if candidate.site.kind == "parameter" and nuisance.label == candidate.site.name:
+            z[k] = 0.0  # the effect's own factor is the whole factor
+    points = [(fit.z, fit.starts), (z, base.starts)]
+    return min(points, key=lambda point: problem.cost(fit.hypothesis, base.noise, *point))
+
+
+def _from_leader(problem: Problem, base: Fit, leader: Fit) -> Fit:
+    """The base fitted once more from where the best extension of it stands, kept where that is better.
+
+    A fit may rest in a minimum that is not the lowest (contacts make many); an effect that only leads out of it would
+    seem to explain what the base explains as well.
+    """
+    kept = base.hypothesis.candidates
+    if leader is base or leader.hypothesis.candidates[: len(kept)] != kept:
+        return base
+    again = problem.fit(base.hypothesis, base.noise, leader.z[: len(base.z)], leader.starts, SECOND)
+    return again if again.cost < base.cost else base
+
+
+def _as_refitted(problem: Problem, base: Fit, candidate: Candidate) -> tuple[dict[str, float], ...]:
+    """For a wrong parameter: the factor that the refit within the tolerances has already stretched it to."""
+    if candidate.site.kind != "parameter":
+        return ()
+    for nuisance, z in zip(problem.nuisances, base.z, strict=False):
+        if nuisance.label == candidate.site.name:
+            return ({candidate.parameters[0].name: float(np.exp(nuisance.spread * z))},)
+    return ()
+
+
+def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[tuple[Candidate, Hypothesis, Array]]:
+    """For a wrong gain: nominal parameters back at their values, and the gain at what the most stretched one had."""
+    if not candidate.effect.gain_like or candidate.site.kind in ("parameter", "joint") or not problem.nuisances:
+        return []
+    stretch = [n.spread * z for n, z in zip(problem.nuisances, base.z, strict=False)]
+    likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0)
+    found = []
+    for sign in (1.0, -1.0):
+        start = {candidate.parameters[0].name: float(np.exp(sign * likely))}
+        hypothesis, z = _extended(problem, base.hypothesis, base.z, candidate, start)
+        z[: len(problem.nuisances)] = 0.0
+        found.append((candidate, hypothesis, z))
+    return found
+
+
+def _thinned(problem: Problem, fit: Fit, wanted: int) -> tuple[Problem, list[Array]]:
+    """Windows for a first look, and their fitted starts: half of them those that the fit explains worst.
+
+    An effect may act in few windows (a stop, a saturation); the other half lie evenly over the records, so that what
+    explains the worst does not spoil the rest.
+    """
+    count = sum(len(c) for c in problem.chosen)
+    if count < 2 * wanted:
+        return problem, list(fit.starts)
+    taken = np.zeros(count, dtype=bool)
+    taken[:: round(2 * count / wanted)] = True
+    worst = [k for k in np.argsort(-fit.window_cost) if not taken[k]]
+    taken[worst[: max(1, wanted - int(taken.sum()))]] = True
+    ends = np.cumsum([len(c) for c in problem.chosen])[:-1]
+    masks = np.split(taken, ends)
+    chosen = [c[m] for c, m in zip(problem.chosen, masks, strict=True)]
+    return problem.on(problem.records, chosen), [x[m] for x, m in zip(fit.starts, masks, strict=True)]
+
+
+def _extended(
+    problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: object
+) -> tuple[Hypothesis, Array]:
+    """The base with the candidate, and the point from which its fit starts."""
+    kept, z = [], list(base_z[: len(problem.nuisances)])
+    at = len(problem.nuisances)
+    for there in base.candidates:
+        own = base_z[at : at + len(there.parameters)]
+        at += len(there.parameters)
+        if candidate.effect.refines == there.effect.id and candidate.site == there.site:
+            values = there.values(own)
+            start = {**start, **{k: v for k, v in values.items() if k in start}}  # type: ignore[dict-item,operator]
+            continue
+        kept.append(there)
+        z.extend(own)
+    hypothesis = Hypothesis((*kept, candidate))
+    return hypothesis, np.array([*z, *candidate.standardised(start)])  # type: ignore[arg-type]
+
+
+def _best_of_each(fits: object) -> dict[str, tuple[Candidate, Fit]]:
+    """The cheapest fit of each effect and site over its starts."""
+    best: dict[str, tuple[Candidate, Fit]] = {}
+    for candidate, fit in fits:  # type: ignore[attr-defined]
+        if candidate.key not in best or fit.cost < best[candidate.key][1].cost:
+            best[candidate.key] = (candidate, fit)
+    return best
+
+
+def _ranked(final: Sequence[tuple[Candidate | None, Fit]], noise: NoiseModel) -> Ranking:
+    evidence = np.array([fit.evidence for _, fit in final])
+    window = np.array([fit.window_cost for _, fit in final])
+    offset = evidence + 0.5 * window.sum(axis=1)
+    rng = np.random.default_rng(SEED)
+    n = window.shape[1]
+    counts = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS)
+    winners = np.argmax(offset[:, None] - 0.5 * window @ counts.T, axis=0)
+    wins = np.bincount(winners, minlength=len(final)) / BOOTSTRAPS
+    order = np.argsort(-evidence)
+    best = evidence[order[0]]
+    return Ranking(
+        tuple(Ranked(final[k][0], final[k][1], float(evidence[k] - best), float(wins[k])) for k in order), noise
+    )

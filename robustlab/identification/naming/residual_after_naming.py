@@ -1,0 +1,419 @@
+r"""What is left of the unknown force once the named effects are in the model.
+
+The named effects' forces, the input as the plant sees it, and what the sensors add to the outputs are known from the
+simulation of the windows. With them as known inputs the model is linear again, and the smoother tells the force that
+still lacks, with its standard deviation, sample by sample.
+
+Periodic lines in the force that is left once the named effects are in the model.
+
+A screw, a gear or a magnet repeats with the position, hum and unbalanced auxiliaries repeat with time. Such a line may
+be too weak to make simulations of unseen data better, so that no effect is named for it, and be certain all the same:
+a maintainer wants to know of it. For the wave number :math:`\kappa` over a coordinate x the force d is set against
+
+.. math:: d = a_r \cos \kappa x + b_r \sin \kappa x
+
+with a phase of its own in each record r, since an encoder that counts from where it was switched on has another zero
+every time, and over the position in each direction of motion too: a screw pushes with the other flank. Judged is the
+power that this explains, over the mean power under random signs of the blocks of time, which is what a force of this
+spectrum explains by chance. A level counts against the largest level of all wave numbers under each set of signs, and
+twice where two coordinates are searched, so that looking in many places is paid for (as in
+`robustlab.identification.unnamed.unnamed_effect`). Lines are taken off one by one, the one that explains most first.
+
+Smooth curves over speed, position, time and input are taken off before: they are no lines, and their edges would look
+like some.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
+from robustlab.identification.hypotheses.effect_fit import Fit, NoiseModel, Problem
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.unnamed.block_regression import (
+    BlockRegression,
+    MovingSamples,
+    coordinate_bases,
+    moving_samples,
+    random_signs,
+    role,
+)
+from robustlab.identification.unnamed.unnamed_effect import (
+    ResidualForce,
+    StructureTest,
+    UnnamedForce,
+    fit_unnamed,
+    residual_force,
+    structure_left,
+)
+from robustlab.statespace import StateSpaceModel
+
+__all__ = [
+    "LeftOver",
+    "left_over",
+    "remaining_lines",
+]
+
+
+Array = NDArray[np.float64]
+
+BLOCKS = 32  # over all records
+MOST_SAMPLES = 6000  # over all records; the force is smooth, so every so manieth sample tells it
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOver:
+    """The residual force at the first joint (or the first input) with the named effects in the model.
+
+    Attributes
+    ----------
+    port, unit
+        The joint and the unit of the force.
+    force, std, coordinates, blocks
+        Samples over all records, (n,); coordinates by name; block label of each sample.
+    structure
+        Whether anything systematic remains.
+    """
+
+    port: str
+    unit: str
+    units: dict[str, str]
+    force: Array
+    std: Array
+    coordinates: dict[str, Array]
+    blocks: NDArray[np.int_]
+    structure: StructureTest
+
+    def curves(self) -> ResidualForce:
+        """The force over each coordinate."""
+        return residual_force(self.force, self.std, self.coordinates, self.units, unit=self.unit, blocks=self.blocks)
+
+    def unnamed(self) -> UnnamedForce:
+        """Its spline map."""
+        return fit_unnamed(self.force, self.std, self.coordinates, self.blocks, unit=self.unit)
+
+
+def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
+    """The residual force over the given records; None where there is hardly any motion.
+
+    The parameters stay as fitted; the starts of all windows are found anew.
+    """
+    everything = problem.on(problem.records)
+    placed = everything.fit(fit.hypothesis, noise, fit.z, iterations=8, fixed=True, tolerance=0.5)
+    parts = [
+        _of_record(everything, placed, k, simulator)
+        for k, simulator in enumerate(everything.simulators(fit.hypothesis))
+    ]
+    known = [p for p in parts if p is not None]
+    if not known:
+        return None
+    per_record = max(4, BLOCKS // len(known))
+    step = max(1, sum(len(p[2]) for p in known) // MOST_SAMPLES)
+    blocks = [k * per_record + np.arange(len(p[2])) * per_record // len(p[2]) for k, p in enumerate(known)]
+    force = np.concatenate([p[2][::step] for p in known])
+    std = np.concatenate([p[3][::step] for p in known])
+    coordinates = {name: np.concatenate([p[4][name][::step] for p in known]) for name in known[0][4]}
+    labels = np.concatenate([b[::step] for b in blocks])
+    try:
+        structure = structure_left(force, std, coordinates, labels)
+    except InputError:  # hardly any motion
+        return None
+    port = known[0][0]
+    return LeftOver(port, known[0][1], known[0][5], force, std, coordinates, labels, structure)
+
+
+def _of_record(
+    problem: Problem, fit: Fit, k: int, simulator: Simulator
+) -> tuple[str, str, Array, Array, dict[str, Array], dict[str, str]] | None:
+    """Port, unit, force, std, coordinates and their units along one record."""
+    record = problem.records[k]
+    factors, values = problem.split(fit.hypothesis, fit.z)
+    model = simulator.model(factors, values)
+    joint = next((p for p in model.ports.values() if p.kind == "joint"), None)
+    # A plant without a joint: what it lacks is told as an addition to its first input.
+    first = problem.plant.inputs[0]
+    push, name, unit = (joint.force, joint.name, joint.unit) if joint else (model.B[:, 0], first.name, first.unit)
+    windows = record.windows
+    used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+    x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
+    known, columns, added = _known_inputs(simulator, factors, values, record, x0)
+    y = record.y[used] - added
+    seen = np.isfinite(y).any(axis=0)
+    rows, y = np.array(record.columns)[seen], y[:, seen]
+    linear = StateSpaceModel(
+        model.A, np.hstack([model.B, columns]), model.C[rows],
+        np.hstack([model.D[rows], np.zeros((len(rows), columns.shape[1]))]),
+    )  # fmt: skip
+    t = record.record.dt * np.arange(len(used))
+    contiguous = np.all(np.diff(used) == 1)
+    if not contiguous:
+        return None
+    # The test turns the signs of whole blocks, which must not hang together by the smoother's own memory: where there
+    # is hardly any force the likelihood makes that longer than a block, and chance would look like structure.
+    least = max(4, BLOCKS // len(problem.records)) / (len(t) * record.record.dt)
+    try:
+        smoothed = smooth_disturbance(linear, push[:, None], t, known, y, jumps=False)
+        if smoothed.bandwidth[0] < least:
+            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least, jumps=False)
+    except NoTrustworthyNumber:
+        return None
+    x = smoothed.x
+    units, coordinates = {"time": "s"}, {"time": record.record.t[used]}
+    if joint is not None:
+        coordinates["speed"] = x @ joint.velocity
+        units["speed"] = joint.speed_unit
+    else:
+        for k_y in record.columns:
+            signal = problem.plant.outputs[k_y]
+            coordinates[f"output {signal.name}"] = x @ model.C[k_y]
+            units[f"output {signal.name}"] = signal.unit
+    if joint is not None and joint.position is not None:
+        coordinates["position"] = x @ joint.position
+        units["position"] = joint.position_unit
+    for j, signal in enumerate(problem.plant.inputs):
+        coordinates[f"input {signal.name}"] = record.u[used, j]
+        units[f"input {signal.name}"] = signal.unit
+    return name, unit, smoothed.d[:, 0], smoothed.d_std[:, 0], coordinates, units
+
+
+def _known_inputs(
+    simulator: Simulator,
+    factors: dict[str, float],
+    values: Sequence[dict[str, float]],
+    record: PreparedRecord,
+    x0: Array,
+) -> tuple[Array, Array, Array]:
+    """Inputs of the linear model (n, n_u + n_laws), columns of the laws' forces (n_x, n_laws), what sensors add."""
+    windows = Windows(record.windows.starts, record.windows.length)
+    motion = simulator.run(factors, values, x0, windows)
+    model = simulator.model(factors, values)
+    laws = [law for (e, site), v in zip(simulator.effects, values, strict=True) for law in e.laws(site, v)]
+    columns = np.zeros((len(model.A), len(laws)))
+    for j, law in enumerate(laws):
+        columns[:, j] = model.ports[law.port].force
+    # The force noted at a sample is that of the step before it; held over a sample it belongs one sample earlier.
+    used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+    forces = motion.forces.reshape(len(used), len(laws))
+    forces = np.vstack([forces[1:], forces[-1:]])
+    seen = simulator.seen_input(values).reshape(-1, simulator.sub, record.u.shape[1]).mean(axis=1)[used]
+    plain = motion.states @ model.C.T
+    if model.D.any():
+        plain = plain + seen.reshape(len(windows.starts), windows.length, -1) @ model.D.T
+    added = (motion.outputs - plain)[:, :, list(record.columns)].reshape(len(used), -1)
+    return np.hstack([seen, forces]), columns, added
+
+
+Turns = NDArray[np.complex128]
+
+ALARM = 0.01
+MOST_LINES = 4
+WORTH = 0.02  # of the mean square of the force: a weaker line is certain and of no use
+FEWEST_TURNS = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
+TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
+MOST_WAVES = 3000
+OVERSAMPLING = 2.0  # wave numbers tried per turn over the range
+CHUNK = 300  # wave numbers at a time: bounds the memory
+STIFFNESS = 1e-4  # of the smooth curves
+FINER = 41  # wave numbers of the last search, between the neighbours of the best one
+
+
+def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
+    """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first.
+
+    Parameters
+    ----------
+    left
+        The residual force along the records: ``force``, ``std``, ``coordinates``, ``blocks`` and the units.
+
+    Returns
+    -------
+    tuple of dict
+        ``over`` ("position" or "time"), ``period`` in ``unit``, ``amplitude`` in ``force_unit`` (RMS over records and
+        directions), ``p_value``. Empty where there is none, or hardly any motion.
+
+    Raises
+    ------
+    InputError
+        Lengths that differ, NaN, a std that is not positive, labels of blocks that go back.
+    """
+    try:
+        data = moving_samples(left.force, left.std, left.coordinates, left.blocks)
+    except InputError as fault:
+        if "blocks" in str(fault):  # too little motion: nothing to say
+            return ()
+        raise
+    if (np.diff(data.block) < 0).any():
+        raise InputError("remaining lines: blocks", "labels that go back", "contiguous blocks, one after the other")
+    signs = random_signs(data.n_blocks, 0)
+    data = replace(data, d=_without_curves(data))
+    searches = list(_searches(data))
+    least = WORTH * float(data.weight @ data.d**2)
+    found: list[dict[str, float | str]] = []
+    while len(found) < MOST_LINES:
+        sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches)))]
+        if not sure:
+            break
+        power, p, place, at = max(sure, key=lambda line: line[0])
+        if power < least:
+            break
+        wave = _refined(data, place, at)
+        fitted, amplitude = _line(data, place, wave)
+        data = replace(data, d=data.d - fitted)
+        found.append(
+            {
+                "over": role(place.name),
+                "period": float(1.0 / wave),
+                "unit": left.units.get(place.name, ""),
+                "amplitude": amplitude,
+                "force_unit": left.unit,
+                "p_value": p,
+            }
+        )
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Wave numbers (turns per unit) that are tried over one coordinate; samples of one group share a phase."""
+
+    name: str
+    x: Array
+    waves: Array
+    group: NDArray[np.int_]
+
+    @property
+    def groups(self) -> list[int]:
+        return np.unique(self.group).tolist()
+
+
+def _records(data: MovingSamples) -> NDArray[np.int_]:
+    """Record of each sample: a clock that goes back begins a new one."""
+    time = next((x for name, x in data.x.items() if role(name) == "time"), None)
+    if time is None:
+        return np.zeros(len(data.d), dtype=int)
+    return np.concatenate([[0], np.cumsum(np.diff(time) < 0)])
+
+
+def _without_curves(data: MovingSamples) -> Array:
+    """The force less a sum of smooth curves over all coordinates."""
+    from scipy.linalg import block_diag
+
+    bases = coordinate_bases(data)
+    if not bases:
+        return data.d - np.average(data.d, weights=data.weight)
+    columns = np.hstack([b.columns for b in bases])
+    regression = BlockRegression(data, data.d, columns, np.asarray(block_diag(*(b.penalty for b in bases))))
+    return data.d - columns @ regression.solve(STIFFNESS)[:, 0]
+
+
+def _searches(data: MovingSamples) -> Iterator[_Search]:
+    """Position and time, each with the wave numbers that its samples can show."""
+    record = _records(data)
+    for name, x in data.x.items():
+        span = float(np.ptp(x))
+        if role(name) not in ("position", "time") or not span > 0:
+            continue
+        step = np.abs(np.diff(x))
+        longest, group = span / FEWEST_TURNS, record
+        if role(name) == "time":
+            length = float(np.median([np.ptp(x[data.block == b]) for b in range(data.n_blocks)]))
+            longest = min(longest, length / TURNS_PER_BLOCK)
+        else:
+            group = 2 * record + (data.sign > 0)
+        low, high = 1.0 / longest, 0.5 / float(np.median(step[step > 0]))
+        count = min(MOST_WAVES, int((high - low) * span * OVERSAMPLING))
+        if count >= 2:
+            yield _Search(name, x, low + np.arange(count) / (span * OVERSAMPLING), group)
+
+
+def _strongest(
+    data: MovingSamples, place: _Search, signs: Array, searches: int
+) -> tuple[float, float, _Search, int] | None:
+    """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
+    power = _power(data, place, signs)
+    mean = power[1:].mean(axis=0)
+    level = power / np.where(mean > 0, mean, 1.0)
+    chance = np.sort(level[1:].max(axis=1))
+    p = searches * (1 + len(chance) - np.searchsorted(chance, level[0])) / len(level)
+    sure = np.flatnonzero(p < ALARM)
+    if not len(sure):
+        return None
+    at = int(sure[power[0, sure].argmax()])
+    return float(power[0, at]), float(p[at]), place, at
+
+
+def _power(data: MovingSamples, place: _Search, signs: Array) -> Array:
+    """Explained power of every wave number for every set of signs, (n_signs, n_waves)."""
+    parts = []
+    tables = _tables(place, place.waves[:CHUNK])  # the wave numbers are evenly spaced: each chunk only turns on
+    for first in range(0, len(place.waves), CHUNK):
+        waves = place.waves[first : first + CHUNK]
+        power = np.zeros((len(signs), len(waves)))
+        for moment, inverse in _normal_equations(data, place, waves, tables):
+            root = np.einsum("bwp,wpq->qbw", moment, np.linalg.cholesky(inverse))
+            power += (signs @ root[0]) ** 2 + (signs @ root[1]) ** 2
+        parts.append(power)
+    return np.hstack(parts)
+
+
+def _tables(place: _Search, waves: Array) -> list[tuple[Turns, Turns]]:
+    """For each group the phase factors of the waves over that of the first, (n_samples, n_waves), and their squares."""
+    x = place.x - place.x.min()
+    factors = [np.exp(2j * np.pi * np.outer(x[place.group == g], waves - waves[0])) for g in place.groups]
+    return [(factor, factor * factor) for factor in factors]
+
+
+def _normal_equations(
+    data: MovingSamples, place: _Search, waves: Array, tables: Sequence[tuple[Turns, Turns]] | None = None
+) -> Iterator[tuple[Array, Array]]:
+    """For each group the sums over each block of (cos, sin) times the force, and the inverse sums of their products.
+
+    Shapes (n_blocks, n_waves, 2) and (n_waves, 2, 2). ``tables`` are those of as many or more wave numbers with the
+    same steps.
+    """
+    for g, (table, square) in zip(place.groups, tables or _tables(place, waves), strict=True):
+        own = np.flatnonzero(place.group == g)
+        first = np.exp(2j * np.pi * waves[0] * (place.x[own] - place.x.min()))
+        weight = data.weight[own]
+        force = weight * data.d[own] * first
+        edges = np.searchsorted(data.block[own], np.arange(data.n_blocks + 1))  # blocks follow each other
+        moment = np.stack([force[a:b] @ table[a:b, : len(waves)] for a, b in pairwise(edges)])
+        # cos^2 and cos sin by the double angle
+        double, total = (weight * first * first) @ square[:, : len(waves)], float(weight.sum())
+        cc, cs = 0.5 * (total + np.real(double)), 0.5 * np.imag(double)
+        gram = np.stack([np.stack([cc, cs], axis=1), np.stack([cs, total - cc], axis=1)], axis=2)
+        # The ridge keeps it regular where the samples happen to miss one of the two phases.
+        inverse = np.asarray(np.linalg.inv(gram + 1e-6 * total * np.eye(2)), dtype=np.float64)
+        yield np.stack([np.real(moment), np.imag(moment)], axis=2), inverse
+
+
+def _refined(data: MovingSamples, place: _Search, at: int) -> float:
+    """Wave number of the most power between the neighbours of the best one of the grid."""
+    step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)
+    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, FINER)
+    power = np.zeros(FINER)
+    for moment, inverse in _normal_equations(data, place, waves):
+        whole = moment.sum(axis=0)
+        power += np.einsum("wp,wpq,wq->w", whole, inverse, whole)
+    return float(waves[power.argmax()])
+
+
+def _line(data: MovingSamples, place: _Search, wave: float) -> tuple[Array, float]:
+    """The fitted line along the samples, and its amplitude: RMS over the samples of each group's own."""
+    phase = 2.0 * np.pi * wave * (place.x - place.x.min())
+    columns = np.column_stack([np.cos(phase), np.sin(phase)])
+    fitted, square = np.empty(len(phase)), 0.0
+    equations = _normal_equations(data, place, np.array([wave]))
+    for g, (moment, inverse) in zip(place.groups, equations, strict=True):
+        own = place.group == g
+        ab = inverse[0] @ moment[:, 0].sum(axis=0)
+        fitted[own] = columns[own] @ ab
+        square += float(ab @ ab) * float(np.mean(own))
+    return fitted, float(np.sqrt(square))

@@ -1,0 +1,257 @@
+r"""Records with missing samples, a jittering clock, or two clocks, brought on one uniform clock.
+
+On the clock :math:`\tau_k = \tau_0 + k\,\Delta t` the inputs are held, as a D/A converter holds them, and the outputs
+go straight between two samples:
+
+.. math::
+    u(\tau) = u_j, \qquad y(\tau) = y_j + \frac{\tau - t_j}{t_{j+1} - t_j} (y_{j+1} - y_j), \qquad
+    t_j \le \tau < t_{j+1}.
+
+Where the two samples are further apart than one and a half sample times, a sample is missing between them: what stands
+there is marked as not measured. A time :math:`\tau` that meets a stamp takes over its sample unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.identification.response.response import Evidence
+from robustlab.record import Record
+
+__all__ = ["Gap", "UniformRecord", "clock_step", "join_clocks", "uniform"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Samples further apart than this many sample times have one missing between them.
+NEAR = 1.5
+# A time this close to a stamp (in sample times) is that stamp: the rounding of clocks.
+SAME_TIME = 1e-6
+# More samples than this many times those recorded are no resampling.
+MOST_SAMPLES = 100
+
+
+class Gap(NamedTuple):
+    """No sample between ``start`` and ``stop`` (the stamps on both sides, in s); ``missing`` samples are lost."""
+
+    start: float
+    stop: float
+    missing: int
+
+
+@dataclass(frozen=True)
+class UniformRecord(Evidence):
+    """A record on a uniform clock, and what of it was measured.
+
+    Attributes
+    ----------
+    record
+        The resampled record.
+    valid
+        Output name -> True where samples on both sides are near, shape (n,).
+    gaps
+        Where samples are missing, in order; the inputs are held over them, which is a guess.
+    """
+
+    record: Record
+    valid: Mapping[str, Mask]
+    gaps: tuple[Gap, ...]
+
+    def pieces(self, shortest: int = 2) -> tuple[Record, ...]:
+        """The stretches between the gaps as records of their own, of ``shortest`` samples at least."""
+        good = np.concatenate([[False], self._all_valid(), [False]])
+        edges = np.flatnonzero(np.diff(good.astype(int)))
+        r, found = self.record, []
+        for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            # A gap of one sample leaves valid samples on both sides of it, with nothing marked between them.
+            inner = [k for k in self._breaks() if first < k < last]
+            for a, b in zip([first, *inner], [*inner, last], strict=True):
+                if b - a >= max(2, shortest):
+                    found.append(_cut(r, a, b))
+        return tuple(found)
+
+    def _all_valid(self) -> Mask:
+        masks = list(self.valid.values())
+        return np.logical_and.reduce(masks) if masks else np.ones(self.record.n, dtype=bool)
+
+    def _breaks(self) -> list[int]:
+        """Index of the first sample behind each gap."""
+        tolerance = SAME_TIME * self.record.dt
+        return [int(np.searchsorted(self.record.t, gap.stop - tolerance)) for gap in self.gaps]
+
+    def to_json(self) -> dict[str, object]:
+        """The clock, the gaps, and the share of each output that was measured."""
+        r = self.record
+        return {
+            "n": r.n,
+            "dt": r.dt,
+            "gaps": [gap._asdict() for gap in self.gaps],
+            "valid_share": {name: float(mask.mean()) for name, mask in self.valid.items()},
+        }
+
+
+def clock_step(t: Array) -> float:
+    """Sample time of a clock in s: the mean of all steps that are no gaps; jitter averages out.
+
+    Examples
+    --------
+    >>> round(clock_step(np.array([0.0, 0.1, 0.2, 0.5, 0.6])), 12)
+    0.1
+    """
+    steps = np.diff(t)
+    return float(steps[steps <= NEAR * np.median(steps)].mean())
+
+
+def uniform(record: Record, dt: float | None = None) -> UniformRecord:
+    """Bring a record on a uniform clock that begins at its first stamp.
+
+    Parameters
+    ----------
+    record
+        Any record; one that is uniform already, and ``dt`` left out, comes back as it is.
+    dt
+        Sample time in s; the record's own (`clock_step`) where left out.
+
+    Raises
+    ------
+    InputError
+        A sample time that is not positive, longer than the record, or a hundred times finer than the record's own.
+
+    Examples
+    --------
+    >>> r = Record([0.0, 0.1, 0.2, 0.5, 0.6], {"u": [1, 1, 2, 2, 3]}, {"q": [0.0, 0.1, 0.2, 0.5, 0.6]})
+    >>> found = uniform(r)
+    >>> found.record["q"].round(9).tolist(), found.valid["q"].tolist(), found.gaps[0].missing
+    ([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [True, True, True, False, False, True, True], 2)
+    """
+    own = clock_step(record.t)
+    if dt is None and record.is_uniform:
+        valid = {name: np.ones(record.n, dtype=bool) for name in record.outputs}
+        return UniformRecord(record, valid, ())
+    step = own if dt is None else _checked(dt, record)
+    count = int(np.floor(record.duration / step + SAME_TIME)) + 1
+    clock = record.t[0] + step * np.arange(count)
+    near = NEAR * own
+    outputs: dict[str, Array] = {}
+    valid: dict[str, Mask] = {}
+    for name, samples in record.outputs.items():
+        outputs[name], valid[name] = _interpolated(clock, record.t, samples, step, near)
+    held = {name: _held(clock, record.t, samples, step) for name, samples in record.inputs.items()}
+    return UniformRecord(
+        Record(clock, held, outputs, record.units, record.name, record.meaning), valid, _gaps(record.t, own)
+    )
+
+
+def join_clocks(first: Record, second: Record, dt: float | None = None) -> Record:
+    """One record from the signals of two loggers whose clocks show the same time at different sample times.
+
+    Without ``dt`` the joint clock is the coarser of the two, from its first to its last stamp that both cover; its own
+    samples are kept as they are, and only those of the finer one are held (inputs) or interpolated (outputs); of two
+    equal sample times, the clock of the record with more outputs is taken. A shift
+    between the clocks is not looked for here: it is a delay, and naming finds it.
+
+    Parameters
+    ----------
+    first, second
+        Records without a signal in common.
+    dt
+        Sample time of the joint clock in s.
+
+    Raises
+    ------
+    InputError
+        A signal in both, times that do not overlap by two samples, missing samples in one of them, a bad ``dt``.
+
+    Examples
+    --------
+    >>> drive = Record([0.0, 0.2, 0.4, 0.6], outputs={"v": [0.0, 1.0, 2.0, 3.0]})
+    >>> force = Record(0.05 + 0.1 * np.arange(7), inputs={"f": [1, 2, 3, 4, 5, 6, 7]})
+    >>> joint = join_clocks(drive, force)
+    >>> joint.t.tolist(), joint["f"].tolist(), joint["v"].tolist()
+    ([0.2, 0.4, 0.6], [2.0, 4.0, 6.0], [1.0, 2.0, 3.0])
+    """
+    where = f"{first.name} and {second.name}"
+    twice = sorted({*first.inputs, *first.outputs} & {*second.inputs, *second.outputs})
+    if twice:
+        raise InputError(where, f"signal {twice[0]!r} is in both", "each signal once")
+    steps = {id(r): clock_step(r.t) for r in (first, second)}
+    for r in (first, second):
+        holes = _gaps(r.t, steps[id(r)])
+        if holes:
+            raise InputError(
+                r.name,
+                f"{holes[0].missing} samples missing from {holes[0].start:.9g} s to {holes[0].stop:.9g} s",
+                "a clock without gaps",
+                "join the stretches between the gaps: record.between(start, stop)",
+            )
+    start, stop = max(first.t[0], second.t[0]), min(first.t[-1], second.t[-1])
+    equal = abs(steps[id(first)] - steps[id(second)]) <= SAME_TIME * steps[id(first)]
+    coarse = max((first, second), key=lambda r: len(r.outputs) if equal else steps[id(r)])
+    step = steps[id(coarse)] if dt is None else _checked(dt, coarse)
+    slack = SAME_TIME * step
+    if dt is None and coarse.is_uniform:
+        clock = coarse.t[(coarse.t >= start - slack) & (coarse.t <= stop + slack)]
+    else:
+        clock = start + step * np.arange(max(0, int(np.floor((stop - start) / step + SAME_TIME)) + 1))
+    if len(clock) < 2:
+        spans = " and ".join(f"{r.t[0]:.6g} s to {r.t[-1]:.6g} s" for r in (first, second))
+        raise InputError(where, f"the clocks run from {spans}", "times that overlap by two samples at least")
+    inputs: dict[str, Array] = {}
+    outputs: dict[str, Array] = {}
+    for r in (first, second):
+        inputs.update({name: _held(clock, r.t, samples, step) for name, samples in r.inputs.items()})
+        outputs.update({name: _interpolated(clock, r.t, x, step, np.inf)[0] for name, x in r.outputs.items()})
+    units, meaning = {**first.units, **second.units}, {**first.meaning, **second.meaning}
+    return Record(clock, inputs, outputs, units, f"{first.name} + {second.name}", meaning)
+
+
+def _checked(dt: float, record: Record) -> float:
+    where, own = f"{record.name}: dt", clock_step(record.t)
+    if not (np.isfinite(dt) and dt > 0):
+        raise InputError(where, f"{dt} s", "a positive sample time in s")
+    if dt > record.duration:
+        raise InputError(where, f"{dt:g} s", f"at most the record's {record.duration:.6g} s")
+    if record.duration / dt > MOST_SAMPLES * record.n:
+        raise InputError(where, f"{dt:g} s", f"at least {own / MOST_SAMPLES:.3g} s, a hundredth of the record's own")
+    return float(dt)
+
+
+def _held(clock: Array, t: Array, samples: Array, step: float) -> Array:
+    last = np.searchsorted(t, clock + SAME_TIME * step, side="right") - 1
+    return samples[np.maximum(last, 0)]
+
+
+def _interpolated(clock: Array, t: Array, samples: Array, step: float, near: float) -> tuple[Array, Mask]:
+    """Samples on the clock, and whether each is a stamp's own or lies between two that are near."""
+    after = np.clip(np.searchsorted(t, clock, side="left"), 1, len(t) - 1)
+    before = after - 1
+    share = (clock - t[before]) / (t[after] - t[before])
+    y = samples[before] + share * (samples[after] - samples[before])
+    slack = SAME_TIME * step
+    on_before, on_after = np.abs(clock - t[before]) <= slack, np.abs(clock - t[after]) <= slack
+    y = np.where(on_before, samples[before], np.where(on_after, samples[after], y))
+    return y, on_before | on_after | (t[after] - t[before] <= near)
+
+
+def _gaps(t: Array, step: float) -> tuple[Gap, ...]:
+    steps = np.diff(t)
+    holes = np.flatnonzero(steps > NEAR * step)
+    return tuple(Gap(float(t[k]), float(t[k + 1]), max(1, round(float(steps[k]) / step) - 1)) for k in holes)
+
+
+def _cut(r: Record, first: int, last: int) -> Record:
+    part = slice(first, last)
+    return Record(
+        r.t[part],
+        {name: x[part] for name, x in r.inputs.items()},
+        {name: x[part] for name, x in r.outputs.items()},
+        r.units,
+        r.name,
+        r.meaning,
+    )

@@ -1,0 +1,383 @@
+"""Is a record fit for naming a missing effect? Everything that is not, by name, before a single effect is fitted.
+
+A record that shows too little, or a channel with the wrong sign, unit or name, would still be "explained" by some
+effect of the catalogue: an invented one. So `suitability` looks first, and `Suitability.require` stops there.
+
+======================  =====  ===============================================================================
+kind                    fatal  what was found
+======================  =====  ===============================================================================
+``too-short``           yes    the record is shorter than the model's slowest time constant (integrators aside)
+``unexcited``           mostly no input moves, or no output leaves its noise; not fatal where an output still moves
+``constant-output``     if all a dead sensor
+``sign``                yes    a channel with the other sign (`robustlab.identification.record_check.channel_identity`)
+``unit``                yes    a channel off by the factor between two units
+``swapped-outputs``     yes    two channels that carry each other's names
+``swapped-inputs``      yes
+``clipped``             no     an output that stands at the end of its range
+``gaps``                no     missing samples
+``jitter``              no     a clock that is not uniform
+``quantisation``        no     an encoder's step, found from the samples
+======================  =====  ===============================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.record_check.channel_identity import Contradiction, contradictions
+from robustlab.identification.record_check.record_quality import CLIPPED_SHARE, clipped_runs
+from robustlab.identification.record_check.resampling import UniformRecord, uniform
+from robustlab.identification.response.response import Evidence, Response, response_of
+from robustlab.identification.response.windowed_response import response_windows
+from robustlab.record import Record
+
+__all__ = ["Finding", "Suitability", "quantisation_step", "suitability"]
+
+Array = NDArray[np.float64]
+
+# Kinds whose cure is another record, not a correction of this one: exit code 4 instead of 3.
+TOO_POOR = ("too-short", "unexcited")
+WHITE = 1.5  # an output whose spread is below this many times its sample-to-sample noise does not move
+FEWEST_STEPS = 4  # quantisation steps that an output must cross to have moved
+RESPONDS = 0.3  # share of an output that the input explains from which it is no noise
+MULTIPLE = 0.02  # distance from a whole multiple that rounding may cause
+STEPS_APART = 1000.0  # differences further apart than this many steps say nothing about the step
+FEWEST_DIFFERENCES = 10
+
+
+@dataclass(frozen=True)
+class Finding(Evidence):
+    """One thing about a record that matters for naming.
+
+    Attributes
+    ----------
+    kind
+        One of the kinds in the module's table.
+    channel
+        Signal, or ``"t"`` for the clock; two signals are separated by a comma.
+    found, expected, hint
+        In words: what was found, what would have been right, what to do.
+    fatal
+        Naming must not go on.
+    evidence
+        The figures behind it.
+    """
+
+    kind: str
+    channel: str
+    found: str
+    expected: str
+    hint: str
+    fatal: bool
+    evidence: dict[str, object]
+
+    @property
+    def message(self) -> str:
+        """``CHANNEL: FOUND, expected EXPECTED``."""
+        text = f"{self.channel}: {self.found}"
+        return f"{text}, expected {self.expected}" if self.expected else text
+
+    def to_json(self) -> dict[str, object]:
+        """All fields, and the message."""
+        return {**vars(self), "message": self.message}
+
+
+@dataclass(frozen=True)
+class Suitability(Evidence):
+    """What `suitability` found.
+
+    Attributes
+    ----------
+    record
+        Name of the record.
+    findings
+        Fatal ones first.
+    """
+
+    record: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def fatal(self) -> tuple[Finding, ...]:
+        """The findings that forbid naming."""
+        return tuple(finding for finding in self.findings if finding.fatal)
+
+    @property
+    def fit(self) -> bool:
+        """True where nothing forbids naming."""
+        return not self.fatal
+
+    def of(self, kind: str) -> tuple[Finding, ...]:
+        """The findings of one kind."""
+        return tuple(finding for finding in self.findings if finding.kind == kind)
+
+    def require(self) -> None:
+        """Go on only with a record that is fit.
+
+        Raises
+        ------
+        InputError
+            A channel is wrong or dead: exit code 3.
+        NoTrustworthyNumber
+            The record is too short or not excited: exit code 4.
+        """
+        if self.fit:
+            return
+        wrong = sorted(self.fatal, key=lambda finding: finding.kind in TOO_POOR)
+        first, more = wrong[0], tuple(f"{self.record}: {finding.message}" for finding in wrong[1:])
+        error = NoTrustworthyNumber if first.kind in TOO_POOR else InputError
+        raise error(f"{self.record}: {first.channel}", first.found, first.expected or None, first.hint or None, more)
+
+    def summary(self) -> str:
+        """The findings in words, one or two lines each."""
+        if not self.findings:
+            return f"{self.record}: fit for naming"
+        lines = []
+        for finding in self.findings:
+            lines.append(f"{'FATAL' if finding.fatal else 'note'}: {finding.message}")
+            if finding.hint and finding.fatal:
+                lines.append(f"  hint: {finding.hint}")
+        return "\n".join(lines)
+
+    def to_json(self) -> dict[str, object]:
+        """All findings."""
+        return {"record": self.record, "fit": self.fit, "findings": [finding.to_json() for finding in self.findings]}
+
+
+def suitability(plant: Any, record: Record) -> Suitability:
+    """Judge a record before naming; see the module's table for what is looked for.
+
+    Parameters
+    ----------
+    plant
+        A linear plant or model. Of a nonlinear plant nothing is simulated: only the samples are judged.
+    record
+        With every input of the plant, and at least one of its outputs.
+
+    Returns
+    -------
+    Suitability
+        Call ``require()`` on it to stop at fatal findings.
+
+    Raises
+    ------
+    InputError, UnitMismatch
+        The record lacks an input or has no output in common with the plant, or states other units; see
+        `robustlab.identification.response.response.response_of`.
+
+    Examples
+    --------
+    >>> import robustlab as rl
+    >>> t = np.arange(2000) * 1e-3
+    >>> axis = rl.plant("servo-axis")
+    >>> run = rl.simulate(axis, t, np.sign(np.sin(9 * t)) + np.sin(5 * t))
+    >>> wrong = Record(t, run.inputs, {"q": run["q"], "v": -run["v"]}, run.units, "run 7")
+    >>> suitability(axis, run).fit, suitability(axis, wrong).fatal[0].kind
+    (True, 'sign')
+    """
+    from robustlab.dynamics import NonlinearPlant
+
+    level = uniform(record)
+    if isinstance(plant, NonlinearPlant):
+        inputs = tuple(s.name for s in plant.inputs if s.name in record.inputs)
+        outputs = tuple(s.name for s in plant.outputs if s.name in record.outputs)
+        findings = [*_clock(record, level), *_samples(record, outputs), *_dead(record, outputs)]
+        findings += _unexcited(record, inputs, outputs, {})
+    else:
+        response = response_of(plant, record)
+        outputs, inputs = response.output_names, response.model.input_names
+        findings = [*_clock(record, level), *_samples(record, outputs), *_dead(record, outputs)]
+        findings += _too_short(response, record)
+        good = np.logical_and.reduce([level.valid[name] for name in outputs])
+        windows = response_windows(response.model, outputs, level.record, good)
+        shown = {name: max((fit.plain(j)[1] for fit in windows), default=0.0) for j, name in enumerate(outputs)}
+        unexcited = _unexcited(record, inputs, outputs, shown)
+        findings += unexcited
+        if not any(finding.fatal for finding in unexcited):
+            wrong = contradictions(response.model, outputs, level.record, good, windows)
+            findings += [_named(one, response, record) for one in wrong]
+    order = sorted(findings, key=lambda finding: not finding.fatal)
+    return Suitability(record.name, tuple(order))
+
+
+def quantisation_step(y: Array) -> float | None:
+    """Step of an encoder or converter found from its samples (n,), or None where they are not quantised.
+
+    The smallest difference between any two samples, where nearly all other small differences are whole multiples of it.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 1.0, 500)
+    >>> quantisation_step(0.025 * np.round(np.sin(5 * t) / 0.025)), quantisation_step(np.sin(5 * t))
+    (0.025, None)
+    """
+    levels = np.unique(y)
+    if len(levels) < 3:
+        return None
+    # Single precision has a grid of its own; steps must stand out from it.
+    kind = np.float32 if (y.astype(np.float32) == y).all() else np.float64
+    rounding = 16 * float(np.finfo(kind).eps) * float(np.abs(levels).max())
+    apart = np.diff(levels)
+    apart = apart[apart > rounding]  # one level written in two ways
+    if not len(apart):
+        return None
+    step = float(apart.min())
+    near = apart[apart < STEPS_APART * step]
+    enough = len(near) >= min(FEWEST_DIFFERENCES, len(levels) - 1)
+    multiple = near / step
+    if not enough or step < 10 * rounding or (np.abs(multiple - np.round(multiple)) > MULTIPLE).mean() > 0.01:
+        return None
+    # The mean over all differences is free of the rounding of one; snap away what only that rounding leaves.
+    return float(np.format_float_scientific(near.sum() / np.round(multiple).sum(), precision=9))
+
+
+# --- the clock and the samples --------------------------------------------------------------------------------------
+
+
+def _clock(record: Record, level: UniformRecord) -> list[Finding]:
+    found: list[Finding] = []
+    steps, dt = np.diff(record.t), level.record.dt
+    if level.gaps:
+        lost = sum(gap.missing for gap in level.gaps)
+        longest = max(level.gaps, key=lambda gap: gap.missing)
+        text = (
+            f"{lost} samples missing in {len(level.gaps)} gaps, the longest from {longest.start:.6g} s to "
+            f"{longest.stop:.6g} s"
+        )
+        evidence: dict[str, object] = {"missing": lost, "gaps": [gap._asdict() for gap in level.gaps]}
+        found.append(Finding("gaps", "t", text, "", "only windows without gaps are used", False, evidence))
+    near = steps[steps <= 1.5 * dt]
+    spread = float(np.abs(near / dt - 1.0).max())
+    if spread > 1e-3:
+        text = f"steps of {near.min():.6g} s to {near.max():.6g} s around a sample time of {dt:.6g} s"
+        evidence = {"dt": dt, "rms": float(np.sqrt(np.mean((near - dt) ** 2)))}
+        hint = "resampled on a uniform clock where that is needed"
+        found.append(Finding("jitter", "t", text, "", hint, False, evidence))
+    return found
+
+
+def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
+    found: list[Finding] = []
+    for name in outputs:
+        y, unit = record[name], record.unit(name)
+        runs = clipped_runs(y)
+        count = sum(last - first for first, last in runs)
+        if count > CLIPPED_SHARE * record.n:
+            text = f"clipped: {count} of {record.n} samples stand at the end of its range, reached at full slope"
+            evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
+            hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
+            found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
+        step = quantisation_step(y)
+        if step:
+            evidence = {"step": step, "noise": step / np.sqrt(12.0)}
+            found.append(Finding("quantisation", name, f"steps of {step:.6g} {unit}".rstrip(), "", "", False, evidence))
+    return found
+
+
+def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
+    dead = [name for name in outputs if not np.ptp(record[name])]
+    found: list[Finding] = []
+    for name in dead:
+        value = float(record[name][0])
+        text = f"stands at {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
+        hint = "check its cable and scaling, or leave it out with --outputs"
+        everything = len(dead) == len(outputs)
+        found.append(Finding("constant-output", name, text, "an output that moves", hint, everything, {"value": value}))
+    return found
+
+
+# --- what the record can show ---------------------------------------------------------------------------------------
+
+
+def _too_short(response: Response, record: Record) -> list[Finding]:
+    slowest = response.slowest_time_constant()
+    if record.duration >= slowest:
+        return []
+    text = f"lasts {record.duration:.6g} s"
+    hint = (
+        f"record {3 * slowest:.3g} s or more; a mode so slow that it does not matter can be made an integrator "
+        "(set its damping to 0)"
+    )
+    evidence: dict[str, object] = {"duration": record.duration, "time_constant": slowest}
+    expected = f"at least the model's slowest time constant, {slowest:.6g} s"
+    return [Finding("too-short", "t", text, expected, hint, True, evidence)]
+
+
+def _unexcited(
+    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], shown: dict[str, float]
+) -> list[Finding]:
+    found: list[Finding] = []
+    still = [name for name in outputs if np.ptp(record[name]) and not _moves(record[name], shown.get(name, 0.0))]
+    alive = [name for name in outputs if np.ptp(record[name])]
+    constant = [name for name in inputs if not np.ptp(record[name])]
+    nothing = bool(alive) and len(still) == len(alive)
+    if inputs and len(constant) == len(inputs):
+        what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
+        text = f"constant: {what}" + ("; no output leaves its noise either" if nothing else "")
+        hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
+        evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
+        found.append(Finding("unexcited", ", ".join(inputs), text, "an input that moves", hint, nothing, evidence))
+        return found
+    for name in still:
+        noise = _noise(record[name])
+        text = f"does not leave its noise ({noise:.3g} {record.unit(name)}".rstrip() + " rms from sample to sample)"
+        hint = f"excite more strongly: {', '.join(inputs)} is too small to move it"
+        evidence = {"spread": float(record[name].std()), "noise": noise}
+        found.append(Finding("unexcited", name, text, "an output that moves", hint, nothing, evidence))
+    return found
+
+
+def _noise(y: Array) -> float:
+    """Sample-to-sample noise of y (n,): rms of its third difference over sqrt(20)."""
+    return float(np.sqrt(np.mean(np.diff(y, 3) ** 2) / 20.0)) if len(y) > 3 else 0.0
+
+
+def _moves(y: Array, share: float) -> bool:
+    if share >= RESPONDS:
+        return True
+    step = quantisation_step(y)
+    if step and np.ptp(y) < FEWEST_STEPS * step:
+        return False
+    t = np.linspace(-1.0, 1.0, len(y))
+    spread = float((y - np.polyval(np.polyfit(t, y, 1), t)).std())
+    return spread > WHITE * _noise(y)
+
+
+# --- channels that are not what they are called ---------------------------------------------------------------------
+
+
+def _named(one: Contradiction, response: Response, record: Record) -> Finding:
+    channel, either = ", ".join(one.channels), " or ".join(one.channels)
+    units = {s.name: record.unit(s.name) or s.unit for s in (*response.model.inputs, *response.outputs)}
+    because = _because(one)
+    if one.kind == "sign":
+        text = f"{either} seems to be measured with the other sign ({because})"
+        hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
+        expected = "the model's sign"
+    elif one.kind == "unit":
+        unit = units[one.channels[0]] or "the model's unit"
+        as_if = f"seems to be recorded in {one.unit}" if one.unit else "seems to be recorded in another unit"
+        text = f"{either} {as_if}: its values are about {one.factor:.4g} times those in {unit} ({because})"
+        hint = f"if it is so, divide {one.channels[0]} by {one.factor:.6g}"
+        expected = unit
+    else:
+        text = f"{' and '.join(one.channels)} seem to be swapped ({because})"
+        hint = "exchange the two names in the record"
+        expected = "each signal under its own name"
+    evidence = {**one.evidence, "factor": one.factor, "unit": one.unit}
+    return Finding(one.kind, channel, text, expected, hint, True, evidence)
+
+
+def _because(one: Contradiction) -> str:
+    e = one.evidence
+    if "slope_swapped" in e:
+        return f"{e['test']} exchanged has the slope {e['slope_swapped']:.3g}"
+    if "slope" in e:
+        return f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
+    before, after = (np.mean(np.atleast_1d(np.asarray(e[f"explained_{k}"]))) for k in ("as_it_is", "when_corrected"))
+    return f"then the model explains {100 * after:.1f} % of the response, now {100 * max(0.0, float(before)):.0f} %"

@@ -1,0 +1,1 @@
+"""The model's response to a record: matched by names and units, whole or in windows with their own starts."""

@@ -1,0 +1,227 @@
+"""The model and the record as a comparison needs them: matched by names and units, and the model's responses.
+
+What all parts of a comparison share: read-only arrays, and all fields as plain data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.record import Record
+from robustlab.statespace import Signal, StateSpaceModel, as_model
+from robustlab.units import factor_to_si, same_unit
+
+__all__ = [
+    "Response",
+    "Stretch",
+    "response_of",
+    "Evidence",
+]
+
+
+Array = NDArray[np.float64]
+
+# A pole slower than this share of the fastest one counts as an integrator.
+INTEGRATOR = 1e-9
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a record at the compared signals.
+
+    Attributes
+    ----------
+    t
+        Clock in s, shape (n,).
+    u
+        Input name -> samples (n,).
+    y
+        Measured outputs, shape (n, n_y).
+    weight
+        Factor of each output's error in least squares, shape (n_y,): one over the measured range of the whole record.
+    """
+
+    t: Array
+    u: Mapping[str, Array]
+    y: Array
+    weight: Array
+
+    def cut(self, first: int, last: int) -> Stretch:
+        """Samples ``first .. last - 1``."""
+        part = slice(first, last)
+        return Stretch(self.t[part], {name: v[part] for name, v in self.u.items()}, self.y[part], self.weight)
+
+
+@dataclass(frozen=True)
+class Response:
+    """Response of one linear model at the outputs that a record holds.
+
+    Attributes
+    ----------
+    model
+        The model; its other outputs are not compared.
+    outputs
+        The compared outputs, with their unit as recorded or else as in the model.
+    warnings
+        What was noticed while model and record were matched.
+    """
+
+    model: StateSpaceModel
+    outputs: tuple[Signal, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def n_states(self) -> int:
+        """Number of states n_x."""
+        return self.model.n_states
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the compared outputs."""
+        return tuple(s.name for s in self.outputs)
+
+    def with_units(self, record: Record) -> Record:
+        """The record, with the model's unit for every shared signal whose own is not stated."""
+        units = {name: unit for name, unit in (*self.model.inputs, *self.outputs) if not record.unit(name)}
+        return Record(record.t, record.inputs, record.outputs, {**record.units, **units}, record.name, record.meaning)
+
+    def stretch(self, record: Record) -> Stretch:
+        """The compared signals of the whole record."""
+        y = np.column_stack([record.outputs[name] for name in self.output_names])
+        spread = np.ptp(y, axis=0)
+        u = {name: record.inputs[name] for name in self.model.input_names}
+        return Stretch(record.t, u, y, 1.0 / np.where(spread > 0, spread, 1.0))
+
+    def simulate(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
+        """Outputs (n, n_y) for the inputs ``u`` held between samples, from the state ``x0`` (n_x,).
+
+        Inputs and outputs are as measured; ``x0`` is in deviations from the operating point where the model has one.
+        """
+        point = self.model.operating_point
+        if point is None:
+            return self._run(t, u, x0)
+        offset = dict(zip(self.model.output_names, point.y, strict=True))
+        deviation = {name: u[name] - at for name, at in zip(self.model.input_names, point.u, strict=True)}
+        return self._run(t, deviation, x0) + np.array([offset[name] for name in self.output_names])
+
+    def free_response(self, t: Array) -> Array:
+        """``C e^{A (t - t_0)}``: response to a unit of each initial state without input, shape (n, n_y, n_x)."""
+        at_rest = {name: np.zeros(len(t)) for name in self.model.input_names}
+        columns = [self._run(t, at_rest, unit) for unit in np.eye(self.n_states)]
+        return np.stack(columns, axis=2) if columns else np.zeros((len(t), len(self.outputs), 0))
+
+    def step_response(self, name: str, t: Array) -> Array:
+        """Response to a unit step of the input ``name`` at t_0 from rest, shape (n, n_y, 1)."""
+        step = {key: np.full(len(t), float(key == name)) for key in self.model.input_names}
+        return self._run(t, step, np.zeros(self.n_states))[:, :, None]
+
+    def _run(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
+        from robustlab.dynamics import simulate
+
+        # A discrete model counts samples; a recorded clock carries rounding and jitter.
+        clock = self.model.dt * np.arange(len(t)) if self.model.is_discrete else t
+        record = simulate(self.model, clock, dict(u), x0)
+        return np.column_stack([record.outputs[name] for name in self.output_names])
+
+    def slowest_time_constant(self) -> float:
+        """Slowest time constant in s over the poles that are no integrators; 0 where there is none."""
+        poles = self.model.poles()
+        if self.model.is_discrete:
+            poles = np.log(poles[np.abs(poles) > 0]) / self.model.dt
+        rate = np.abs(poles.real)
+        rate = rate[rate > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]
+        return float(1.0 / rate.min()) if len(rate) else 0.0
+
+
+def response_of(plant_or_model: Any, record: Record) -> Response:
+    """Match a linear plant or model with a record by signal names, and check units and sample time.
+
+    Raises
+    ------
+    InputError
+        An input of the model is not recorded, no output is, a discrete model has another sample time than the
+        record, or the plant is nonlinear (a plant with effects).
+    UnitMismatch
+        A signal carries a unit in the model and another one in the record.
+    """
+    if isinstance(plant_or_model, NonlinearPlant):
+        # Its linear model would be compared silently, without the effects that were put in.
+        raise InputError(
+            f"compare {record.name}",
+            f"the nonlinear plant {plant_or_model.name}",
+            "a linear plant or model",
+            "discover shows the gap of a plant with effects; rl.simulate runs it",
+        )
+    model = as_model(plant_or_model, "compare")
+    where = f"compare {record.name}"
+    for signal in model.inputs:
+        if signal.name in record.inputs:
+            continue
+        have = ", ".join(record.inputs) or "none"
+        hint = did_you_mean(signal.name, list(record.inputs))
+        if signal.name in record.outputs:
+            hint = f"{signal.name} is stored as an output: read the record with {signal.name} among its inputs"
+        raise InputError(
+            where, f"the record has no input {signal.name!r} (its inputs: {have})", "every input of the model", hint
+        )
+    compared = tuple(s for s in model.outputs if s.name in record.outputs)
+    if not compared:
+        have = ", ".join(record.outputs) or "none"
+        known = ", ".join(model.output_names)
+        raise InputError(where, f"no output in common (record: {have}; model: {known})", "at least one common output")
+    if model.is_discrete and abs(model.dt - record.dt) > 1e-3 * record.dt:
+        raise InputError(
+            where,
+            f"the model has dt = {model.dt:g} s, the record {record.dt:g} s",
+            "equal sample times",
+            "use the continuous model",
+        )
+    warnings = _check_units(where, (*model.inputs, *compared), record)
+    outputs = tuple(Signal(s.name, record.unit(s.name) or s.unit) for s in compared)
+    return Response(model, outputs, tuple(warnings))
+
+
+def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) -> list[str]:
+    warnings: list[str] = []
+    for name, unit in model_signals:
+        measured = record.unit(name)
+        if unit and measured and not same_unit(unit, measured):
+            converts = same_unit(factor_to_si(measured)[1], unit)
+            raise UnitMismatch(
+                f"{where}: {name}",
+                f"recorded in {measured}",
+                f"{unit} as in the model",
+                f"--unit {name}={measured} converts it" if converts else "convert the record, or correct its unit",
+            )
+        if not measured or not unit:
+            who = (
+                "neither the record nor the model states"
+                if not (measured or unit)
+                else f"the {'model' if measured else 'record'} does not state"
+            )
+            warnings.append(
+                f"{name}: {who} a unit; {'taken as ' + (measured or unit) if measured or unit else 'taken as equal'}"
+            )
+    return warnings
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Base of the parts of a result: arrays, also those in tables, become read-only when it is made."""
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            for item in value.values() if isinstance(value, Mapping) else (value,):
+                if isinstance(item, np.ndarray):
+                    item.setflags(write=False)
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return dict(vars(self))

@@ -1,0 +1,277 @@
+r"""Simulation in windows, each from its own best initial state, and the residual that such windows leave.
+
+Over a long record a model with an integrator drifts, and its error says little about where the model is wrong. So the
+record is cut into windows, and in each the initial state is fitted by least squares over the whole window: what is
+left is the part of the error that no initial state explains.
+
+The windowed error itself is not white even for a perfect model, because the fit uses up n_x directions in each
+window, and because the fit must weigh outputs of unknown noise against each other. The *recursive residual* has no
+such flaw: sample k of an output is predicted with the initial state fitted to the samples of this output in its window
+before k,
+
+.. math:: w_k = \frac{y_k - y_{u,k} - s_k^T \hat x_{k-1}}{\sqrt{1 + s_k^T P_{k-1} s_k}}, \qquad
+          P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1}.
+
+If the model is right and the output noise white, the :math:`w_k` are white with the variance of the noise, exactly
+and for every window length. They come from a QR decomposition that is updated by one row at a time (no matrix is
+inverted).
+
+Initial state from measured outputs, by least squares over the free response.
+
+For a linear model :math:`y(t) = y_u(t) + S(t) x_0` with the forced response :math:`y_u` and the free response
+:math:`S(t) = C e^{A t}`; :math:`x_0` minimises :math:`\sum_k \| W (y_k - y_u(t_k) - S(t_k) x_0) \|^2`.
+
+References
+----------
+Brown, Durbin, Evans, "Techniques for testing the constancy of regression relationships over time" (1975).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.identification.response.response import Evidence, Response, Stretch
+from robustlab.record import UNIFORM_TOLERANCE
+
+__all__ = [
+    "WindowedSimulation",
+    "recursive_residual",
+    "window_edges",
+    "windowed_simulation",
+    "InitialState",
+    "StateFit",
+    "fit_state",
+    "starting_state",
+    "weighted_least_squares",
+]
+
+
+SHORTEST_START = 20  # samples
+RANK_TOLERANCE = (
+    1e-10  # singular values of the column-scaled sensitivity below this share of the largest are not observed
+)
+
+
+@dataclass(frozen=True)
+class StateFit:
+    """Least-squares fit of an initial state to a stretch of measured outputs.
+
+    Attributes
+    ----------
+    x0
+        State at the first sample, shape (n_x,); the smallest one (scaled) where the outputs do not determine it.
+    std
+        Standard deviation of ``x0`` if the remaining error were white, shape (n_x,).
+    rank
+        Number of state directions that the outputs determine.
+    y
+        Simulated outputs from ``x0``, shape (n, n_y).
+    """
+
+    x0: Array
+    std: Array
+    rank: int
+    y: Array
+
+
+@dataclass(frozen=True)
+class InitialState(Evidence):
+    """The state from which the whole record is simulated.
+
+    Attributes
+    ----------
+    x0, std
+        Estimate and its standard deviation, shape (n_x,), in the units of ``names``.
+    names
+        Names of the states.
+    samples, seconds
+        Length of the stretch it was fitted to.
+    rank
+        Number of state directions that the recorded outputs determine; less than n_x means part of the start is
+        unknown.
+    """
+
+    x0: Array
+    std: Array
+    names: tuple[str, ...]
+    samples: int
+    seconds: float
+    rank: int
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return {
+            "x0": self.x0,
+            "std": self.std,
+            "states": list(self.names),
+            "samples": self.samples,
+            "seconds": self.seconds,
+            "rank": self.rank,
+        }
+
+
+def fit_state(response: Response, stretch: Stretch, free: Array | None = None) -> StateFit:
+    """Initial state of a stretch; ``free`` is the free response over its clock, where it is known already."""
+    forced = response.simulate(stretch.t, stretch.u, np.zeros(response.n_states))
+    free = response.free_response(stretch.t) if free is None else free
+    x0, std, rank = weighted_least_squares(free, stretch.y - forced, stretch.weight)
+    return StateFit(x0, std, rank, forced + free @ x0)
+
+
+def starting_state(response: Response, whole: Stretch, longest: int) -> InitialState:
+    """State at the start of a record, from the longest opening stretch over which the estimate stays consistent.
+
+    A short stretch suffers from noise, a long one from the faults of the model. The stretch is doubled from 20 samples
+    (at least 4 n_x) up to ``longest``, as long as the 3-sigma intervals of all estimates so far have a common point
+    (intersection of confidence intervals).
+
+    References
+    ----------
+    Goldenshluger and Nemirovski, "On spatially adaptive estimation of nonparametric regression" (1997).
+    """
+    n = min(len(whole.t), max(SHORTEST_START, 4 * response.n_states))
+    low, high = np.full(response.n_states, -np.inf), np.full(response.n_states, np.inf)
+    best: tuple[int, StateFit] | None = None
+    while True:
+        fit = fit_state(response, whole.cut(0, n))
+        low, high = np.maximum(low, fit.x0 - 3.0 * fit.std), np.minimum(high, fit.x0 + 3.0 * fit.std)
+        if best is not None and (low > high).any():
+            break
+        best = n, fit
+        if 2 * n > min(longest, len(whole.t)) or not response.n_states:
+            break
+        n *= 2
+    n, fit = best
+    return InitialState(fit.x0, fit.std, response.model.state_names, n, float(whole.t[n - 1] - whole.t[0]), fit.rank)
+
+
+def weighted_least_squares(free: Array, error: Array, weight: Array) -> tuple[Array, Array, int]:
+    """Weighted least-squares state, its standard deviation for white errors, and the rank."""
+    n_x = free.shape[2]
+    if not n_x:
+        return np.zeros(0), np.zeros(0), 0
+    lhs = (free * weight[:, None]).reshape(-1, n_x)
+    rhs = (error * weight).ravel()
+    scale = np.linalg.norm(lhs, axis=0)
+    scale[scale == 0] = 1.0
+    left, sigma, right = np.linalg.svd(lhs / scale, full_matrices=False)
+    rank = int((sigma > RANK_TOLERANCE * sigma[0]).sum()) if sigma[0] > 0 else 0
+    left, sigma, right = left[:, :rank], sigma[:rank], right[:rank]
+    coordinates = left.T @ rhs
+    x0 = right.T @ (coordinates / sigma) / scale
+    spare = max(1, len(rhs) - rank)
+    variance = max(0.0, float(rhs @ rhs - coordinates @ coordinates)) / spare
+    std = np.sqrt(variance * ((right / sigma[:, None]) ** 2).sum(axis=0)) / scale
+    return x0, std, rank
+
+
+Array = NDArray[np.float64]
+
+# Entries of the free response below this share of its largest column carry no information on the state.
+NO_INFORMATION = 1e-10
+
+
+@dataclass(frozen=True)
+class WindowedSimulation:
+    """Windowed simulation of a record.
+
+    Attributes
+    ----------
+    edges
+        First sample of each window, and the number of samples at the end, shape (n_windows + 1,).
+    y
+        Simulated outputs, shape (n, n_y).
+    x0
+        Fitted initial states, shape (n_windows, n_x).
+    residual
+        Recursive residual in units of the outputs, shape (n, n_y); NaN at the samples that only fix the state of
+        their window.
+    """
+
+    edges: NDArray[np.int_]
+    y: Array
+    x0: Array
+    residual: Array
+
+
+def window_edges(n: int, length: int) -> NDArray[np.int_]:
+    """Edges of windows of ``length`` samples; a rest shorter than half a window belongs to the last one.
+
+    Examples
+    --------
+    >>> window_edges(99, 40).tolist(), window_edges(110, 40).tolist()
+    ([0, 40, 99], [0, 40, 80, 110])
+    """
+    edges = list(range(0, n, length))
+    if len(edges) > 1 and n - edges[-1] < length / 2:
+        edges.pop()
+    return np.array([*edges, n])
+
+
+def windowed_simulation(response: Response, whole: Stretch, length: int) -> WindowedSimulation:
+    """Simulate every window of ``length`` samples from its own least-squares initial state."""
+    t, y = whole.t, whole.y
+    edges = window_edges(len(t), length)
+    longest = int(np.diff(edges).max())
+    step = np.diff(t)
+    # The free response is the same in all windows where the clock is uniform.
+    uniform = bool(np.abs(step - step.mean()).max() <= UNIFORM_TOLERANCE * step.mean())
+    shared = response.free_response(t[:longest]) if uniform else None
+    n_windows = len(edges) - 1
+    simulated, states = np.empty_like(y), np.empty((n_windows, response.n_states))
+    error, residual = np.full((longest, y.shape[1], n_windows), np.nan), np.empty_like(y)
+    for k, (first, last) in enumerate(pairwise(edges)):
+        part, size = slice(first, last), last - first
+        free = shared[:size] if shared is not None else response.free_response(t[part])
+        fit = fit_state(response, whole.cut(first, last), free)
+        simulated[part], states[k] = fit.y, fit.x0
+        error[:size, :, k] = y[part] - fit.y
+        if shared is None:
+            for j in range(y.shape[1]):
+                residual[part, j] = recursive_residual(free[:, j], error[:size, j, k : k + 1])[:, 0]
+    if shared is not None:
+        for j in range(y.shape[1]):
+            padded = recursive_residual(shared[:, j], error[:, j])
+            residual[:, j] = np.concatenate([padded[:size, k] for k, size in enumerate(np.diff(edges))])
+    return WindowedSimulation(edges, simulated, states, residual)
+
+
+def recursive_residual(free: Array, error: Array) -> Array:
+    """Recursive residual of one output in windows that share one free response, shape (n, n_windows).
+
+    Parameters
+    ----------
+    free
+        Free response of this output, shape (n, n_x).
+    error
+        Measured minus simulated output from any one initial state, shape (n, n_windows); the residual is the same for
+        all. A window that ends earlier than the others ends in NaN.
+
+    Returns
+    -------
+    numpy.ndarray
+        NaN at the samples that only fix the state.
+    """
+    n, n_x = free.shape
+    size = np.linalg.norm(free, axis=0)
+    floor = NO_INFORMATION * np.where(size > 0, size, 1.0)
+    result = np.empty_like(error)
+    R, z = np.zeros((n_x, n_x)), np.zeros((n_x, error.shape[1]))
+    for k in range(n):
+        row, value = free[k].copy(), error[k]
+        for i in range(n_x):
+            if abs(row[i]) <= floor[i]:
+                continue
+            if R[i, i] == 0.0:  # the row fixes a direction that was free: it says nothing about the error
+                R[i, i:], z[i], value = row[i:], value, np.nan
+                break
+            norm = np.hypot(R[i, i], row[i])
+            c, s = abs(R[i, i]) / norm, np.sign(R[i, i]) * row[i] / norm
+            R[i, i:], row[i:] = c * R[i, i:] + s * row[i:], c * row[i:] - s * R[i, i:]
+            z[i], value = c * z[i] + s * value, c * value - s * z[i]
+        result[k] = value
+    return result

@@ -1,0 +1,1 @@
+"""What no effect of the catalogue explains: a residual force over its coordinates."""

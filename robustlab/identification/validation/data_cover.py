@@ -1,0 +1,218 @@
+r"""The smallest unmodelled dynamics at the inputs with which a plant could have produced its records.
+
+.. math:: y = F_u(M, \delta)\,[\ell;\ (I + r \Delta)\, u] + n, \qquad \|\Delta\| \le 1, \quad n \text{ within its bound}
+
+:math:`\delta` are the tolerances of the parameters and :math:`\ell` the loads that stand for the plant's effects
+(`robustlab.dynamics.extended.effect_loads`), which are known along a record. The radius r is sought at the nominal
+parameters: the set with their tolerances is larger, so that it explains the record as well. r is a share of the input:
+with r = 0.1 a tenth of the force (voltage) that was sent may have done something else.
+
+It is one number for how wrong a model is, in the very form in which a robust design takes it; what a named effect
+explains no longer needs a Delta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.dynamics.extended.effect_blocks import NoiseInput
+from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
+from robustlab.errors import InputError
+from robustlab.identification.response.response import Evidence
+from robustlab.identification.validation import Validation, validate
+from robustlab.identification.validation.sampled_problem import NoiseNorm
+from robustlab.record import Record
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.algebra import product
+from robustlab.uncertainty.blocks.base import FullBlock
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["DataCover", "data_cover"]
+
+# No plant is known better than this at every frequency: the radius of a set never goes below.
+LEAST_RADIUS = 0.02
+# Loads along a record are means over its samples, known to this share of their bounds.
+LOADS_TOLD = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataCover(Evidence):
+    """A set of models that holds its records.
+
+    Attributes
+    ----------
+    status
+        The worst of the validations', those of the records held out included.
+    model
+        The set; its inputs are the loads, each at most one, then the plant's. None where no radius explains a record.
+    radius
+        Of the unmodelled dynamics in ``model``: ``margin`` times the smallest, at least ``least``.
+    needed, needed_lower
+        The smallest radius that explains all records, from above and from below.
+    held_out
+        The smallest radius for the records that were held out, from above; NaN without such.
+    held_out_loads
+        Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the set's loads
+        are too small for them: a force without a bound of its own takes that of ``records``, times ``margin``.
+    margin, least
+        As given.
+    loads
+        Name, bound, unit and origin of each load.
+    validations
+        Name of record -> how it was explained; its gamma is the radius.
+    """
+
+    status: Status
+    model: UncertainModel | None
+    radius: float
+    needed: float
+    needed_lower: float
+    held_out: float
+    held_out_loads: float
+    margin: float
+    least: float
+    loads: tuple[NoiseInput, ...]
+    validations: Mapping[str, Validation]
+
+    @property
+    def passes(self) -> bool:
+        """Whether the set explains the records that were held out, with loads within their bounds."""
+        return self.held_out <= self.radius and self.held_out_loads <= 1 + LOADS_TOLD
+
+    def summary(self) -> str:
+        """The radius and what stands behind it, for reading."""
+        lines = [f"unmodelled dynamics of {self.radius:.4g} of the input ({self.status})"]
+        lines.append(f"needed by the records: {self.needed_lower:.4g} to {self.needed:.4g}")
+        if not np.isnan(self.held_out):
+            word = "explained" if self.passes else "NOT explained"
+            loads = f", loads up to {self.held_out_loads:.3g} of their bounds" if self.loads else ""
+            lines.append(f"held out: needs {self.held_out:.4g}{loads}, {word} by the set")
+        lines += [f"load {x.name}: at most {x.bound:.4g} {x.unit}, {x.origin}" for x in self.loads]
+        lines += [v.summary() for v in self.validations.values()]
+        return "\n".join(lines)
+
+    def to_json(self, series: bool = True) -> dict[str, object]:
+        """All fields but the model; without ``series`` also without the time series of the validations."""
+        data: dict[str, object] = {k: v for k, v in vars(self).items() if k not in ("model", "validations")}
+        return {
+            **data,
+            "passes": self.passes,
+            "blocks": [] if self.model is None else [b.name for b in self.model.blocks],
+            "validations": {name: v.to_json(series) for name, v in self.validations.items()},
+        }
+
+
+def data_cover(
+    plant: Any,
+    records: Sequence[Record],
+    noise: Mapping[str, float],
+    *,
+    held_out: Sequence[Record] = (),
+    margin: float = 1.1,
+    least: float = LEAST_RADIUS,
+    sigmas: float = 2.0,
+    noise_norm: NoiseNorm = "peak",
+    window: float | None = None,
+    at_rest: bool = False,
+    precision: float = 0.02,
+    time_limit: float | None = None,
+    progress: Callable[[str], None] | None = None,
+    effort: float = 1.0,
+) -> DataCover:
+    """The set of models around a plant, with or without effects, that explains its records.
+
+    Parameters
+    ----------
+    plant
+        `LinearPlant` or `ExtendedPlant` with bounded effects; a load is known along a record (`EffectLoads.along`).
+    records
+        Records that the set is to hold.
+    noise
+        Output name -> bound of its noise; the outputs that are compared.
+    held_out
+        Records on which the set is checked; they do not change it.
+    margin, least
+        The radius is ``margin`` times the smallest that explains the records, and at least ``least``; a load without a
+        bound of its own is ``margin`` times the largest along the records.
+    sigmas
+        Half width of the range of a fitted value in its standard deviations.
+    noise_norm, window, at_rest, precision, time_limit, progress, effort
+        As in `validate`; time limit and effort are those of each record. Delta may vary with time: friction does.
+
+    Raises
+    ------
+    InputError
+        No record, an effect without a bound, signals that do not fit, a margin below one.
+    NoTrustworthyNumber
+        As in `validate`.
+
+    Examples
+    --------
+    >>> from robustlab.dynamics import plant, simulate
+    >>> weak = simulate(plant("servo-axis", gain=28.0), [0.01 * k for k in range(200)], [1.0] * 200)
+    >>> found = data_cover(plant("servo-axis", gain=35.0), [weak], {"q": 1e-6}, at_rest=True)
+    >>> round(found.needed, 2)
+    0.2
+    """
+    if not records:
+        raise InputError("data_cover", "no record", "at least one")
+    if not np.isfinite(margin) or margin < 1:
+        raise InputError("data_cover: margin", f"{margin:g}", "1 or more")
+    if not 0 <= least < 1:
+        raise InputError("data_cover: least", f"{least:g}", "0 or more, below 1")
+    names = [r.name for r in (*records, *held_out)]
+    if len(set(names)) < len(names):
+        raise InputError("data_cover", "two records of one name", "names of their own")
+    made = effect_loads(plant, sigmas, records, margin)
+    bare = _unmodelled(UncertainModel(made.model.nominal.select(_inputs(made.model), list(noise)), []), made, 1.0)
+    found: dict[str, Validation] = {}
+    reached: dict[str, float] = {}
+    for record in (*records, *held_out):
+        driven = made.along(record)
+        reached[record.name] = max((float(np.abs(driven[x.name]).max()) for x in made.loads), default=0.0)
+        found[record.name] = validate(
+            bare, driven, noise, noise_norm=noise_norm, delta="time-varying", at_rest=at_rest,
+            window=window, precision=precision, time_limit=time_limit, progress=progress, effort=effort,
+        )  # fmt: skip
+    mine = [found[r.name] for r in records]
+    needed = max(v.upper for v in mine)
+    radius = max(margin * needed, least)
+    statuses = [v.status for v in found.values()]
+    return DataCover(
+        status=max(statuses, key=list(Status).index),
+        model=_unmodelled(made.model, made, radius) if np.isfinite(needed) else None,
+        radius=radius,
+        needed=needed,
+        needed_lower=max(v.lower for v in mine),
+        held_out=max((found[r.name].upper for r in held_out), default=float("nan")),
+        held_out_loads=max((reached[r.name] for r in held_out), default=float("nan")),
+        margin=margin,
+        least=least,
+        loads=made.loads,
+        validations=found,
+    )
+
+
+def _inputs(model: UncertainModel) -> list[str]:
+    return [s.name for s in model.inputs]
+
+
+def _unmodelled(whole: UncertainModel, made: EffectLoads, radius: float) -> UncertainModel:
+    """The set behind ``(I + radius Delta)`` at the plant's own inputs; a block of its own for each."""
+    inputs, k = whole.inputs, len(made.loads)
+    n, n_u = len(inputs), len(inputs) - k
+    own = np.eye(n)[k:]
+    d = np.block([[np.zeros((n_u, n_u)), radius * own], [own.T, np.eye(n)]])
+    names = [f"unmodelled@{s.name}" for s in inputs[k:]]
+    gate = StateSpaceModel(
+        np.zeros((0, 0)), np.zeros((0, n_u + n)), np.zeros((n_u + n, 0)), d, whole.M.dt,
+        [*(f"w_{name}" for name in names), *inputs], [*(f"z_{name}" for name in names), *inputs], where="data_cover",
+    )  # fmt: skip
+    origin = f"unmodelled dynamics, {radius:.3g} of the input"
+    blocks = [FullBlock(name, 1, 1, origin=origin) for name in names]
+    return product(whole, UncertainModel(gate, blocks))

@@ -1,0 +1,130 @@
+"""The Delta channels of an uncertain model as the methods of the frequency axis want them, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import balancing_exponents, balancing_factors
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block, block_slices
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["check_nominal", "continuous", "coupled_blocks", "frequencies", "model_frequency", "seed_frequencies"]
+
+Array = NDArray[np.floating[Any]]
+
+# Entries of M that are larger than this are refused.
+MOST = 1e100
+
+
+def check_nominal(uncertain: UncertainModel, where: str) -> None:
+    """Refuse what is no uncertain model, and one whose nominal member is not stable."""
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError(where, type(uncertain).__name__, "an UncertainModel")
+    _ordinary(uncertain.M, where)
+    poles = uncertain.M.poles()
+    if not len(poles) or uncertain.M.is_stable():
+        return
+    worst = poles[np.abs(poles).argmax() if uncertain.M.is_discrete else poles.real.argmax()]
+    raise NoTrustworthyNumber(
+        where,
+        f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)",
+        "a stable nominal model",
+        "close the loop first (UncertainModel.close), or drop an integrator that feeds nothing back",
+    )
+
+
+def continuous(model: StateSpaceModel) -> StateSpaceModel:
+    """The model balanced by powers of two; a discrete one mapped by ``s = (z - 1) / (z + 1)``."""
+    A, B, C, D = model.A, model.B, model.C, model.D
+    n = model.n_states
+    if not n:
+        return StateSpaceModel(A, B, C, D)
+    if model.is_discrete:
+        # z = (1 + s) / (1 - s): s x' = (A + I)^-1 (A - I) x + ...
+        plus = np.linalg.inv(A + np.eye(n))
+        A, B, C, D = plus @ (A - np.eye(n)), np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
+    if not _within_bounds((A, B, C, D)):
+        return _ordinary(StateSpaceModel(A, B, C, D), "frequency axis")
+    scale = balancing_factors(A)
+    return StateSpaceModel(A / scale[:, None] * scale, B / scale[:, None], C * scale[None, :], D)
+
+
+def _ordinary(model: StateSpaceModel, where: str) -> StateSpaceModel:
+    """The model, with states balanced between inputs and outputs where its entries are extreme.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        Entries of M so large that products of them overflow.
+    """
+    parts = (model.A, model.B, model.C, model.D)
+    if _within_bounds(parts):
+        return model
+    t = balancing_exponents(model.A, model.B, model.C).astype(float)
+    if model.B.any() and model.C.any():  # inputs and outputs alike
+        into, out = (np.frexp(m)[1] + e for m, e in ((model.B, -t[:, None]), (model.C, t)))
+        t += np.round(0.5 * (into[model.B != 0].max() - out[model.C != 0].max()))
+    shifts = (t - t[:, None], -t[:, None], t, np.zeros(model.D.shape))
+    with np.errstate(over="ignore", under="ignore"):
+        a, b, c, d = scaled = [np.ldexp(m, e.astype(int)) for m, e in zip(parts, shifts, strict=True)]
+    if not _within_bounds(scaled):
+        size = np.concatenate([np.abs(m[m != 0]).ravel() for m in scaled])
+        found = f"entries of M from {size.min():.3g} to {size.max():.3g} in balanced states: products of them overflow"
+        raise NoTrustworthyNumber(where, found, None, "choose other units of time, of signals, or of the parameters")
+    return StateSpaceModel(a, b, c, d, model.dt, model.inputs, model.outputs, model.states, where=where)
+
+
+def _within_bounds(matrices: Sequence[Array]) -> bool:
+    return all(np.abs(m).max(initial=0.0) <= MOST for m in matrices)
+
+
+def frequencies(omega: ArrayLike | None, where: str) -> Array:
+    """Checked frequencies in rad/s for the curves of a figure; none where None is given."""
+    grid = np.atleast_1d(np.asarray([] if omega is None else omega, dtype=float))
+    if grid.ndim != 1 or not np.isfinite(grid).all() or (grid < 0).any():
+        raise InputError(f"{where}: omega", "negative or not finite frequencies", "frequencies in rad/s, >= 0")
+    return grid
+
+
+def seed_frequencies(model: StateSpaceModel) -> Array:
+    """Frequencies where something may happen: the poles' own."""
+    poles = model.poles()
+    found = np.abs(np.concatenate([poles, poles.imag]))
+    found = found[found > 0]
+    if not len(found):
+        return found
+    # One of those closer together than 2 %.
+    marks = np.unique(np.round(np.log(found) / 0.02))
+    return np.exp(marks * 0.02)
+
+
+def coupled_blocks(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:
+    """Blocks that act on each other in a cycle, by the zero pattern of A, B, C, D; others have mu = 0."""
+    from scipy.sparse.csgraph import connected_components
+
+    n = model.n_states
+    slices = block_slices(blocks)
+    pick_w = np.zeros((model.n_inputs, len(blocks)))
+    pick_z = np.zeros((len(blocks), model.n_outputs))
+    for i, (w, z) in enumerate(slices):
+        pick_w[w, i] = 1
+        pick_z[i, z] = 1
+    # Nodes: states, then blocks; an edge from j to i where j acts on i directly.
+    acts = (
+        np.block([[model.A != 0, (model.B != 0) @ pick_w], [pick_z @ (model.C != 0), pick_z @ (model.D != 0) @ pick_w]])
+        > 0
+    )
+    _, labels = connected_components(acts, directed=True, connection="strong")
+    groups = [np.flatnonzero(labels[n:] == label) for label in np.unique(labels[n:])]
+    return [g for g in groups if len(g) > 1 or acts[n + g[0], n + g[0]] or (labels[:n] == labels[n + g[0]]).any()]
+
+
+def model_frequency(uncertain: UncertainModel, omega: float) -> float:
+    """Frequency in rad/s of the model itself: ``w = 2 atan(omega) / dt`` where it was mapped."""
+    return float(2 * np.arctan(omega) / uncertain.dt) if uncertain.M.is_discrete else float(omega)

@@ -1,0 +1,253 @@
+r"""The critical Delta replayed in the time domain: what the proved number means on the machine.
+
+How much the margin changes with the size of each block, from the critical Delta alone.
+
+Let block i be ``s_i`` times as large. At the smallest singular Delta, the parts
+:math:`c_i = y^* M_i \Delta_i x / y^* x` of the linearised loop add up to one, and a multiplier phi makes every
+:math:`\mathrm{Re}(\varphi c_i)` of a block at its bound positive and that of a block inside it zero. By the envelope
+theorem
+
+.. math:: \frac{\partial \log m}{\partial \log s_i}
+    = - \frac{\mathrm{Re}(\varphi c_i)}{\sum_j \mathrm{Re}(\varphi c_j)} .
+
+On the frequency axis the critical frequency moves along; there :math:`c_i` is the part of the pole's derivative, and
+``phi = 1``: only the real part of the pole counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
+from robustlab.mu_analysis.matrix.certificate import delta_norm
+from robustlab.mu_analysis.matrix.delta_layout import delta_layout
+from robustlab.mu_analysis.matrix.minimum_norm import dual_minimum
+from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+
+__all__ = [
+    "Replay",
+    "replay",
+    "block_sensitivities",
+    "pole_block_sensitivities",
+]
+
+
+Array = NDArray[np.floating[Any]]
+
+INSIDE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Free responses from the critical mode: of the nominal model, just inside the margin, and at the critical Delta.
+
+    Attributes
+    ----------
+    t
+        Times in s, shape (n,).
+    outputs
+        Signals of the columns.
+    nominal, inside, critical
+        Outputs (n, n_outputs) with no Delta, with 0.95 times the critical one, and with it; the largest output of
+        the last starts at one.
+    growth
+        Size of ``critical`` over the last period divided by that over the first: 1 on the stability boundary.
+    period
+        Period in s of the critical mode; the time constant of the nominal model's slowest mode where it does not
+        oscillate.
+    """
+
+    t: Array
+    outputs: tuple[Signal, ...]
+    nominal: Array
+    inside: Array
+    critical: Array
+    growth: float
+    period: float
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes; arrays stay arrays."""
+        return {"type": "Replay", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+
+
+def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points: int = 40) -> Replay:
+    """Simulate the model from the mode that the critical Delta brings to the stability boundary.
+
+    A complex Delta is a number at one frequency; it is replayed as a stable system of the same gain that takes that
+    value there (`realise_delta`).
+
+    Parameters
+    ----------
+    margin
+        What `robust_stability` said of this model.
+    periods, points
+        Number of periods of the critical mode, and points in each.
+
+    Raises
+    ------
+    InputError
+        A margin without a critical Delta, or one of another model.
+    NoTrustworthyNumber
+        The critical Delta makes the loop ill-posed: there is nothing to simulate.
+    """
+    if not margin.delta or margin.frequency is None:
+        raise InputError("replay", "a margin without a critical Delta", "one that was attained")
+    if set(margin.delta) - {b.name for b in uncertain.blocks}:
+        raise InputError("replay", f"blocks {', '.join(margin.delta)}", "the margin of this very model")
+    if not np.isfinite(margin.frequency) or periods < 2 or points < 4:
+        found = f"frequency {margin.frequency}, {periods} periods, {points} points"
+        raise NoTrustworthyNumber("replay", f"{found}: a loop that is ill-posed, or too short a record, shows nothing")
+    critical = _member(uncertain, margin, 1.0)
+    poles, right = np.linalg.eig(critical.A)
+    aim = margin.pole if margin.pole is not None else 1j * margin.frequency
+    k = int(np.argmin(np.minimum(np.abs(poles - aim), np.abs(np.conj(poles) - aim))))
+    mode = right[:, k]
+    x0 = np.real(mode) if np.abs(np.real(mode)).max() > 1e-3 else np.imag(mode)
+    period = 2 * np.pi / margin.frequency if margin.frequency > 0 else _slowest(uncertain.nominal)
+    t = _times(uncertain.dt, period, periods, points)
+    response = _free(critical, x0, t)
+    size = float(np.abs(response[t < period]).max(initial=0.0))
+    if not size > 1e-12 * float(np.abs(x0).max()):
+        raise NoTrustworthyNumber("replay", "the critical mode does not show at any output")
+    x0 = x0 / size
+    response = response / size
+    last = np.abs(response[t >= t[-1] - period]).max()
+    return Replay(
+        t=t,
+        outputs=uncertain.outputs,
+        nominal=_free(uncertain.nominal, x0[: uncertain.M.n_states], t),
+        inside=_free(_member(uncertain, margin, INSIDE), x0, t),
+        critical=response,
+        growth=float(last / np.abs(response[t < period]).max()),
+        period=float(period),
+    )
+
+
+def _member(uncertain: UncertainModel, margin: Margin, factor: float) -> StateSpaceModel:
+    values = {name: factor * value for name, value in margin.delta.items()}
+    frequency = margin.frequency
+    assert frequency is not None
+    return perturbed_model(uncertain, realise_delta(uncertain.blocks, values, frequency, uncertain.dt))
+
+
+def _slowest(nominal: StateSpaceModel) -> float:
+    poles = nominal.poles()
+    rates = -np.log(np.abs(poles[np.abs(poles) > 0])) / nominal.dt if nominal.is_discrete else -poles.real
+    return float(1 / rates.min()) if len(rates) and rates.min() > 0 else 1.0
+
+
+def _times(dt: float, period: float, periods: int, points: int) -> Array:
+    if dt:
+        return np.arange(max(round(periods * period / dt), 2) + 1) * dt
+    return np.linspace(0.0, periods * period, periods * points + 1)
+
+
+def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:
+    """Outputs (n, n_outputs) without input."""
+    from scipy.linalg import expm
+
+    step = model.A if model.is_discrete else expm(model.A * (t[1] - t[0]))
+    states = np.empty((len(t), model.n_states))
+    states[0] = x0
+    for i in range(1, len(t)):
+        states[i] = step @ states[i - 1]
+    return states @ model.C.T
+
+
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+
+def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Array:
+    """Derivative of ``1 / mu(M)`` by the relative size of each block, shape (n_blocks,); none is positive.
+
+    Their sum is minus the margin. Assumes that Delta is a strict local minimum with a simple null direction.
+
+    Parameters
+    ----------
+    M
+        Matrix (p, q).
+    delta
+        The critical Delta (q, p): ``I - M Delta`` is singular, and no Delta next to it that is smaller makes it so.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The null direction is not simple: the margin has no derivative.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks.base import RealScalar
+    >>> M = np.array([[1.0, 3.0], [1.0, 3.0]], dtype=complex)
+    >>> block_sensitivities(M, [RealScalar("a"), RealScalar("b")], np.eye(2) / 4 + 0j).round(9).tolist()
+    [-0.0625, -0.1875]
+    """
+    layout = delta_layout(blocks)
+    M, delta = np.asarray(M, dtype=complex), np.asarray(delta, dtype=complex)
+    u, _, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)
+    x, y = np.conj(vh[-1:]), u[None, :, -1]
+    row = (np.conj(y) @ M) / _simple(complex((np.conj(y) * x).sum()), "block_sensitivities")
+    gains = layout.gains(row, x)
+    re, im = gains.real[:, layout.real], gains.imag[:, layout.real]
+    total = np.abs(gains[:, ~layout.real]).sum(axis=1)
+    alpha = dual_minimum(re, im, total)[0] if layout.real.any() else np.zeros(1)
+    parts = layout.contributions(delta[None], row, x)[0]
+    if not layout.real.any():
+        return _shared(np.abs(parts), delta_norm(blocks, delta))
+    return _shared((parts * (1 - 1j * alpha)).real, delta_norm(blocks, delta))
+
+
+def pole_block_sensitivities(
+    model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
+) -> Array:
+    """Derivative of a model's stability margin by the relative size of each block, shape (n_blocks,).
+
+    Parameters
+    ----------
+    model
+        Continuous model with the Delta channels (p outputs, q inputs).
+    delta
+        The critical Delta (q, p).
+    pole
+        The pole that it brings to the axis.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The pole is not simple: the margin has no derivative.
+    """
+    layout = delta_layout(blocks)
+    delta = np.asarray(delta, dtype=complex)
+    a = perturbed_state_matrix(model, delta)
+    values, right = np.linalg.eig(a)
+    v = right[:, np.abs(values - pole).argmin()]
+    values, left = np.linalg.eig(a.T)
+    u = left[:, np.abs(values - pole).argmin()]
+    inner = _simple(complex(u @ v), "pole_block_sensitivities")
+    loop = np.eye(model.n_outputs) - model.D @ delta
+    back = np.eye(model.n_inputs) - delta @ model.D
+    x = np.linalg.solve(loop, model.C @ v)
+    row = np.linalg.solve(back.T, u @ model.B) / inner
+    return _shared(layout.contributions(delta[None], row[None], x[None])[0].real, delta_norm(blocks, delta))
+
+
+def _simple(inner: complex, where: str) -> complex:
+    if abs(inner) < 1e-10:
+        raise NoTrustworthyNumber(
+            where, "left and right null directions are orthogonal", "a simple pole or null direction"
+        )
+    return inner
+
+
+def _shared(parts: Array, margin: float) -> Array:
+    """The margin's derivatives from the parts that count."""
+    return -margin * parts / parts.sum()

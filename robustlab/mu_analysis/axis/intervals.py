@@ -1,0 +1,284 @@
+r"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian
+matrix.
+
+.. math:: \Phi(\omega) = M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w, \qquad M = C (j \omega I - A)^{-1} B + D
+
+:math:`\Phi(\omega)` is singular where :math:`j \omega` is an eigenvalue of H. Rounding moves eigenvalues off the
+axis, so *every* imaginary part counts as a possible change of sign, and the sign is tested between and at these
+candidates, outwards from a frequency at which :math:`\Phi < 0` is known. A version that asked "is this eigenvalue
+imaginary?" with a tolerance certified wrong intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import Budget
+from robustlab.frequency import frequency_response
+from robustlab.magnitude import balancing_factors
+from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block
+
+__all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+# The Hamiltonian is that of a beta smaller by this much: a double root blurred by rounding costs far less.
+SLACK = 1e-5
+BATCH = 8
+# Frequencies at which the sign is probed, to find an end or to see what the eigenvalues of H have missed.
+PROBES = 12
+
+
+@dataclass(frozen=True)
+class Piece:
+    """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``.
+
+    ``members`` are the indices of the blocks that it is about; None for all of them.
+    """
+
+    low: float
+    high: float
+    beta: float
+    bound: UpperBound
+    members: tuple[int, ...] | None = None
+
+
+@dataclass
+class AxisCover:
+    """What is proved of the axis [0, inf], and what is still open.
+
+    Attributes
+    ----------
+    pieces
+        Proved intervals; they may overlap.
+    open
+        Uncovered intervals.
+    beta
+        Largest beta of the pieces.
+    points
+        Number of frequencies at which D, G were computed.
+    """
+
+    pieces: list[Piece] = field(default_factory=list)
+    open: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, float("inf"))])
+    beta: float = 0.0
+    points: int = 0
+
+    def add(self, piece: Piece) -> None:
+        """Take the inside of a proved interval off the open ones."""
+        self.pieces.append(piece)
+        self.beta = max(self.beta, piece.beta)
+        rest: list[tuple[float, float]] = []
+        for low, high in self.open:
+            if piece.high <= low or piece.low >= high:
+                rest.append((low, high))
+                continue
+            if piece.low > low:
+                rest.append((low, piece.low))
+            if piece.high < high:
+                rest.append((piece.high, high))
+        self.open = rest
+
+    def join(self, other: AxisCover, members: tuple[int, ...]) -> None:
+        """Take over what another cover of the same axis, for the blocks ``members``, has proved and left open."""
+        self.pieces.extend(replace(piece, members=members) for piece in other.pieces)
+        self.open.extend(other.open)
+        self.beta = max(self.beta, other.beta)
+        self.points += other.points
+
+    def take_points(self, pending: list[float], scale: float, count: int) -> Array:
+        """The next of the pending frequencies that are still open (they are taken off the list), else new ones."""
+        while pending:
+            chosen = [w for w in pending[:count] if any(low <= w <= high for low, high in self.open)]
+            del pending[:count]
+            if chosen:
+                return np.array(chosen)
+        return self.next_points(scale, count)
+
+    def next_points(self, scale: float, count: int) -> Array:
+        """A frequency inside each open interval, the widest (in decades) first, at most ``count``."""
+        found = []
+        for low, high in self.open:
+            if low <= 0 and high == np.inf:
+                point, width = scale, np.inf
+            elif low <= 0:
+                point, width = 0.3 * high, np.inf
+            elif high == np.inf:
+                point, width = 3 * low, np.inf
+            else:
+                point, width = float(np.sqrt(low * high)), float(np.log(high / low))
+            found.append((-width, point))
+        return np.array([point for _, point in sorted(found)[:count]])
+
+
+def cover_axis(
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    beta: float,
+    *,
+    first: Array,
+    budget: Budget,
+    accuracy: float,
+) -> AxisCover:
+    """Prove an upper bound of mu on [0, inf] for a stable continuous model, as close above its D-G peak as
+    ``accuracy`` says.
+
+    Parameters
+    ----------
+    model
+        Delta channels M11 of a stable model, shape (p, q), balanced.
+    beta
+        First guess, a lower bound of the peak (0: none known).
+    first
+        Frequencies to start with.
+    budget
+        Where it is over, the intervals not proved by then are left open.
+    accuracy
+        Relative distance of the proved bound to the largest pointwise D-G bound.
+    """
+    cover = AxisCover()
+    poles = np.abs(model.poles())
+    scale = float(np.median(poles)) if len(poles) else 1.0
+    beta = beta * (1 + accuracy)
+    pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
+    while cover.open and not budget.over:
+        omega = cover.take_points(pending, scale, BATCH)
+        bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
+        budget.spend(points_work(blocks, len(omega)))
+        cover.points += len(omega)
+        finite = [b.beta for b in bounds if np.isfinite(b.beta)]
+        beta = max(beta, max(finite, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
+        for w, bound in zip(omega, bounds, strict=True):
+            if budget.over:  # of 70 blocks an interval takes seconds
+                return cover
+            piece = extend(model, bound, beta, float(w))
+            budget.spend(extend_work(model))
+            if piece is not None:
+                cover.add(piece)
+    return cover
+
+
+def _size(model: StateSpaceModel, omega: Array) -> float:
+    """Largest gain at these frequencies: what a mu of zero is small against."""
+    return float(np.linalg.norm(frequency_response(model, omega), axis=(1, 2)).max(initial=1e-290))
+
+
+def extend_work(model: StateSpaceModel) -> int:
+    """Work of `extend`, as measured: the eigenvalues of H, and the signs at and between them and at the probes."""
+    n, p = model.n_states, max(model.n_inputs, model.n_outputs)
+    return 600 + (2 * n) ** 3 // 60 + (5 * PROBES + 4 * n) * (2 + p**2 // 20 + p**3 // 400)
+
+
+def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
+    """The interval around ``omega`` on which D and G of ``bound`` prove beta; None where they do not at ``omega``."""
+    if not np.isfinite(bound.beta):
+        return None
+    candidates = _candidates(model, bound, beta * (1 - SLACK))
+    if candidates is None:
+        return None
+    # The sign is constant on each segment between neighbouring ends, if the candidates are right.
+    ends = np.concatenate([[0.0], np.unique(candidates[candidates > 0])])
+    middles = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
+    ends = np.append(ends, np.inf)
+    good = _negative(model, bound, beta * (1 - SLACK / 2), np.concatenate([[omega], ends, middles]))
+    at_end, inside = good[1 : len(ends) + 1], good[len(ends) + 1 :]
+    own = int(np.clip(np.searchsorted(ends, omega, side="right") - 1, 0, len(middles) - 1))
+    if not (good[0] and inside[own]):
+        return None
+    first = last = own
+    while first > 0 and at_end[first] and inside[first - 1]:
+        first -= 1
+    while last < len(middles) - 1 and at_end[last + 1] and inside[last + 1]:
+        last += 1
+    # A candidate is where the stricter level is met: the sign has to be right there, or rounding has moved it.
+    tested = beta * (1 - SLACK / 2)
+    low, high = float(ends[first]), float(ends[last + 1])
+    if not at_end[first]:
+        low = _edge(model, bound, tested, bad=low, good=float(middles[first]))
+    if not at_end[last + 1]:
+        far = high if np.isfinite(high) else 1e6 * float(middles[-1])
+        high = _edge(model, bound, tested, bad=far, good=float(middles[last]))
+    low, high = _between_failures(model, bound, tested, low * (1 + 1e-9), high * (1 - 1e-9), omega)
+    return Piece(low, high, beta, bound) if low < high else None
+
+
+def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float, good: float) -> float:
+    """Where the sign changes between a frequency at which it is wrong and one at which it is right; a right one."""
+    for _ in range(4):
+        points = np.linspace(good, bad, PROBES + 2)[1:-1]
+        wrong = np.flatnonzero(~_negative(model, bound, beta, points))
+        stop = int(wrong[0]) if len(wrong) else PROBES
+        good, bad = float(points[stop - 1]) if stop else good, float(points[stop]) if stop < PROBES else bad
+    return good
+
+
+def _between_failures(
+    model: StateSpaceModel, bound: UpperBound, beta: float, low: float, high: float, omega: float
+) -> tuple[float, float]:
+    """The interval again, or the part around ``omega`` in which every probe has the right sign.
+
+    Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes catch what they miss.
+    """
+    top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
+    bottom = low if low > 0 else 1e-6 * top
+    probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))
+    right = _negative(model, bound, beta, probes)
+    if right.all():
+        return low, high
+    below, above = probes[~right & (probes <= omega)], probes[~right & (probes > omega)]
+    if len(below):
+        low = float(probes[probes > below[-1]][0]) if (probes > below[-1]).any() else high
+    if len(above):
+        high = float(probes[probes < above[0]][-1]) if (probes < above[0]).any() else low
+    return low, high
+
+
+def _speed(model: StateSpaceModel) -> float:
+    return float(np.abs(model.A).sum(axis=0).max(initial=1.0))
+
+
+def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array | None:
+    """Moduli of the imaginary parts of all eigenvalues of H, or None where H cannot be formed with confidence."""
+    A, B, C, D = model.A, model.B, model.C, model.D
+    Dz, X = bound.Dz, -1j * hermitian(bound.G)
+    R = hermitian(D) @ Dz @ D + hermitian(D) @ X + hermitian(X) @ D - beta**2 * bound.Dw
+    S = hermitian(C) @ (Dz @ D + X)
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(R)), 1e-300))
+    scaled = (R + hermitian(R)) / 2 * scale[:, None] * scale[None, :]
+    if not np.isfinite(scaled).all() or (len(R) and np.linalg.cond(scaled) > 1e13):
+        return None
+    inverse = np.linalg.inv(scaled) * scale[:, None] * scale[None, :]
+    F = A - B @ inverse @ hermitian(S)
+    H = np.block(
+        [
+            [F, -B @ inverse @ B.T],
+            [S @ inverse @ hermitian(S) - hermitian(C) @ Dz @ C, -hermitian(F)],
+        ]
+    )
+    if not np.isfinite(H).all():
+        return None
+    t = balancing_factors(H)
+    return np.abs(np.linalg.eigvals(H / t[:, None] * t).imag)
+
+
+def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> NDArray[np.bool_]:
+    """Whether ``Phi(omega) < 0`` at each frequency."""
+    M = frequency_response(model, omega)
+    product = bound.G @ M
+    supply = hermitian(M) @ bound.Dz @ M + 1j * (product - hermitian(product))
+    factor = np.linalg.cholesky(bound.Dw)
+    half = np.linalg.solve(factor, supply)
+    scaled = np.linalg.solve(factor, hermitian(half))
+    scaled = (scaled + hermitian(scaled)) / 2
+    finite = np.isfinite(scaled).all(axis=(1, 2))
+    scaled[~finite] = 0
+    return finite & (np.linalg.eigvalsh(scaled)[:, -1] < beta**2)

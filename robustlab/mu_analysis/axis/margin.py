@@ -1,0 +1,81 @@
+"""The robust stability margin with its evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.mu_analysis.axis.branch_and_bound import Region
+from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.result import Status
+
+__all__ = ["Margin"]
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Margin:
+    """Robust stability margin: the model is stable for all Delta of norm below ``lower``, and not for ``delta``.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= margin <= upper``; ``lower`` holds over the whole frequency axis where the status is CERTIFIED
+        (else it is 0). Both are inf where nothing can destabilise.
+    frequency
+        Frequency in rad/s at which ``delta`` brings a pole to the stability boundary; None where no such Delta was
+        found.
+    delta
+        The critical Delta, one value per block name; empty where none was found.
+    physical
+        The critical values and units of the physical parameters.
+    pole
+        The pole of the model perturbed by ``delta`` that lies on or beyond the stability boundary.
+    status
+        CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left, ``mu_upper`` holds on
+        the grid only. TIMEOUT: the time limit ended the proof; what is left of it is in ``lower`` and ``open``.
+    omega, mu_lower, mu_upper
+        Bounds of mu at the frequencies that were asked for, for figures; what lies between them is in ``intervals``.
+    intervals
+        ``(low, high, mu_upper)`` in rad/s: what is proved, together covering [0, inf] where the status is CERTIFIED.
+    open
+        Frequency intervals for which nothing is proved.
+    shares
+        Share of each block in the margin: with 1 % less range of a block it grows by share percent.
+    proof
+        What ``lower`` rests on: pieces of the axis with the D, G that hold there, or, after branch and bound, the
+        regions (boxes of parameters with frequencies) that were proved one by one.
+    notes
+        Remarks for the reader of a report.
+    """
+
+    lower: float
+    upper: float
+    frequency: float | None
+    delta: Mapping[str, Any]
+    status: Status
+    physical: Mapping[str, tuple[float, str]]
+    pole: complex | None
+    omega: Array
+    mu_lower: Array
+    mu_upper: Array
+    intervals: tuple[tuple[float, float, float], ...]
+    open: tuple[tuple[float, float], ...]
+    shares: Mapping[str, float]
+    proof: tuple[Piece, ...] | tuple[Region, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def gap(self) -> float:
+        """``upper / lower - 1``: how far the bounds are apart; inf where one of them says nothing."""
+        return self.upper / self.lower - 1 if 0 < self.lower < np.inf and self.upper < np.inf else float("inf")
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes but ``proof``; arrays stay arrays."""
+        names = [name for name in self.__dataclass_fields__ if name != "proof"]
+        return {"type": "Margin", **{name: getattr(self, name) for name in names}, "gap": self.gap}

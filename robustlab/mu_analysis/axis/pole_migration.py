@@ -1,0 +1,496 @@
+r"""Destabilising perturbations of a state-space model: the smallest Delta that brings a pole to the stability boundary.
+
+Real mu lives at isolated frequencies, so a frequency grid finds nothing. Instead one pole of
+
+.. math:: A_\Delta = A + B \Delta (I - D \Delta)^{-1} C
+
+is led to the axis in small steps, each the linearised move of least ``max |delta_i|``, and then along the axis to a
+smaller Delta. A real pole that meets another and crosses at zero is found by the static problem
+``det(I - M(0) Delta) = 0``, a loop that becomes ill-posed by ``det(I - D Delta) = 0``. What counts in the end is that
+the model at Delta, or at a part of it, has a pole on or beyond the axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
+from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
+from robustlab.mu_analysis.matrix.minimum_norm import FRACTIONS, unit_rows
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block, RealScalar
+
+__all__ = ["Destabilising", "first_crossing", "perturbed_state_matrix", "search_work", "smallest_destabilising"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+LEADING = 15  # steps that lead a pole to the axis
+FOLLOWING = 30  # steps along the axis
+SCALING = 6  # steps at the end that change the size of Delta alone
+# Candidates that are taken to the axis exactly, and grid peaks that paths start from.
+CHOSEN = 8
+PEAKS = 6
+ROUNDS = 15  # of descent along the axis at most
+LEAST_DESCENT = 1e-5
+
+
+@dataclass(frozen=True)
+class Destabilising:
+    """A Delta (q, p) with a pole on or right of the axis; an ill-posed loop has ``pole = inf``."""
+
+    norm: float
+    delta: ComplexArray
+    pole: complex
+
+
+def search_work(n_states: int, blocks: Sequence[Block]) -> float:
+    """Work of `smallest_destabilising`, as measured; complex blocks have more starts and slower eigenvalues."""
+    times = 1.0 if all(isinstance(b, RealScalar) for b in blocks) else 3.0
+    return times * (20_000 + 4000 * n_states + 7.5 * n_states**3)
+
+
+def smallest_destabilising(
+    model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int = 0, random_starts: int = 12
+) -> Destabilising | None:
+    """The smallest destabilising Delta found for a stable continuous model with Delta channels (p, q), or None.
+
+    Parameters
+    ----------
+    omega
+        Frequencies in rad/s at which the matrix problem is tried as well (it gives starts where blocks are complex).
+    seed
+        Seed of the random starts.
+    random_starts
+        Random starts near the best size found from the nominal poles, and half as many beside those.
+    """
+    crossings: list[Destabilising] = []
+    candidates, ill_posed = _matrix_candidates(model, blocks, omega, seed)
+    if model.n_states:
+        # A path that leads nowhere may overflow; its end is no crossing.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            candidates = _migrated(model, blocks, candidates, seed, random_starts)
+    for delta in candidates:
+        best = min((c.norm for c in crossings), default=np.inf)
+        crossing = first_crossing(model, blocks, delta, best)
+        if crossing is not None:
+            crossings.append(crossing)
+    if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= SINGULAR * 1e3:
+        crossings.append(Destabilising(delta_norm(blocks, ill_posed), ill_posed, complex(np.inf)))
+    return min(crossings, key=lambda c: c.norm, default=None)
+
+
+def _matrix_candidates(
+    model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int
+) -> tuple[list[ComplexArray], ComplexArray | None]:
+    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks.
+
+    The second is the one of D itself: it makes the loop ill-posed.
+    """
+    # At zero frequency M is real: its real Delta moves a real pole into the origin.
+    ends = np.concatenate([frequency_response(model, np.array([0.0])), model.D.astype(complex)[None]])
+    static, (_, ill_posed) = lower_bounds(ends, blocks, seed)
+    found = [static]
+    # A purely real Delta reaches isolated frequencies only: trying others would find nothing.
+    if len(omega) and not all(isinstance(b, RealScalar) for b in blocks):
+        others = lower_bounds(frequency_response(model, np.asarray(omega, dtype=float)), blocks, seed, 4, 24)
+        found += sorted(others, key=lambda pair: -pair[0])[:PEAKS]
+    return [delta for _, delta in found if delta is not None], ill_posed
+
+
+def perturbed_state_matrix(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
+    """``A + B Delta (I - D Delta)^-1 C`` for Delta (q, p), or a stack of them; Inf where the loop is ill-posed."""
+    return _closed(model, delta)[0]
+
+
+def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    """``A + B Delta (I - D Delta)^-1 C``, and ``(I - D Delta)^-1`` (None: the unit matrix)."""
+    d: ComplexArray | Array = delta if delta.imag.any() else delta.real
+    if not model.D.any():
+        return model.A + model.B @ d @ model.C, None
+    try:
+        inverse = np.linalg.inv(np.eye(model.n_outputs) - model.D @ d)
+    except np.linalg.LinAlgError:
+        return np.full((*delta.shape[:-2], *model.A.shape), np.inf), None
+    return model.A + model.B @ d @ (inverse @ model.C), inverse
+
+
+def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Eigenvalues and right eigenvectors; stored as real numbers where all of them are real."""
+    values, right = np.linalg.eig(a)
+    return values, right
+
+
+# --- what counts -----------------------------------------------------------------------------------------------------
+
+
+def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
+    """The pole with the largest real part for each of a stack of Deltas; inf where the loop is ill-posed."""
+    a = perturbed_state_matrix(model, delta)
+    if not model.n_states:
+        return np.full(len(delta), -np.inf, dtype=complex)
+    finite = np.isfinite(a).all(axis=(1, 2))
+    result = np.full(len(delta), np.inf, dtype=complex)
+    if not a[finite].imag.any():
+        a = a.real
+    if finite.any():
+        poles = np.linalg.eigvals(a[finite])
+        result[finite] = poles[np.arange(len(poles)), poles.real.argmax(axis=1)]
+    return result
+
+
+def first_crossing(
+    model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, best: float = np.inf
+) -> Destabilising | None:
+    """The smallest multiple of Delta found, up to a little more than itself, at which the model is not stable.
+
+    None where there is none, or none smaller than ``best``.
+    """
+    delta = project(blocks, delta)
+    if not np.isfinite(delta).all() or not delta.any():
+        return None
+    factors = np.concatenate([np.linspace(0.1, 1.0, 10), 1 + 10.0 ** np.arange(-12, -3)])
+    right = _rightmost(model, factors[:, None, None] * delta)
+    # Where rounding of eigenvalues hides the crossing, the frequency response still shows it.
+    exact = _on_the_axis(model, blocks, delta, complex(right[9]))
+    unstable_at = np.flatnonzero(right.real >= 0)
+    first = int(unstable_at[0]) if len(unstable_at) else 0
+    stable = float(factors[first - 1]) if first else 0.0
+    if not len(unstable_at) or stable * delta_norm(blocks, delta) >= best:
+        return min(exact, key=lambda c: c.norm, default=None)
+    unstable = _bisected(model, delta, stable, float(factors[first]))
+    pole, error = _pole_and_error(model, unstable * delta)
+    at_crossing = Destabilising(unstable * delta_norm(blocks, delta), unstable * delta, pole)
+    if not np.isfinite(pole):
+        return at_crossing
+    exact += _on_the_axis(model, blocks, unstable * delta, pole)
+    if not exact and pole.real > error:
+        return at_crossing
+    return min(exact, key=lambda c: c.norm, default=None)
+
+
+def _bisected(model: StateSpaceModel, delta: ComplexArray, stable: float, unstable: float) -> float:
+    """The first multiple of Delta between two that has a pole right of the axis; a round cuts into sixteen parts."""
+    for _ in range(12):
+        inner = np.linspace(stable, unstable, 17)
+        beyond = _rightmost(model, inner[1:-1, None, None] * delta).real >= 0
+        step = int(np.argmax(beyond)) + 1 if beyond.any() else 16
+        stable, unstable = float(inner[step - 1]), float(inner[step])
+        if unstable - stable <= 1e-13 * unstable:
+            break
+    return unstable
+
+
+def _on_the_axis(
+    model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
+) -> list[Destabilising]:
+    r"""Crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole.
+
+    Eigenvalues are accurate to rounding of the largest one only: beside fast poles a slow one seems to cross long
+    before it does. At a crossing, ``M(j omega) Delta`` has an eigenvalue that is real; dividing by it ends there.
+    Newton steps in omega make it so.
+    """
+    if not np.isfinite(pole):
+        return []
+    # A pole of a real model that is small beside the others may be real, whatever its eigenvalue says.
+    slow = abs(pole) <= 1e-6 * np.abs(model.A).max()
+    found = []
+    for omega in dict.fromkeys([pole.imag, 0.0] if slow else [pole.imag]):
+        for _ in range(12):
+            now = _loop_eigenvalue(model, delta, omega)
+            if now is None or now[0].real <= 0:
+                break
+            value, slope = now
+            if abs(value.imag) <= 1e-12 * abs(value):
+                exact = delta / value.real
+                found.append(Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega)))
+                break
+            if slope.imag == 0:
+                break
+            omega -= value.imag / slope.imag
+            if not np.isfinite(omega):
+                break
+    return found
+
+
+def _pole_and_error(model: StateSpaceModel, delta: ComplexArray) -> tuple[complex, float]:
+    """The rightmost pole and how far rounding may have moved it, to first order."""
+    a = perturbed_state_matrix(model, delta)
+    if not np.isfinite(a).all():
+        return complex(np.inf), 0.0
+    values, right = _eigen(a)
+    k = int(values.real.argmax())
+    v = right[:, k]
+    try:
+        u = np.linalg.solve(a.T - (values[k] + 1e-9 * (1 + abs(values[k]))) * np.eye(len(a)), np.conj(v))
+    except np.linalg.LinAlgError:
+        return complex(values[k]), 0.0
+    condition = float(np.linalg.norm(u) / max(abs(u @ v), 1e-300))
+    return complex(values[k]), 10 * len(a) * EPS * float(np.linalg.norm(a)) * condition
+
+
+def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) -> tuple[complex, complex] | None:
+    """The eigenvalue of ``M(j omega) Delta`` next to one, and its derivative by omega."""
+    try:
+        response = frequency_response(model, np.array([omega]))[0]
+        states = np.linalg.solve(1j * omega * np.eye(model.n_states) - model.A, model.B @ delta)
+        out = np.linalg.solve((1j * omega * np.eye(model.n_states) - model.A).T, model.C.T).T
+    except (NoTrustworthyNumber, np.linalg.LinAlgError):
+        return None
+    loop = response @ delta
+    if not np.isfinite(loop).all():
+        return None
+    values, right = np.linalg.eig(loop)
+    k = int(np.abs(values - 1).argmin())
+    x = right[:, k]
+    _, left = np.linalg.eig(loop.T)
+    y = left[:, int(np.abs(np.linalg.eigvals(loop.T) - values[k]).argmin())]
+    inner = y @ x
+    if inner == 0:
+        return None
+    return complex(values[k]), complex(-1j * (y @ out @ (states @ x)) / inner)
+
+
+# --- migration -------------------------------------------------------------------------------------------------------
+
+
+def _migrated(
+    model: StateSpaceModel, blocks: Sequence[Block], given: list[ComplexArray], seed: int, random_starts: int
+) -> list[ComplexArray]:
+    """Deltas, the smallest first, that have a pole close to the axis: those given, and the ends of paths.
+
+    Paths start from every nominal pole, from those given, from random points; and again from random points of about
+    the size that was found.
+    """
+    layout = delta_layout(blocks)
+    rng = np.random.default_rng(seed)
+    nominal = model.poles()
+    upper = nominal[nominal.imag >= 0]
+    zero = np.zeros((len(upper), layout.q, layout.p), dtype=complex)
+    size = _distance(model, layout, zero, upper)
+    scattered = _scattered(model, layout, rng, size, (random_starts + 1) // 2)
+    start = np.concatenate([zero, scattered, *(g[None] for g in given)])
+    aims = np.concatenate([upper, _rightmost(model, start[len(upper) :])])
+    found, norm = _migrate(model, layout, start, aims)
+    if np.isfinite(norm).any():
+        size = float(norm.min())
+    again = _scattered(model, layout, rng, size, random_starts)
+    more, more_norm = _migrate(model, layout, again, _rightmost(model, again))
+    pool = np.concatenate([found, more, again, *(g[None] for g in given)])
+    norm = np.concatenate(
+        [norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]]
+    )
+    chosen = pool[_distinct(pool, norm, CHOSEN + len(given))]
+    lower = _descended(model, layout, chosen)
+    return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
+
+
+def _distinct(pool: ComplexArray, norm: Array, count: int) -> list[int]:
+    """The indices of the smallest norms, one of those Deltas that agree."""
+    order = np.argsort(norm)
+    keep: list[int] = []
+    for k in order[np.isfinite(norm[order])]:
+        same = any(np.abs(pool[k] - pool[j]).max() <= 1e-6 * norm[j] for j in keep)
+        if not same and len(keep) < count:
+            keep.append(int(k))
+    return keep
+
+
+def _unstable_norm(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> Array:
+    """Norms of those Deltas that destabilise, inf for the others."""
+    if not len(deltas):
+        return np.zeros(0)
+    return np.where(_rightmost(model, deltas).real >= 0, layout.sizes(deltas).max(axis=1), np.inf)
+
+
+def _distance(model: StateSpaceModel, layout: DeltaLayout, zero: ComplexArray, poles: ComplexArray) -> float:
+    """Norm by which a typical pole reaches the axis if it moves on as it begins."""
+    pole, _, _, row, x = _by_eigenvalues(model, zero, poles)
+    gains = np.abs(layout.gains(row, x)).sum(axis=1)
+    return float(np.median(np.minimum(-pole.real / np.maximum(gains, 1e-300), 1e6)))
+
+
+def _scattered(
+    model: StateSpaceModel, layout: DeltaLayout, rng: np.random.Generator, size: float, count: int
+) -> ComplexArray:
+    """Random Deltas (<= count, q, p), every other one a corner, of 0.1 to 2 times a size; well-posed ones only."""
+    values = rng.uniform(-1, 1, (count, layout.n))
+    values[::2] = np.sign(values[::2])
+    turned = values * np.where(layout.real, 1.0, np.exp(2j * np.pi * rng.random((count, layout.n))))
+    turned = turned * size * 10 ** rng.uniform(-1, 0.3, (count, 1))
+    row, x = (rng.standard_normal((count, n)).astype(complex) for n in (layout.q, layout.p))
+    deltas = layout.deltas(turned, row, x)
+    return deltas[np.isfinite(perturbed_state_matrix(model, deltas)).all(axis=(1, 2))]
+
+
+def _migrate(
+    model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray, poles: ComplexArray
+) -> tuple[ComplexArray, Array]:
+    """The smallest Delta of each path that has its pole close to the axis, and its norm (inf where none has)."""
+    going = np.isfinite(poles) & (np.abs(poles) < np.inf)
+    deltas, poles = deltas[going], poles[going]
+    best, best_norm = deltas.copy(), np.full(len(deltas), np.inf)
+    if not len(deltas):
+        return best, best_norm
+    speed = np.maximum(np.abs(poles), 1e-9 * np.abs(model.A).max())
+    phase = np.arange(len(deltas)) * 0.754877666 % 1.0
+    # The types are stated because inferring them around the loop takes pyright half a minute.
+    pole: ComplexArray
+    row: ComplexArray
+    x: ComplexArray
+    new: ComplexArray
+    norms: Array
+    size: Array
+    u: ComplexArray = np.zeros((len(deltas), model.n_states), dtype=complex)
+    v: ComplexArray = u
+    first: Array = np.zeros(len(deltas))
+    for step in range(LEADING + FOLLOWING):
+        try:
+            # On their way poles meet, and leave the real axis in pairs: only all eigenvalues tell which is next.
+            if step <= LEADING:
+                pole, u, v, row, x = _by_eigenvalues(model, deltas, poles)
+            else:
+                pole, u, v, row, x = _by_inverse_iteration(model, deltas, poles, u, v)
+        except np.linalg.LinAlgError:
+            break
+        norms = layout.sizes(deltas).max(axis=1)
+        arrived = (np.abs(pole.real) <= 1e-6 * speed) & (norms < best_norm) & (norms > 0)
+        best[arrived], best_norm[arrived] = deltas[arrived], norms[arrived]
+        goal = pole.real * (1 - 1 / (LEADING - step)) if step < LEADING else np.zeros(len(pole))
+        new = _least_move(layout, deltas, pole, row, x, goal=goal)
+        if LEADING <= step < LEADING + FOLLOWING - SCALING:
+            gain = 0.3 + 0.7 * ((phase + step * 0.569840291) % 1.0)
+            new = deltas + gain[:, None, None] * (new - deltas)
+        elif step >= LEADING + FOLLOWING - SCALING:
+            new = _scaled_to_axis(deltas, pole, row, x)
+        size = layout.sizes(new).max(axis=1)
+        first = size if step == 0 else first
+        # The linearisation does not hold far away: where a loop becomes ill-posed, a whole step leads to nowhere.
+        new = new * np.minimum(1.0, (first + 1.5 * norms) / np.maximum(size, 1e-300))[:, None, None]
+        moved = np.einsum("km,kmp,kp->k", row, new - deltas, x)
+        reach = 0.5 * np.abs(pole) + 1e-3 * speed
+        poles = pole + moved * np.minimum(1.0, reach / np.maximum(np.abs(moved), 1e-100 * speed + 1e-200))
+        deltas = new
+    return best, best_norm
+
+
+def _descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> ComplexArray:
+    """Deltas with a pole on the axis, moved to smaller ones along the axis as far as the norm falls.
+
+    Part of the way to the Delta of least norm of the linearised problem, then back to the axis by size: where several
+    blocks end inside their range, whole steps only jump around the minimum.
+    """
+    if not len(deltas):
+        return deltas
+    deltas, norm = deltas.copy(), layout.sizes(deltas).max(axis=1)
+    going, trials = np.arange(len(deltas)), len(FRACTIONS)
+    pole: ComplexArray
+    u: ComplexArray
+    v: ComplexArray
+    row: ComplexArray
+    x: ComplexArray
+    now: ComplexArray
+    aim: ComplexArray
+    tried: ComplexArray
+    aims = _rightmost(model, deltas)
+    aims = np.where(np.isfinite(aims), aims, 0.0)
+    try:
+        pole, u, v, row, x = _by_eigenvalues(model, deltas, aims)
+        for _ in range(ROUNDS):
+            now = deltas[going]
+            aim = _least_move(layout, now, pole, row, x, goal=np.zeros(len(now)))
+            tried = (now[:, None] + FRACTIONS[None, :, None, None] * (aim - now)[:, None]).reshape(-1, *now.shape[1:])
+            back, start, row, x, u, v, pole = (np.repeat(a, trials, axis=0) for a in (now, pole, row, x, u, v, pole))
+            pole = pole + np.einsum("km,kmp,kp->k", row, tried - back, x)
+            for _ in range(3):
+                pole, u, v, row, x = _by_inverse_iteration(model, tried, pole, u, v)
+                tried = _scaled_to_axis(tried, pole, row, x)
+            pole, u, v, row, x = _by_inverse_iteration(model, tried, pole, u, v)
+            close = np.abs(pole.real) <= 1e-7 * np.maximum(np.abs(start), 1e-9 * np.abs(model.A).max())
+            reached = np.where(close, layout.sizes(tried).max(axis=1), np.inf).reshape(-1, trials)
+            best = reached.argmin(axis=1) + trials * np.arange(len(going))
+            better = reached.min(axis=1) < norm[going] * (1 - LEAST_DESCENT)
+            best, going = best[better], going[better]
+            if not len(going):
+                break
+            deltas[going], norm[going] = tried[best], reached.min(axis=1)[better]
+            pole, u, v, row, x = (a[best] for a in (pole, u, v, row, x))
+    except np.linalg.LinAlgError:
+        pass
+    return deltas
+
+
+Directions = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]
+
+
+def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
+    """The pole next to each aim, its left and right eigenvectors, and row, x with ``d pole = row dDelta x``."""
+    a, loop_inverse = _closed(model, deltas)
+    if not np.isfinite(a).all():
+        raise np.linalg.LinAlgError("ill-posed")
+    values, right = _eigen(a)
+    k = np.abs(values - aims[:, None]).argmin(axis=1)
+    index = np.arange(len(deltas))
+    # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.
+    u = np.linalg.inv(right + 1e-13 * np.eye(right.shape[-1]))[index, k]
+    v = right[index, :, k]
+    return (values[index, k], u, v, *_gradient(model, deltas, loop_inverse, u, v))
+
+
+def _by_inverse_iteration(
+    model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray, u: ComplexArray, v: ComplexArray
+) -> Directions:
+    """As `_by_eigenvalues`, by two steps from the former eigenvectors u, v: a tenth of the work."""
+    a, loop_inverse = _closed(model, deltas)
+    if not np.isfinite(a).all():
+        raise np.linalg.LinAlgError("ill-posed")
+    eye = np.eye(model.n_states)
+    # The shift keeps the matrix regular where the aim is exact.
+    aims = aims + 1e-9 * (1 + 1j) * (np.abs(aims) + 1e-6 * np.abs(a).max(axis=(1, 2)))
+    inverse = np.linalg.inv(a - aims[:, None, None] * eye)
+    for _ in range(2):
+        v = unit_rows((inverse @ v[..., None])[..., 0], v)
+        u = unit_rows((u[:, None, :] @ inverse)[:, 0], u)
+    inner = (u * v).sum(axis=1)
+    u = u / np.where(np.abs(inner) < 1e-10, 1e-10, inner)[:, None]
+    pole = ((u[:, None, :] @ a)[:, 0] * v).sum(axis=1)
+    pole = np.where(np.abs(inner) < 1e-10, aims, pole)
+    return (pole, u, v, *_gradient(model, deltas, loop_inverse, u, v))
+
+
+def _gradient(
+    model: StateSpaceModel, deltas: ComplexArray, inverse: ComplexArray | None, u: ComplexArray, v: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Parts row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
+    x, row = v @ model.C.T, u @ model.B
+    if inverse is None:
+        return row, x
+    # (I - Delta D)^-1 = I + Delta (I - D Delta)^-1 D
+    return row + ((row[:, None, :] @ deltas) @ inverse)[:, 0] @ model.D, (inverse @ x[..., None])[..., 0]
+
+
+def _least_move(
+    layout: DeltaLayout, deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray, *, goal: Array
+) -> ComplexArray:
+    """The Delta of least norm that, to first order, puts the real part of the pole at ``goal``."""
+    gains = layout.gains(row, x)
+    now = np.einsum("km,kmp,kp->k", row, deltas, x)
+    strength = np.where(layout.real, np.abs(gains.real), np.abs(gains)).sum(axis=1)
+    tau = np.maximum((goal - pole.real + now.real) / np.maximum(strength, 1e-300), 0.0)
+    unit = np.where(layout.real, np.sign(gains.real), np.conj(gains) / np.maximum(np.abs(gains), 1e-300))
+    return layout.deltas(tau[:, None] * unit, row, x)
+
+
+def _scaled_to_axis(deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
+    """Newton step on the size of Delta alone."""
+    slope = np.einsum("km,kmp,kp->k", row, deltas, x).real
+    factor = 1 - pole.real / np.where(np.abs(slope) < 1e-300, 1e-300, slope)
+    return deltas * np.clip(factor, 0.5, 2.0)[:, None, None]

@@ -1,0 +1,393 @@
+"""Robust stability of an uncertain model over the whole frequency axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.axis.axis_model import (
+    check_nominal,
+    continuous,
+    coupled_blocks,
+    frequencies,
+    model_frequency,
+    seed_frequencies,
+)
+from robustlab.mu_analysis.axis.branch_and_bound import MarginProblem, Region, tighten
+from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
+from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.pole_migration import (
+    Destabilising,
+    first_crossing,
+    smallest_destabilising,
+)
+from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
+from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
+from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices, delta_values
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["WORK", "margin_within", "robust_stability"]
+
+Array = NDArray[np.floating[Any]]
+
+# What a proof may cost: about a minute.
+WORK = 60 * MILLION
+# A first cover, this close to the D-G bound, tells whether branch and bound has to follow.
+COARSE = 4e-3
+# Half widths, in log frequency, of the neighbourhoods in which a smaller complex Delta is sought.
+SHARPENED = (0.1, 0.02, 0.004, 8e-4)
+# Sizes of an asymmetric set that are tried for the largest one that D, G prove.
+SIZES = 12
+# The first of them where nothing is known.
+LARGE = 1e3
+
+
+@dataclass
+class _Found:
+    """What is known so far: level of the smallest destabilising Delta, level proved, and what proves it."""
+
+    model: StateSpaceModel
+    blocks: Sequence[Block]
+    worst: Destabilising | None
+    level: float
+    cover: AxisCover
+    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+    expected: float | None = None
+
+    @property
+    def attained(self) -> float:
+        """Level (inverse size) of the destabilising Delta; 0 where none was found."""
+        return 0.0 if self.worst is None else 1 / gauge(self.blocks, block_entries(self.blocks, self.worst.delta))
+
+
+@told_as("robust_stability")
+def robust_stability(
+    uncertain: UncertainModel,
+    omega: ArrayLike | None = None,
+    accuracy: float = 3e-5,
+    time_limit: float | None = None,
+    seed: int = 0,
+    tolerance: float = 0.01,
+    expected: float | None = None,
+    effort: float = 1.0,
+) -> Margin:
+    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
+
+    ``lower`` is proved: intervals on which constant D, G satisfy the D-G inequality cover [0, inf]; where the D-G bound
+    itself is too far from ``upper``, the same is proved box by box of the real parameters (branch and bound).
+    ``upper`` is attained: the model perturbed by ``delta`` has a pole on the stability boundary. A discrete model is
+    mapped by ``s = (z - 1) / (z + 1)``, under which the unit circle becomes the axis and mu does not change.
+
+    A range that is wider on one side grows in proportion on both: at margin k a parameter lies in
+    ``[nominal - k below, nominal + k radius]``.
+
+    The proof is carried out in floating-point arithmetic with a slack of 5e-6 in mu: the signs of the inequality are
+    tested at and between all candidates that the Hamiltonian's eigenvalues give. It is not interval arithmetic.
+
+    Parameters
+    ----------
+    uncertain
+        Uncertain model, continuous or discrete.
+    omega
+        Frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure; none where left out.
+    accuracy
+        Relative distance to which ``lower`` approaches the best margin that D, G scalings can prove, where these come
+        within ``tolerance`` of ``upper``.
+    time_limit
+        Time in s after which the proof is given up, or branch and bound stops where it is; the search for ``delta`` and
+        the curves come on top. Where it strikes, the status is TIMEOUT: the answer cannot be repeated. None: no limit.
+    seed
+        Seed of the search for the critical Delta.
+    tolerance
+        Relative gap between the bounds that branch and bound aims at; inf: no branch and bound.
+    expected
+        Size at which the margin is expected: the proof alone is made, nothing is sought that attains it (``upper`` is
+        inf, ``delta`` empty).
+    effort
+        Work that the proof may take, as a multiple of the usual (about a minute). It is counted, not timed, so that the
+        answer is the same on a busy machine.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The nominal model is unstable.
+
+    References
+    ----------
+    Doyle (1982); Sideris, "Elimination of frequency search from robustness tests" (1992); Ly, Safonov, Chiang (1998);
+    Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
+    """
+    compile_kernels()
+    budget = search_budget("robust_stability", WORK, effort, time_limit)
+    with one_thread():
+        return margin_within(uncertain, budget, omega, accuracy, seed, tolerance, expected)
+
+
+def margin_within(
+    uncertain: UncertainModel,
+    budget: Budget,
+    omega: ArrayLike | None = None,
+    accuracy: float = 3e-5,
+    seed: int = 0,
+    tolerance: float = 0.01,
+    expected: float | None = None,
+) -> Margin:
+    """`robust_stability` within the budget of a search that it is a part of."""
+    check_nominal(uncertain, "robust_stability")
+    if not 0 < accuracy < 1 or not tolerance > 0:
+        found = f"accuracy {accuracy}, tolerance {tolerance}"
+        raise InputError("robust_stability", found, "0 < accuracy < 1, tolerance > 0")
+    if expected is not None and not 0 < expected < np.inf:
+        raise InputError("robust_stability", f"expected is {expected}", "a positive finite size")
+    grid = frequencies(omega, "robust_stability")
+    blocks = uncertain.blocks
+    if not blocks:
+        zero = np.zeros(len(grid))
+        nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
+        return _margin(uncertain, nothing, budget, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
+    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, budget, seed, expected)
+    response = frequency_response(uncertain.delta_channels, grid)
+    mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
+    mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
+    notes = () if len(grid) == 0 or (lowest(blocks) == -1).all() else (_SYMMETRIC_CURVES,)
+    return _margin(uncertain, found, budget, grid, mu_lower, mu_upper, notes)
+
+
+_SYMMETRIC_CURVES = (
+    "the curves over frequency are those of ranges as wide below as above; the margin itself takes ranges as they are"
+)
+
+
+def _bounds(
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    accuracy: float,
+    tolerance: float,
+    budget: Budget,
+    seed: int,
+    expected: float | None,
+) -> _Found:
+    seeds = seed_frequencies(model)
+    symmetric = bool((lowest(blocks) == -1).all())
+    worst = smallest_destabilising(model, blocks, seeds, seed) if expected is None else None
+    if not symmetric and expected is None:
+        worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
+    worst = worst and _as_seen(model, worst)
+    if worst and symmetric:  # the search below measures entries of Delta, not their share of each side of a range
+        worst = _sharpened(model, blocks, worst, seed)
+    found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected)
+    first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
+    cover = _cover_symmetric if symmetric else _cover_asymmetric
+    cover(found, first, budget, max(accuracy, COARSE))
+    near = found.level <= found.attained * (1 + max(tolerance, 2 * COARSE))
+    if not found.cover.open and accuracy < COARSE and (near or (symmetric and not found.attained)):
+        again = replace(found)
+        middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]
+        cover(again, np.append(first, np.unique(middles)), budget, accuracy)
+        found = again if again.level < found.level else found
+    some_real = any(isinstance(b, RealScalar) for b in blocks)
+    if some_real and 0 < found.attained * (1 + tolerance) < found.level:
+        _branch_and_bound(found, tolerance, budget)
+    return found
+
+
+def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
+    """The pole in the upper half plane, with the Delta that belongs to it; at infinity where the loop is ill-posed."""
+    if singularity(model.D.astype(complex), worst.delta) <= SINGULAR * 1e3:
+        return Destabilising(worst.norm, worst.delta, complex(np.inf))
+    if np.isfinite(worst.pole) and worst.pole.imag < 0:
+        return Destabilising(worst.norm, np.conj(worst.delta), np.conj(worst.pole))
+    return worst
+
+
+def _sharpened(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int) -> Destabilising:
+    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
+    omega = worst.pole.imag
+    if not np.isfinite(worst.pole) or omega <= 0 or all(isinstance(b, RealScalar) for b in blocks):
+        return worst
+    for reach in SHARPENED:
+        points = omega * np.exp(np.linspace(-reach, reach, 9))
+        found = lower_bounds(frequency_response(model, points), blocks, seed, restarts=4, steps=24)
+        k = int(np.argmax([value for value, _ in found]))
+        value, delta = found[k]
+        if delta is not None and value > 1 / worst.norm:
+            omega = float(points[k])
+            worst = Destabilising(1 / value, delta, complex(0.0, omega))
+    return worst
+
+
+def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
+    """Cover the axis for each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
+    slices = block_slices(found.blocks)
+    whole = AxisCover(open=[])
+    for members in coupled_blocks(found.model, found.blocks):
+        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
+        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
+        m = found.model
+        part = StateSpaceModel(m.A, m.B[:, w], m.C[z], m.D[z[:, None], w])
+        some = [found.blocks[i] for i in members]
+        cover = cover_axis(part, some, found.attained, first=first, budget=budget, accuracy=accuracy)
+        whole.join(cover, tuple(int(i) for i in members))
+    found.cover, found.level = whole, float("inf") if whole.open else whole.beta
+    found.proof = tuple(whole.pieces)
+
+
+def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
+    """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
+    size = 1 / found.attained / (1 + accuracy) if found.attained else found.expected or LARGE
+    failed = 1 / found.attained if found.attained else np.inf
+    for _ in range(SIZES):
+        inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
+        if inside is None or not inside.is_stable():
+            failed, size = size, size / 2
+            continue
+        fine = accuracy / 2
+        cover = cover_axis(inside, found.blocks, 1 / (1 + fine), first=first, budget=budget, accuracy=fine)
+        if cover.open:
+            found.cover = cover if not found.proof else found.cover
+            break
+        if cover.beta > 1 + 1e-12:
+            failed, size = size, size / (cover.beta * (1 + fine))
+            continue
+        found.level, found.proof = 1 / size, tuple(cover.pieces)
+        # Inside the box the level is one; what it says of the set is one over the size of the box.
+        found.cover = AxisCover([replace(p, beta=found.level) for p in cover.pieces], [], found.level, cover.points)
+        if failed < np.inf:
+            if failed < size * (1 + 3 * accuracy):
+                break
+            size = float(np.sqrt(size * failed))
+        elif found.expected is None:
+            break
+        else:
+            size *= 2
+    if not found.proof:
+        found.level = float("inf")
+
+
+def _smallest_asymmetric(
+    model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising | None, seeds: Array, seed: int
+) -> Destabilising | None:
+    """A destabilising Delta of small size in proportion to each side of its range, sought from the set's own centre."""
+    best, size = worst, np.inf if worst is None else gauge(blocks, block_entries(blocks, worst.delta))
+    trial = size if np.isfinite(size) else 1e3
+    for _ in range(4):
+        box = root_box(blocks, trial)
+        inside = box_model(model, blocks, box)
+        middle = centre_matrix(blocks, box.centre).astype(complex)
+        if inside is None or not inside.is_stable():
+            found = first_crossing(model, blocks, middle)
+        else:
+            again = smallest_destabilising(inside, blocks, seeds, seed)
+            half = np.repeat(box.half, [b.rows for b in blocks])
+            found = again and first_crossing(model, blocks, middle + half[:, None] * again.delta)
+        if found is None:
+            break
+        new = gauge(blocks, block_entries(blocks, found.delta))
+        if not new < size * (1 - 1e-7):
+            break
+        best, size, trial = found, new, new
+    return best
+
+
+def _branch_and_bound(found: _Found, tolerance: float, budget: Budget) -> None:
+    """Close the gap that D, G leave, by boxes of the real parameters."""
+    assert found.worst is not None
+    hot = abs(found.worst.pole.imag) if np.isfinite(found.worst.pole) else None
+    problem = MarginProblem(found.model, found.blocks, hot)
+    proof = tighten(problem, found.attained, found.level, tolerance, budget)
+    if proof.values is not None:
+        delta = centre_matrix(found.blocks, proof.values).astype(complex)
+        crossing = first_crossing(found.model, found.blocks, delta)
+        better = found.worst if crossing is None else crossing
+        if gauge(found.blocks, block_entries(found.blocks, better.delta)) < 1 / found.attained:
+            found.worst = better
+    if proof.upper < found.level:
+        found.level, found.proof = proof.upper, tuple(proof.leaves)
+        found.cover.open.clear()
+
+
+def _margin(
+    uncertain: UncertainModel,
+    found: _Found,
+    budget: Budget,
+    grid: Array,
+    mu_lower: Array,
+    mu_upper: Array,
+    notes: tuple[str, ...],
+) -> Margin:
+    worst, cover = found.worst, found.cover
+    delta = delta_values(uncertain.blocks, worst.delta) if worst else {}
+    upper = 1 / found.attained if found.attained else float("inf")
+    lower = 0.0 if cover.open else 1 / found.level if found.level > 0 else float("inf")
+    # A Delta that attains its level to rounding may pass a proof that is as tight, by that much and no more.
+    if upper < lower * (1 - 1e-5):
+        text = f"a Delta of size {upper:.9g} destabilises inside the proved margin {lower:.9g}: digits were lost"
+        raise NoTrustworthyNumber("robust_stability", text)
+    lower = min(lower, upper)
+    if cover.open:
+        notes = (*notes, f"{len(cover.open)} frequency intervals not proved: mu_upper holds on the grid only")
+    elif found.proof and isinstance(found.proof[0], Region):
+        notes = (*notes, f"proved by branch and bound; regions of parameters and frequency: {len(found.proof)}")
+    if budget.remark:
+        notes = (*notes, budget.remark)
+    notes = (*notes, *uncertain.impossible(delta))
+    for array in (grid, mu_lower, mu_upper):
+        array.setflags(write=False)
+    pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]
+    shares = _shares(found.model, uncertain.blocks, worst) if worst else {}
+    return Margin(
+        lower=lower,
+        upper=upper,
+        frequency=_frequency(uncertain, worst),
+        delta=delta,
+        status=Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE if cover.open else Status.CERTIFIED,
+        physical=uncertain.physical(delta) if delta else {},
+        pole=_pole(uncertain, worst),
+        omega=grid,
+        mu_lower=mu_lower,
+        mu_upper=mu_upper,
+        intervals=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b), beta) for a, b, beta in pieces),
+        open=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b)) for a, b in cover.open),
+        shares=shares,
+        proof=found.proof,
+        notes=notes,
+    )
+
+
+def _shares(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising) -> dict[str, float]:
+    """Share of each block in the margin, summing to one; empty where the margin has no derivative."""
+    if not np.isfinite(worst.pole) or not model.n_states:
+        return {}
+    try:
+        slopes = pole_block_sensitivities(model, blocks, worst.delta, worst.pole)
+    except (NoTrustworthyNumber, np.linalg.LinAlgError):
+        return {}
+    shares = -slopes / worst.norm
+    # Parts that cancel to rounding say nothing.
+    if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
+        return {}
+    return {b.name: float(share) for b, share in zip(blocks, shares, strict=True)}
+
+
+def _pole(uncertain: UncertainModel, worst: Destabilising | None) -> complex | None:
+    if worst is None or not uncertain.M.is_discrete:
+        return worst.pole if worst else None
+    return (1 + worst.pole) / (1 - worst.pole) if np.isfinite(worst.pole) else -1.0 + 0j
+
+
+def _frequency(uncertain: UncertainModel, worst: Destabilising | None) -> float | None:
+    if worst is None:
+        return None
+    return model_frequency(uncertain, abs(worst.pole.imag) if np.isfinite(worst.pole) else float("inf"))

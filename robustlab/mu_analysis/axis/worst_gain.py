@@ -1,0 +1,506 @@
+"""The largest H-infinity gain over an uncertain model's whole set and the whole frequency axis; robust performance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.axis.axis_model import (
+    check_nominal,
+    continuous,
+    frequencies,
+    model_frequency,
+    seed_frequencies,
+)
+from robustlab.mu_analysis.axis.branch_and_bound import GainProblem, Region, tighten
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
+from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
+from robustlab.mu_analysis.axis.stability import robust_stability
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
+from robustlab.mu_analysis.matrix.skew import skew_upper
+from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
+from robustlab.norms import QUIET, gain_rounding, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, delta_matrix, delta_values
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+# What a proof may cost: about a minute.
+WORK = 60 * MILLION
+PERFORMANCE = "performance"
+BATCH = 8
+STARTS = 6  # members that are followed to a peak of their own
+COARSE = 4e-3
+SKEWED = 4  # bounds of mu that one skewed bound costs
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCaseGain:
+    """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= worst gain <= upper``. ``lower`` is the gain of the member at ``delta``; ``upper`` is proved over the
+        whole frequency axis and the whole set. Both are inf where a member is unstable.
+    frequency
+        Frequency in rad/s at which the member at ``delta`` has the gain ``lower`` (of an unstable one: of its pole).
+    delta
+        The worst Delta found, one value per block name.
+    physical
+        The worst values and units of the physical parameters.
+    nominal
+        Gain of the nominal member.
+    status
+        CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit ended the
+        proof; ``upper`` is what was proved by then. INACCURATE: there is no uncertainty, and digits of the nominal
+        gain were lost.
+    omega, nominal_gain, gain_lower, gain_upper
+        Curves over the frequencies that were asked for.
+    intervals
+        ``(low, high, bound)`` in rad/s: what is proved with D, G scalings.
+    open
+        Frequency intervals for which nothing is proved.
+    proof
+        What ``upper`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency.
+    notes
+        Remarks for the reader of a report.
+    """
+
+    lower: float
+    upper: float
+    frequency: float | None
+    delta: Mapping[str, Any]
+    status: Status
+    physical: Mapping[str, tuple[float, str]]
+    nominal: float
+    omega: Array
+    nominal_gain: Array
+    gain_lower: Array
+    gain_upper: Array
+    intervals: tuple[tuple[float, float, float], ...]
+    open: tuple[tuple[float, float], ...]
+    proof: tuple[Piece, ...] | tuple[Region, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def gap(self) -> float:
+        """``upper / lower - 1``; 0 where both are zero or both infinite."""
+        if self.lower == self.upper:
+            return 0.0
+        return self.upper / self.lower - 1 if self.lower > 0 else float("inf")
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes but ``proof``; arrays stay arrays."""
+        names = [name for name in self.__dataclass_fields__ if name != "proof"]
+        return {"type": "WorstCaseGain", **{name: getattr(self, name) for name in names}, "gap": self.gap}
+
+
+@told_as("worst_case_gain")
+def worst_case_gain(
+    uncertain: UncertainModel,
+    omega: ArrayLike | None = None,
+    tolerance: float = 0.01,
+    time_limit: float | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+) -> WorstCaseGain:
+    r"""Worst-case gain :math:`\sup_{|\Delta| \le 1} \sup_\omega \sigma_{max}(F_u(M(j \omega), \Delta))`.
+
+    The gain stays below gamma exactly where a performance block of size ``1 / gamma`` between outputs and inputs cannot
+    make the loop singular (skewed mu). ``upper`` is proved like the stability margin: constant D, G on intervals that
+    cover [0, inf], and box by box of the real parameters where these leave a gap. ``lower`` is the norm of a member,
+    evaluated anew.
+
+    Parameters
+    ----------
+    uncertain
+        Uncertain model, continuous or discrete, of any size; use ``select`` for some of its inputs and outputs.
+    omega
+        Frequencies in rad/s for the curves of a figure; none where left out.
+    tolerance
+        Relative gap between the bounds that is aimed at; inf: no branch and bound.
+    time_limit
+        Time in s after which the proof stops where it is; where it strikes, the status is TIMEOUT: the answer cannot
+        be repeated. None: no limit.
+    seed
+        Seed of the search.
+    effort
+        Work that the proof may take, as a multiple of the usual (about a minute); counted, not timed.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The nominal model is unstable.
+
+    References
+    ----------
+    Fan, Tits (1992); Packard, Balas, Liu, Shin, "Results on worst-case performance assessment" (2000).
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
+    >>> worst = worst_case_gain(UncertainModel(M, [RealScalar("pole")]))
+    >>> round(worst.lower, 6), worst.delta["pole"]
+    (2.0, -1.0)
+    """
+    compile_kernels()
+    budget = search_budget("worst_case_gain", WORK, effort, time_limit)
+    with one_thread():
+        return gain_within(uncertain, budget, omega, tolerance, seed)
+
+
+def gain_within(
+    uncertain: UncertainModel,
+    budget: Budget,
+    omega: ArrayLike | None = None,
+    tolerance: float = 0.01,
+    seed: int = 0,
+) -> WorstCaseGain:
+    """`worst_case_gain` within the budget of a search that it is a part of."""
+    check_nominal(uncertain, "worst_case_gain")
+    if not tolerance > 0:
+        raise InputError("worst_case_gain", f"tolerance {tolerance}", "tolerance > 0")
+    grid = frequencies(omega, "worst_case_gain")
+    n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
+    nominal = hinf_norm(uncertain.nominal)
+    if not n_u or not n_y:
+        return _result(uncertain, nominal.value, _Known(0.0, 0.0), budget, (), grid)
+    if not uncertain.blocks:
+        known = _Known(nominal.lower, nominal.upper, {}, nominal.frequency)
+        notes = ("no uncertainty: the gain is the nominal one", *([nominal.reason] if nominal.reason else []))
+        found = _result(uncertain, nominal.value, known, budget, notes, grid)
+        return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
+    blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y))
+    return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed)
+
+
+def _with_blocks(
+    uncertain: UncertainModel,
+    blocks: Sequence[Block],
+    nominal: float,
+    grid: Array,
+    tolerance: float,
+    budget: Budget,
+    seed: int,
+) -> WorstCaseGain:
+    model = continuous(uncertain.M)
+    seeds = seed_frequencies(model)
+    channels = continuous(uncertain.delta_channels)
+    unstable = _unstable_member(channels, uncertain.blocks, seeds, seed)
+    if unstable is not None:
+        at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
+        known = _Known(np.inf, np.inf, delta_values(uncertain.blocks, unstable.delta), at)
+        return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
+    known = _largest_member(uncertain, model, blocks, seeds, seed)
+    _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
+    with np.errstate(all="ignore"):
+        error = _rounding(known, uncertain)
+    if not error <= QUIET * known.lower:
+        known.lower = max(known.lower - error, 0.0) if np.isfinite(error) else 0.0
+    return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
+
+
+@told_as("robust_performance")
+def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
+    r"""Robust performance margin: the largest k with gain below ``1 / k`` for all Delta of size below k.
+
+    It is the stability margin of the set with a full performance block between the outputs and the inputs, called
+    ``"performance"``: :math:`1 / \sup_\omega \mu_{\Delta, P}(M(j \omega))`. Above 1, every member of the set has a gain
+    below 1.
+
+    Parameters
+    ----------
+    uncertain
+        Uncertain model whose inputs and outputs are weighted.
+    options
+        Those of `robust_stability`.
+
+    References
+    ----------
+    Doyle, Wall, Stein, "Performance and robustness analysis for structured uncertainty" (1982), main loop theorem.
+    """
+    return robust_stability(with_performance(uncertain), **options)
+
+
+def with_performance(uncertain: UncertainModel) -> UncertainModel:
+    """The model with a full performance block between its outputs and its inputs; see `robust_performance`."""
+    check_nominal(uncertain, "robust_performance")
+    n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
+    if not n_u or not n_y:
+        raise InputError("robust_performance", f"{n_u} inputs and {n_y} outputs", "at least one of each")
+    if PERFORMANCE in [b.name for b in uncertain.blocks]:
+        raise InputError("robust_performance", f"a block is called {PERFORMANCE!r}", "another name for it")
+    return UncertainModel(uncertain.M, (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)))
+
+
+# --- from below ------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Known:
+    """Bounds of the worst gain so far, the member that attains the lower one, and what proves the upper one."""
+
+    lower: float
+    upper: float
+    delta: Mapping[str, Any] = field(default_factory=dict)
+    frequency: float | None = None
+    cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
+    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def _unstable_member(
+    channels: StateSpaceModel, blocks: Sequence[Block], seeds: Array, seed: int
+) -> Destabilising | None:
+    """A destabilising Delta inside the set, if the search finds one."""
+    found = smallest_destabilising(channels, blocks, seeds, seed)
+    return found if found is not None and gauge(blocks, block_entries(blocks, found.delta)) <= 1 else None
+
+
+def _largest_member(
+    uncertain: UncertainModel, model: StateSpaceModel, blocks: Sequence[Block], seeds: Array, seed: int
+) -> _Known:
+    """The member of largest gain found: ascents at many frequencies, the best ones followed to their own peaks."""
+    rng = np.random.default_rng(seed)
+    peak = hinf_norm(uncertain.nominal).frequency
+    omega = np.unique(np.concatenate([[0.0], seeds, [_mapped(uncertain, peak)]]))
+    omega = omega[np.isfinite(omega)]
+    box = root_box(blocks)
+    met = [
+        (gain, float(w))
+        for w, M in zip(omega, frequency_response(model, omega), strict=True)
+        if (gain := largest_gain(M, blocks, box, rng, 4)) is not None
+    ]
+    best = _Known(0.0, float("inf"))
+    for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:STARTS]:
+        found = _followed(uncertain, model, blocks, gain, w, box)
+        if found.lower > best.lower:
+            best = found
+    return best
+
+
+def _followed(
+    uncertain: UncertainModel, model: StateSpaceModel, blocks: Sequence[Block], gain: Gain, omega: float, box: Box
+) -> _Known:
+    """In turn the peak frequency of a member and the ascent at that frequency, as long as the gain rises."""
+    best = _Known(0.0, float("inf"))
+    for _ in range(20):
+        reached = _member_gain(uncertain, model, blocks, gain, omega)
+        if reached.lower <= best.lower * (1 + 1e-9):
+            break
+        best = reached
+        omega = _mapped(uncertain, reached.frequency or 0.0)
+        if not np.isfinite(omega):
+            break
+        M = frequency_response(model, np.array([omega]))[0]
+        higher = ascend(M, blocks, gain.delta, box)
+        if higher is None:
+            break
+        gain = higher
+    return best
+
+
+def _member_gain(
+    uncertain: UncertainModel, model: StateSpaceModel, blocks: Sequence[Block], gain: Gain, omega: float
+) -> _Known:
+    """The gain of one member: its H-infinity norm where Delta is real, else its largest gain over frequency nearby."""
+    values = delta_values(uncertain.blocks, gain.delta)
+    if all(isinstance(b, RealScalar) for b in uncertain.blocks):
+        clipped = {name: float(np.clip(value, -1.0, 1.0)) for name, value in values.items()}
+        norm = hinf_norm(uncertain.evaluate(clipped))
+        return _Known(norm.lower, float("inf"), clipped, norm.frequency)
+    factors = np.concatenate([[1.0], np.exp(np.linspace(-0.05, 0.05, 21))])
+    at = omega * factors if omega > 0 else np.zeros(1)
+    gains = [gain_at(M, blocks, gain.delta) for M in frequency_response(model, at)]
+    k = int(np.argmax([0.0 if g is None else g.value for g in gains]))
+    chosen = gains[k]
+    frequency = model_frequency(uncertain, float(at[k]))
+    return _Known(0.0 if chosen is None else chosen.value, float("inf"), values, frequency)
+
+
+def _rounding(known: _Known, uncertain: UncertainModel) -> float:
+    """What rounding may have added to the lower bound; 0 where there is none."""
+    if not 0 < known.lower < np.inf or known.frequency is None:
+        return 0.0
+    M, delta = uncertain.M, np.asarray(delta_matrix(uncertain.blocks, known.delta))
+    q, p = delta.shape
+    left = delta @ np.linalg.inv(np.eye(p) - M.D[:p, :q] @ delta)
+    A, B = M.A + M.B[:, :q] @ left @ M.C[:p], M.B[:, q:] + M.B[:, :q] @ left @ M.D[:p, q:]
+    C, D = M.C[p:] + M.D[p:, :q] @ left @ M.C[:p], M.D[p:, q:] + M.D[p:, :q] @ left @ M.D[:p, q:]
+    s = np.exp(1j * known.frequency * M.dt) if M.is_discrete else 1j * known.frequency
+    return gain_rounding(A, B, C, D, complex(s) if np.isfinite(known.frequency) else complex(np.inf))
+
+
+def _mapped(uncertain: UncertainModel, omega: float) -> float:
+    """Frequency on the axis of the continuous model that belongs to one of the model itself."""
+    return float(np.tan(omega * uncertain.dt / 2)) if uncertain.M.is_discrete else float(omega)
+
+
+# --- from above ------------------------------------------------------------------------------------------------------
+
+
+def _prove(
+    known: _Known,
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    seeds: Array,
+    tolerance: float,
+    budget: Budget,
+    uncertain: UncertainModel,
+) -> None:
+    """Cover the axis with D, G; then cut the set into boxes where they leave more than the tolerance."""
+    peak = _mapped(uncertain, known.frequency or 0.0)
+    first = np.unique(np.concatenate([[0.0, np.inf, peak], seeds]))
+    known.cover, known.upper = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=COARSE)
+    if known.upper <= known.lower * (1 + 2 * COARSE):
+        cover, level = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=1e-4)
+        if level < known.upper:
+            known.cover, known.upper = cover, level
+    known.proof = tuple(known.cover.pieces)
+    if any(isinstance(b, RealScalar) for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
+        proof = tighten(GainProblem(model, blocks, peak), known.lower, known.upper, tolerance, budget)
+        if proof.values is not None:
+            _take_member(known, uncertain, blocks, proof.values)
+        if proof.upper < known.upper:
+            known.upper, known.proof = proof.upper, tuple(proof.leaves)
+            known.cover.open.clear()
+            known.notes = (f"proved by branch and bound; regions of parameters and frequency: {len(proof.leaves)}",)
+    if known.upper < known.lower * (1 - 1e-5):
+        text = f"a member has the gain {known.lower:.9g} above the proved bound {known.upper:.9g}: digits were lost"
+        raise NoTrustworthyNumber("worst_case_gain", text)
+    known.upper = max(known.upper, known.lower)
+
+
+def _take_member(known: _Known, uncertain: UncertainModel, blocks: Sequence[Block], values: Array) -> None:
+    """A member met in branch and bound, by its own norm."""
+    delta = centre_matrix(blocks[:-1], values[:-1]).astype(complex)
+    member = delta_values(uncertain.blocks, delta)
+    if any(not isinstance(b, RealScalar) for b in uncertain.blocks):
+        member = {name: value for name, value in member.items() if np.any(value)}
+    norm = hinf_norm(uncertain.evaluate(member))
+    if norm.lower > known.lower:
+        known.lower, known.delta, known.frequency = norm.lower, member, norm.frequency
+
+
+def _cover(
+    model: StateSpaceModel, blocks: Sequence[Block], lower: float, *, first: Array, budget: Budget, accuracy: float
+) -> tuple[AxisCover, float]:
+    """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold."""
+    box = root_box(blocks)
+    if box.centre.any():
+        shifted = box_model(model, blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
+        if shifted is None or not shifted.is_stable():
+            return AxisCover(), float("inf")
+        model = shifted
+    n_u = blocks[-1].rows
+    varying = np.arange(model.n_inputs) >= model.n_inputs - n_u
+    poles = np.abs(model.poles())
+    cover, scale = AxisCover(), float(np.median(poles)) if len(poles) else 1.0
+    level = lower * (1 + accuracy)
+    pending = list(first)
+    while cover.open and not budget.over:
+        omega = cover.take_points(pending, scale, BATCH)
+        response = frequency_response(model, omega)
+        level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
+        bounds = points_below(_scaled(response, varying, level), blocks, 1 / (1 + accuracy / 2))
+        budget.spend(points_work(blocks, len(omega)))
+        over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
+        if over:
+            raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
+            if not np.isfinite(raised):
+                return cover, float("inf")
+            level = max(level, raised)
+            again = points_below(_scaled(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
+            budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
+            for k, bound in zip(over, again, strict=True):
+                bounds[k] = bound
+        closed = StateSpaceModel(
+            model.A, np.where(varying, model.B / level, model.B), model.C, np.where(varying, model.D / level, model.D)
+        )
+        cover.points += len(omega)
+        for w, bound in zip(omega, bounds, strict=True):
+            if budget.over:
+                return cover, float("inf")
+            piece = extend(closed, bound, 1.0, float(w))
+            budget.spend(extend_work(closed))
+            if piece is not None:
+                cover.add(Piece(piece.low, piece.high, level, piece.bound))
+    return cover, float("inf") if cover.open else level
+
+
+def _scaled(response: ComplexArray, varying: NDArray[np.bool_], level: float) -> ComplexArray:
+    return np.where(varying, response / level, response)
+
+
+# --- the answer ------------------------------------------------------------------------------------------------------
+
+
+def _result(
+    uncertain: UncertainModel,
+    nominal: float,
+    known: _Known,
+    budget: Budget,
+    notes: tuple[str, ...],
+    grid: Array,
+    model: StateSpaceModel | None = None,
+    blocks: Sequence[Block] = (),
+    seed: int = 0,
+) -> WorstCaseGain:
+    proved = np.isfinite(known.upper) or not np.isfinite(known.lower)
+    if budget.remark:
+        notes = (*notes, budget.remark)
+    if not proved:
+        notes = (*notes, "no upper bound: the set was not proved stable")
+    notes = (*notes, *uncertain.impossible(known.delta))
+    nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
+    pieces = [(p.low, p.high, min(p.beta, known.upper)) for p in known.cover.pieces]
+    return WorstCaseGain(
+        lower=known.lower,
+        upper=known.upper,
+        frequency=known.frequency,
+        delta=known.delta,
+        status=Status.TIMEOUT if budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE,
+        physical=uncertain.physical(known.delta) if known.delta else {},
+        nominal=nominal,
+        omega=grid,
+        nominal_gain=nominal_gain,
+        gain_lower=low,
+        gain_upper=high,
+        intervals=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b), g) for a, b, g in pieces),
+        open=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b)) for a, b in known.cover.open),
+        proof=known.proof,
+        notes=notes,
+    )
+
+
+def _curves(
+    uncertain: UncertainModel, grid: Array, model: StateSpaceModel | None, blocks: Sequence[Block], seed: int
+) -> tuple[Array, Array, Array]:
+    """Nominal gain, largest gain found and D-G bound of it at each frequency of the grid."""
+    nominal = frequency_response(uncertain.nominal, grid)
+    gain = np.linalg.norm(nominal, 2, axis=(1, 2)) if nominal.size else np.zeros(len(grid))
+    if model is None or not len(grid):
+        return gain, gain.copy(), gain.copy()
+    rng, box = np.random.default_rng(seed), root_box(blocks)
+    response = frequency_response(uncertain.M, grid)
+    varying = np.arange(model.n_inputs) >= model.n_inputs - blocks[-1].rows
+    found = [largest_gain(M, blocks, box, rng, 4) for M in response]
+    low = np.array([0.0 if g is None else g.value for g in found])
+    high = np.array([skew_upper(M, blocks, varying, 1e-3)[0] for M in response])
+    return gain, low, np.maximum(high, low)

@@ -1,0 +1,356 @@
+r"""From a set of models the smallest uncertainty of a chosen form, and how conservative it is.
+
+.. math:: \text{conservatism} = \frac{\sup_{\Delta} \|F_u(M, \Delta)\|_\infty}{\max_i \|G_i\|_\infty} \ge 1
+
+the worst gain of the cover over that of the models themselves, both in the same loop.
+
+References
+----------
+Březina 2010, sections 4.2, 10.2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, cast, get_args
+
+import numpy as np
+
+from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
+from robustlab.norms import hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.uncertainty.covering.overbound import Overbound
+from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
+from robustlab.uncertainty.covering.unstructured_cover import model_set, unstructured_cover
+from robustlab.uncertainty.elementwise import check_pair
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.unstructured import FORMS
+from robustlab.uncertainty.unstructured import Form as UnstructuredForm
+
+__all__ = ["COVER_FORMS", "Conservatism", "Cover", "conservatism", "cover"]
+
+COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS)
+Loop = Callable[[UncertainModel], UncertainModel]
+# What rounding may take from a member that is met exactly.
+EXACT = 1e-12
+
+
+@dataclass(frozen=True)
+class Conservatism:
+    """Worst gain of a cover over that of the models it was made of.
+
+    Attributes
+    ----------
+    ratio
+        ``cover_upper / set_gain``: proved not to be more.
+    least
+        ``cover_lower / set_gain``: attained by a member.
+    set_gain, set_model
+        Largest H-infinity norm of the models, and the number of the model that has it, counted from 1.
+    cover_lower, cover_upper
+        Bounds of the worst gain of the cover.
+    status
+        That of the worst gain; FAILED where there is none.
+    reason
+        Why there is none, or what ended its proof early; else empty.
+    """
+
+    ratio: float
+    least: float
+    set_gain: float
+    set_model: int
+    cover_lower: float
+    cover_upper: float
+    status: Status
+    reason: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return {"type": "Conservatism", **vars(self)}
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """An uncertain model that holds every model of a set.
+
+    Attributes
+    ----------
+    model
+        The uncertain model.
+    form
+        The form that was asked for.
+    status
+        CERTIFIED: each model's delta was evaluated, or is proved to be a stable one of gain at most one. CONVERGED:
+        the deltas are stable, and were found to be at most one on a grid of frequencies. INACCURATE: a model is missed
+        by more than the tolerance, or the weight is further above the bound than was asked.
+    deltas
+        For each model the value of every block by name: numbers, or a system for an unstructured block where it could
+        be written as one; empty where it was judged by frequency response.
+    sizes
+        For each model its largest delta: at most 1.
+    misses
+        For each model the largest relative difference between the member at its delta and the model (an entry against
+        its matrix's largest); zeros for unstructured forms.
+    nominal
+        Number of the model that is the nominal one, counted from 1; 0: the middle; None: the one that was given.
+    radius
+        Unstructured forms: largest error relative to the models' size. Parametric ones: 0.
+    spread
+        Reach of the cloud along its directions (forms ``pca``, ``ellipsoid``), also of those left out.
+    fit
+        Weight and bound of an unstructured form; None for a parametric one.
+    conservatism
+        Worst gain of the cover over that of the set; None where it was not asked for.
+    reason
+        Why the status is no better; else empty.
+    """
+
+    model: UncertainModel
+    form: str
+    status: Status
+    deltas: tuple[dict[str, Any], ...]
+    sizes: tuple[float, ...]
+    misses: tuple[float, ...]
+    nominal: int | None
+    radius: float
+    spread: tuple[float, ...]
+    fit: Overbound | None
+    conservatism: Conservatism | None
+    reason: str = ""
+
+    def summary(self) -> str:
+        """A few lines of text."""
+        start = {0: "the middle of the models", None: "the model that was given"}.get(
+            self.nominal, f"model {self.nominal}"
+        )
+        lines = [f"{self.form} cover of {len(self.sizes)} models around {start}: {self.model!r} ({self.status})"]
+        if self.fit is None:
+            lines.append(f"each model inside: largest delta {max(self.sizes):.6g}, missed by {max(self.misses):.2g}")
+        else:
+            lines.append(
+                f"weight of order {self.fit.order}, {100 * self.fit.excess:.3g} % above the bound at most;"
+                f" largest delta {max(self.sizes):.6g}"
+            )
+        c = self.conservatism
+        if c is not None:
+            lines.append(
+                f"conservatism: none, {c.reason}"
+                if c.status is Status.FAILED
+                else f"worst gain {c.cover_lower:.6g} .. {c.cover_upper:.6g}, of the set {c.set_gain:.6g}"
+                f" (model {c.set_model}): ratio at most {c.ratio:.4g} ({c.status})"
+                + (f"; {c.reason}" if c.reason else "")
+            )
+        return "\n".join([*lines, *([self.reason] if self.reason else [])])
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return {"type": "Cover", **vars(self)}
+
+
+@told_as("cover")
+@one_thread()
+def cover(
+    models: Iterable[Any],
+    form: str = "elements",
+    *,
+    nominal: Any = None,
+    tolerance: float = 1e-9,
+    directions: int | None = None,
+    order: int = 4,
+    excess: float = 0.1,
+    loop: Loop | None = None,
+    gain: bool = True,
+    time_limit: float | None = None,
+    progress: Callable[[str], None] | None = None,
+    effort: float = 1.0,
+) -> Cover:
+    """The smallest uncertain model of a form that holds every one of a set of models.
+
+    Parameters
+    ----------
+    models
+        At least two models with the same signals: operating points, units, seeds, or fits to several records.
+    form
+        ``elements``
+            interval hull of the entries of A, B, C, D
+        ``pca``, ``ellipsoid``
+            few real parameters along the axes of the cloud of the matrices
+        ``additive``, ``input-multiplicative``, ``output-multiplicative``, ``inverse-additive``,
+        ``inverse-input-multiplicative``, ``inverse-output-multiplicative``
+            one full block with a stable minimum-phase weight, see `robustlab.uncertainty.unstructured`; the models
+            may have different states
+
+        The first three need models with the same states.
+    nominal
+        Nominal model for all forms but ``pca`` and ``ellipsoid``; where left out the middle of the hull, or for a full
+        block the candidate of least radius.
+    tolerance
+        Relative size of an entry's error that counts as none; ``pca`` and ``ellipsoid`` keep as many directions as are
+        needed for it.
+    directions
+        Number of directions of ``pca`` and ``ellipsoid``, instead.
+    order, excess
+        Largest order of the weight; how far above the bound a weight of lower order may be.
+    loop
+        What is made of a model before its gain is taken, for example ``lambda g: g.feedback(K)``; nothing where left
+        out.
+    gain
+        False: no conservatism.
+    time_limit
+        Time in s for the proof of the worst gain; None: no limit.
+    progress
+        Called with one short line before each step.
+    effort
+        Work of that proof, as in `worst_case_gain`.
+
+    Returns
+    -------
+    Cover
+
+    Raises
+    ------
+    InputError
+        Fewer than two models, models that do not fit together, a form or an option that does not apply.
+    NoTrustworthyNumber
+        An unstructured form whose errors are not stable for any nominal model.
+
+    Examples
+    --------
+    >>> lags = [StateSpaceModel([[-p]], [[p]], [[1.0]], [[0.0]]) for p in (1.0, 1.5, 2.0)]
+    >>> found = cover(lags, "pca")
+    >>> found.status.value, [(b.name, b.repeats) for b in found.model.blocks], round(found.conservatism.ratio, 3)
+    ('certified', [('direction1', 1)], 1.0)
+    """
+    if form not in COVER_FORMS:
+        raise InputError("cover", f"form {form!r}", f"one of {', '.join(COVER_FORMS)}", did_you_mean(form, COVER_FORMS))
+    parametric = form in PARAMETRIC_FORMS
+    found = model_set(models, parametric, "cover")
+    start = None if nominal is None else _nominal(nominal, found[0], parametric)
+    say = progress or (lambda _: None)
+    say(f"cover: {form} around {len(found)} models")
+    if parametric:
+        made = _parametric(found, form, start, tolerance, directions)
+    else:
+        if directions is not None:
+            raise InputError("cover: directions", f"{directions} with form {form}", "form pca or ellipsoid")
+        made = _unstructured(found, form, start, order, excess)
+    if not gain:
+        return made
+    say("cover: worst gain of the cover")
+    compared = conservatism(made.model, found, loop=loop, time_limit=time_limit, effort=effort)
+    return dataclasses.replace(made, conservatism=compared)
+
+
+def _nominal(given: Any, first: StateSpaceModel, same_states: bool) -> StateSpaceModel:
+    model = as_model(given, "cover: nominal")
+    model_set([first, model], same_states, "cover: nominal")
+    return model
+
+
+def _parametric(
+    models: tuple[StateSpaceModel, ...],
+    form: str,
+    nominal: StateSpaceModel | None,
+    tolerance: float,
+    directions: int | None,
+) -> Cover:
+    assert form in PARAMETRIC_FORMS
+    made = parametric_cover(models, form, nominal, tolerance, directions)
+    sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in made.deltas)
+    worst = max(made.misses)
+    inside = max(sizes) <= 1.0
+    status = Status.CERTIFIED if inside and worst <= max(2.0 * tolerance, EXACT) else Status.INACCURATE
+    reason = "" if status.trustworthy else f"model {int(np.argmax(made.misses)) + 1} is missed by {worst:.2g}"
+    number = 0 if nominal is None else None
+    return Cover(
+        made.model, form, status, made.deltas, sizes, made.misses, number, 0.0, made.spread, None, None, reason
+    )
+
+
+def _unstructured(
+    models: tuple[StateSpaceModel, ...], form: str, nominal: StateSpaceModel | None, order: int, excess: float
+) -> Cover:
+    assert form in get_args(UnstructuredForm)
+    made = unstructured_cover(models, cast(UnstructuredForm, form), nominal, order, excess)
+    inside = max(made.sizes) <= 1.0 + 1e-9
+    status = Status.CERTIFIED if made.proved and inside else Status.CONVERGED
+    reason = "" if made.proved else f"deltas evaluated at {len(made.fit.omega)} frequencies, not proved between them"
+    if not inside or not made.fit.status.trustworthy:
+        status = Status.INACCURATE
+        reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
+        reason += f" (none of order {made.fit.order} is less than {100 * made.fit.least:.3g} % above it)"
+    name = made.model.blocks[0].name
+    return Cover(
+        made.model, form, status, tuple({name: d} for d in made.deltas), made.sizes, (0.0,) * len(models),
+        made.nominal, made.radius, (), made.fit, None, reason,
+    )  # fmt: skip
+
+
+@told_as("conservatism")
+def conservatism(
+    uncertain: UncertainModel,
+    models: Iterable[Any],
+    *,
+    loop: Loop | None = None,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+) -> Conservatism:
+    """How much larger the worst gain of an uncertain model is than the largest one of the models it stands for.
+
+    Parameters
+    ----------
+    uncertain
+        The cover.
+    models
+        The models.
+    loop
+        What is made of each before its gain is taken; nothing where left out.
+    time_limit
+        Time in s for the proof of the worst gain; None: no limit.
+    effort
+        Work of that proof, as in `worst_case_gain`.
+
+    Raises
+    ------
+    InputError
+        Models that do not fit the cover's signals.
+
+    Examples
+    --------
+    >>> lags = [StateSpaceModel([[-1.0]], [[k]], [[1.0]], [[0.0]]) for k in (1.0, 2.0)]
+    >>> round(conservatism(cover(lags, gain=False).model, lags).ratio, 3)
+    1.0
+    """
+    around = loop or (lambda g: g)
+    gains = []
+    for i, given in enumerate(models, 1):
+        model = as_model(given, f"conservatism: model {i}")
+        outer = uncertain.nominal
+        check_pair(_gain_only(outer), _gain_only(model), "cover", f"model {i}", "conservatism")
+        norm = hinf_norm(around(UncertainModel(model, [])).nominal)
+        if not np.isfinite(norm.upper):
+            where = f"model {i} has no finite gain ({norm.reason})"
+            hint = "" if loop else "; close a loop around the models first"
+            return Conservatism(np.nan, np.nan, np.inf, i, np.nan, np.nan, Status.FAILED, where + hint)
+        gains.append(norm.lower)
+    largest = float(max(gains))
+    number = int(np.argmax(gains)) + 1
+    if largest == 0:
+        return Conservatism(np.nan, np.nan, 0.0, number, np.nan, np.nan, Status.FAILED, "all models have no gain")
+    try:
+        worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
+    except NoTrustworthyNumber as error:
+        return Conservatism(np.nan, np.nan, largest, number, np.nan, np.nan, Status.FAILED, str(error.found))
+    said = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
+    return Conservatism(
+        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, said
+    )
+
+
+def _gain_only(model: StateSpaceModel) -> StateSpaceModel:
+    return StateSpaceModel([], [], [], model.D, model.dt, model.inputs, model.outputs)

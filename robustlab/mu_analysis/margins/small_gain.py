@@ -1,0 +1,203 @@
+r"""Small-gain test: robust stability against one full block, by the H-infinity norm of what the block sees.
+
+.. math:: \text{stable for all stable } \|\Delta\|_\infty \le 1 \iff \|M_{11}\|_\infty < 1, \qquad
+   M_{11} = W_2 T W_1
+
+with, for negative feedback ``u = -K y`` around a member of `robustlab.uncertainty.unstructured`,
+
+================================  ================================
+form                              T up to sign
+================================  ================================
+``additive``                      :math:`K (I + G K)^{-1}`
+``input-multiplicative``          :math:`K (I + G K)^{-1} G`
+``output-multiplicative``         :math:`G K (I + G K)^{-1}`
+``inverse-additive``              :math:`(I + G K)^{-1} G`
+``inverse-input-multiplicative``  :math:`(I + K G)^{-1}`
+``inverse-output-multiplicative`` :math:`(I + G K)^{-1}`
+================================  ================================
+
+References
+----------
+Březina 2010, eqs 4.6, 4.7 and section 4.2.4, whose input forms mix the loops at the input and at the output of the
+plant; the table above is the right one. Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 9.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.norms import HinfNorm, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.uncertainty.blocks.base import FullBlock
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+
+__all__ = ["SmallGain", "peak_response", "replayed_pole", "signed", "small_gain"]
+
+# Relative width of the norm's bracket.
+RTOL = 1e-9
+# I - M Delta is singular where its smallest singular value is below this share of its largest.
+SINGULAR = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class SmallGain:
+    """Whether a loop is stable for every stable Delta of norm one, and by which factor.
+
+    Attributes
+    ----------
+    robustly_stable
+        True where ``norm.upper < 1``, False where ``norm.lower >= 1``, None where the bracket holds 1.
+    lower, upper
+        ``lower <= margin <= upper``: stable for every Delta of norm below ``lower = 1 / norm.upper``; ``upper`` is the
+        norm of ``delta``. Both are inf where Delta has no effect.
+    frequency
+        Frequency of the peak in rad/s; ``inf`` where the direct term is largest. None without effect.
+    delta
+        The least Delta that puts a pole on the stability boundary there: of rank one, shape (rows, cols), by the name
+        of the block. Empty without effect.
+    pole
+        The pole of the loop with ``delta`` realised as a stable system that lies next to the stability boundary at that
+        frequency; None where the loop is then ill-posed (``frequency`` inf, or no states) or without effect.
+    norm
+        H-infinity norm of M, with its own evidence.
+    M
+        What Delta sees: the closed-loop model from w to z.
+    status
+        CERTIFIED, or INACCURATE where the norm is, or where ``pole`` is not where it was foretold.
+    """
+
+    robustly_stable: bool | None
+    lower: float
+    upper: float
+    frequency: float | None
+    delta: Mapping[str, NDArray[np.complex128]]
+    pole: complex | None
+    norm: HinfNorm
+    M: StateSpaceModel
+    status: Status
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes; arrays stay arrays."""
+        return {"type": "SmallGain", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+
+
+@told_as("small_gain")
+def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1] = -1) -> SmallGain:
+    r"""Small-gain test of an uncertain model with one full block, closed by a controller.
+
+    Parameters
+    ----------
+    uncertain
+        What `robustlab.uncertainty.unstructured.unstructured` makes, or any other set with one full block.
+    K
+        Controller ``u = sign K y`` from all outputs to all inputs; left out where the loop is closed already.
+    sign
+        -1 for negative feedback, 1 for positive feedback.
+
+    Raises
+    ------
+    InputError
+        Several blocks, or a real one (use `robust_stability`); a K whose size does not fit.
+    NoTrustworthyNumber
+        The nominal loop is unstable.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.unstructured import unstructured
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> test = small_gain(unstructured(lag, 0.5, "input-multiplicative"), StateSpaceModel([], [], [], [[3.0]]))
+    >>> test.robustly_stable, round(test.upper, 6)
+    (True, 2.666667)
+    """
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("small_gain", type(uncertain).__name__, "an UncertainModel")
+    blocks = uncertain.blocks
+    if len(blocks) != 1 or not isinstance(blocks[0], FullBlock):
+        raise InputError("small_gain", f"{uncertain!r}", "one full block", "use robust_stability")
+    closed = uncertain if K is None else uncertain.close(signed(_controller(uncertain, K), sign))
+    M = closed.delta_channels
+    norm = hinf_norm(M, rtol=RTOL)
+    if not np.isfinite(norm.upper):
+        raise NoTrustworthyNumber(
+            "small_gain",
+            f"nominal closed loop {'unstable' if norm.lower else 'not surely stable'} ({norm.reason})",
+            "a stable nominal loop",
+            "check the sign of the feedback: sign=, or --feedback negative | positive",
+        )
+    if norm.lower == 0:
+        return SmallGain(norm.upper < 1, _inverse(norm.upper), float("inf"), None, {}, None, norm, M, norm.status)
+    frequency, response = peak_response(M, norm)
+    u, sigma, vh = np.linalg.svd(response)
+    # (I - M Delta) u1 = 0
+    delta = np.outer(vh[0].conj(), u[:, 0].conj()) / sigma[0]
+    name = blocks[0].name
+    delta.setflags(write=False)
+    pole, on_axis = replayed_pole(closed, {name: delta}, frequency)
+    found = singularity(response, delta) <= SINGULAR and on_axis
+    status = norm.status if found else Status.INACCURATE
+    stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
+    upper = 1 / float(sigma[0])
+    return SmallGain(stable, _inverse(norm.upper), upper, frequency, {name: delta}, pole, norm, M, status)
+
+
+def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np.complex128]]:
+    """Frequency of the peak, and M there; an end of the axis, where M is real, if the peak is as high there."""
+    end = np.pi / M.dt if M.is_discrete else np.inf
+    for omega in (0.0, end):
+        response = frequency_response(M, [omega])[0]
+        if np.linalg.norm(response, 2) >= norm.lower * (1 - RTOL):
+            return omega, response
+    return norm.frequency, frequency_response(M, [norm.frequency])[0]
+
+
+def replayed_pole(closed: UncertainModel, delta: Mapping[str, Any], frequency: float) -> tuple[complex | None, bool]:
+    """The pole next to the stability boundary at ``frequency`` of the loop with Delta realised as stable systems.
+
+    And whether it lies there up to rounding: to 1e-6 of the frequency, or to 1e-9 of the fastest pole (eigenvalues are
+    no more accurate than that where they are repeated). An ill-posed loop has no such pole: None, and True.
+
+    Raises
+    ------
+    InputError
+        A complex value at an end of the axis, which no real system takes there.
+    """
+    if not np.isfinite(frequency) or not closed.M.n_states:
+        return None, True
+    made = realise_delta(closed.blocks, delta, frequency, closed.dt)
+    try:
+        poles = perturbed_model(closed, made).poles()
+    except NoTrustworthyNumber:  # singular in the direct term as well
+        return None, True
+    at = np.exp(1j * frequency * closed.dt) if closed.dt else 1j * frequency
+    pole = complex(poles[np.abs(poles - at).argmin()])
+    fastest = max(np.abs(poles).max(), np.abs(closed.M.poles()).max())
+    return pole, bool(abs(pole - at) <= 1e-6 * abs(at) + 1e-9 * fastest)
+
+
+def signed(K: StateSpaceModel, sign: int) -> StateSpaceModel:
+    """``sign K``: positive feedback ``u = K y`` is what an LFT closes."""
+    if sign not in (-1, 1):
+        raise InputError("sign", f"{sign!r}", "-1 (negative feedback) or 1 (positive feedback)")
+    return StateSpaceModel(K.A, K.B, sign * K.C, sign * K.D, K.dt)
+
+
+def _controller(uncertain: UncertainModel, K: Any) -> StateSpaceModel:
+    k = as_model(K, "small_gain: K")
+    n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
+    if k.D.shape != (n_u, n_y):
+        raise InputError("small_gain: K", f"{k.n_outputs} x {k.n_inputs}", f"{n_u} x {n_y}")
+    return k
+
+
+def _inverse(value: float) -> float:
+    return 1 / value if value else float("inf")

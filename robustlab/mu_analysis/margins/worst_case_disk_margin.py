@@ -1,0 +1,347 @@
+r"""The smallest disk margin of an uncertain loop: a skewed mu problem.
+
+.. math:: \alpha_{wc} = \max \{ \alpha : \text{stable for all } \|\Delta\| \le 1 \text{ and all } |\delta_i| < \alpha
+   \text{ in the loops} \}
+
+With the disks' channels scaled by :math:`\alpha`, m times the whole set is just destabilising. Where :math:`m \ge 1`
+the loop is stable for :math:`\|\Delta\| \le 1` and disks of :math:`m \alpha`; where :math:`m \le 1` it is not stable
+for some :math:`\|\Delta\| \le m` and disks of :math:`m \alpha`. Either way one bound moves to :math:`m \alpha`.
+
+References
+----------
+Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020); Fan, Tits, "A
+measure of worst-case H-infinity performance and of largest acceptable uncertainty", Systems and Control Letters 18
+(1992), for the iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.mu_analysis.axis.pole_migration import search_work
+from robustlab.mu_analysis.axis.stability import Margin, margin_within
+from robustlab.mu_analysis.margins.disk_margin import (
+    DiskMargin,
+    Place,
+    controller_for,
+    disk_channels,
+    disk_margin_of,
+    gain_and_phase,
+)
+from robustlab.mu_analysis.matrix.upper import compile_kernels
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+
+__all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
+
+# What the whole search may cost: about a minute.
+WORK = 60 * MILLION
+# Share of it for the question whether a member is unstable without any disk.
+ALONE = 0.2
+# The margin of the scaled set changes less than the size of the disks does: it is asked for more closely.
+MARGIN_ACCURACY = 2e-4
+# A pole this close to the stability boundary, beside the fastest one, does not count as stable.
+ON_THE_AXIS = 1e-9
+# Where the bounds no longer move, the search ends after this many margins.
+MAX_MARGINS = 25
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCaseDiskMargin:
+    """The smallest disk margin over an uncertain set.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= smallest disk margin <= upper``: every member of the set tolerates disks of ``lower`` (proved
+        over the whole axis); the member at ``delta`` has the disk margin ``upper``.
+    gain_margin, phase_margin
+        What ``lower`` guarantees for every member: interval of gains, and phase in rad.
+    skew
+        sigma.
+    delta
+        The worst member found, one value per block of the uncertain model, ``|delta| <= 1``.
+    physical
+        Its parameters in their own units.
+    member
+        Disk margin of that member, with its critical perturbation; None where the member's loop is unstable.
+    nominal
+        Disk margin of the nominal loop.
+    status
+        CERTIFIED where ``lower`` is proved and positive, or where an unstable member was found; TIMEOUT where the
+        time limit ended the search before the bounds met; INCONCLUSIVE where nothing could be proved.
+    notes
+        Remarks for the reader of a report.
+    """
+
+    lower: float
+    upper: float
+    gain_margin: tuple[float, float]
+    phase_margin: float
+    skew: float
+    delta: Mapping[str, Any]
+    physical: Mapping[str, tuple[float, str]]
+    member: DiskMargin | None
+    nominal: DiskMargin
+    status: Status
+    notes: tuple[str, ...] = ()
+
+    @property
+    def value(self) -> float:
+        """What is proved: ``lower``."""
+        return self.lower
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {"type": "WorstCaseDiskMargin", **parts}
+
+
+@told_as("worst_case_disk_margin")
+def worst_case_disk_margin(
+    uncertain: UncertainModel,
+    K: Any = None,
+    *,
+    at: Place = "output",
+    channel: str | None = None,
+    skew: float = 0.0,
+    sign: Literal[-1, 1] = -1,
+    accuracy: float = 0.005,
+    time_limit: float | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+) -> WorstCaseDiskMargin:
+    r"""Smallest disk margin of the loop ``y = P u``, ``u = sign K y`` over all members of an uncertain plant.
+
+    Parameters
+    ----------
+    uncertain
+        Uncertain plant (or open loop, square, where K is left out).
+    K, at, skew, sign
+        As in `disk_margin`.
+    channel
+        Name of the one signal of the plant whose loop is changed; all at once where left out.
+    accuracy
+        Relative distance of the bounds at which the search ends.
+    time_limit
+        Time in s for the whole search; what is proved by then is returned, and cannot be repeated. None: no limit.
+    seed
+        Seed of the searches for critical values.
+    effort
+        Work of the whole search, as a multiple of the usual (about a minute); counted, not timed.
+
+    Raises
+    ------
+    InputError
+        Sizes that do not fit, an unknown channel.
+    NoTrustworthyNumber
+        The nominal loop is unstable.
+
+    Examples
+    --------
+    >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [2.0]], np.zeros((2, 2)))
+    >>> plant = UncertainModel(M, [RealScalar("pole")])  # 2 / (s + 1 + 0.5 delta)
+    >>> margin = worst_case_disk_margin(plant)
+    >>> margin.status.value, margin.upper
+    ('certified', 2.0)
+    """
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("worst_case_disk_margin", type(uncertain).__name__, "an UncertainModel")
+    if not 0 < accuracy < 1:
+        raise InputError("worst_case_disk_margin", f"accuracy {accuracy}", "0 < accuracy < 1")
+    compile_kernels()
+    budget = search_budget("worst_case_disk_margin", WORK, effort, time_limit)
+    with one_thread():
+        search = _Search(uncertain, K, at, channel, skew, sign, budget, seed)
+        search.run(accuracy)
+        return search.result(accuracy)
+
+
+class _Search:
+    """Bounds of the worst-case disk margin, moved by one robust stability margin after the other."""
+
+    def __init__(
+        self,
+        uncertain: UncertainModel,
+        K: Any,
+        at: Place,
+        channel: str | None,
+        skew: float,
+        sign: Literal[-1, 1],
+        budget: Budget,
+        seed: int,
+    ) -> None:
+        k = controller_for(len(uncertain.outputs), len(uncertain.inputs), K)
+        self.blocks, self.skew, self.budget, self.seed = uncertain.blocks, skew, budget, seed
+        self.uncertain = uncertain
+        loop, self.names = disk_channels(uncertain.M, k, uncertain.delta_shape, at, skew, sign)
+        q, p = uncertain.delta_shape
+        if channel is not None:
+            if channel not in self.names:
+                hint = did_you_mean(channel, self.names)
+                raise InputError("worst_case_disk_margin", f"channel {channel!r}", f"one of {self.names}", hint)
+            i = self.names.index(channel)
+            loop = loop.select(
+                [*loop.input_names[:q], loop.input_names[q + i]], [*loop.output_names[:p], loop.output_names[p + i]]
+            )
+            self.names = (channel,)
+        self.loop = UncertainModel(loop, self.blocks)
+        self.nominal = disk_margin_of(self.loop.nominal, self.names, skew, budget, seed)
+        self.lower, self.upper = 0.0, self.nominal.upper
+        self.member: DiskMargin | None = self.nominal
+        self.delta: Mapping[str, Any] = {b.name: _zero(b) for b in self.blocks}
+        self.asked: list[tuple[float, float]] = []  # sizes of the disks, and the margins proved for them
+
+    def run(self, accuracy: float) -> None:
+        """Move the bounds until they meet, the budget is over, or nothing moves any more."""
+        if not self.blocks:
+            self.lower = self.nominal.lower
+            return
+        alone = margin_within(
+            UncertainModel(self.loop.delta_channels, self.blocks), self.budget.share(ALONE), seed=self.seed
+        )
+        if alone.upper <= 1:  # a member on the stability boundary, if not beyond
+            self._take(alone, alone.delta)
+            if self.member is not None:
+                self.lower, self.upper, self.member, self.delta = 0.0, 0.0, None, alone.delta
+            return
+        while self.upper > self.lower * (1 + accuracy) and not self.budget.over:
+            before = self.lower, self.upper
+            self._step(self._next(accuracy))
+            if len(self.asked) >= MAX_MARGINS or (before == (self.lower, self.upper) and self._closed_in(accuracy)):
+                return
+
+    def _next(self, accuracy: float) -> float:
+        """Size of the disks to ask for next: a little below the one at which the proved margin would be 1."""
+        top = min(self.upper, 1e3)
+        failed = min((point for point in self.asked if point[1] < 1), default=None)
+        proved = max((point for point in self.asked if point[1] >= 1), default=None)
+        if failed is None:
+            return top / (1 + accuracy / 2)
+        if proved is None:
+            return 0.5 * failed[0] * failed[1]
+        # The margin falls with the size, nearly by a power law.
+        (low, high_margin), (high, low_margin) = proved, failed
+        slope = np.log(high_margin / low_margin) / np.log(high / low) if high > low * (1 + 1e-9) else 1.0
+        crossing = low * high_margin ** (1 / max(float(slope), 0.05))
+        return float(np.clip(crossing, low**0.9 * high**0.1, high / (1 + accuracy / 10)))
+
+    def _closed_in(self, accuracy: float) -> bool:
+        """Whether the sizes that were proved and those that were not already meet."""
+        failed = min((alpha for alpha, margin in self.asked if margin < 1), default=np.inf)
+        return bool(self.lower * (1 + accuracy / 4) >= failed)
+
+    def _step(self, alpha: float) -> None:
+        """One margin; where it is above 1 it moves the lower bound, where it is below 1 the upper one."""
+        margin = self._margin(alpha)
+        self.asked.append((alpha, margin.lower))
+        if margin.lower >= 1:
+            self.lower = max(self.lower, min(margin.lower * alpha, self.upper))
+        if margin.upper <= 1:
+            self._take(margin, {b.name: margin.delta[b.name] for b in self.blocks})
+
+    def _margin(self, alpha: float) -> Margin:
+        """Margin of the set with disks of size ``alpha``."""
+        m, q = self.loop.M, self.loop.delta_shape[0]
+        scale = np.ones(m.n_inputs)
+        scale[q:] = alpha
+        scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt)
+        disks: list[Block] = [ComplexScalar(f"disk: {name}") for name in self.names]
+        loop = UncertainModel(scaled, [*self.blocks, *disks])
+        self.budget.spend(search_work(m.n_states, loop.blocks))
+        return margin_within(loop, self.budget, accuracy=MARGIN_ACCURACY, seed=self.seed)
+
+    def _take(self, margin: Margin, found: Mapping[str, Any]) -> None:
+        """Take the member at ``found``, and at the ends of the set in its direction, as candidates for the worst."""
+        for delta in _towards_the_edge(self.blocks, found):
+            member = self._member(margin, delta)
+            if member is None:  # its loop is unstable
+                self.lower, self.upper, self.member, self.delta = 0.0, 0.0, None, delta
+                return
+            if member.upper < self.upper:
+                self.upper, self.member, self.delta = member.upper, member, delta
+
+    def _member(self, margin: Margin, delta: Mapping[str, Any]) -> DiskMargin | None:
+        """Disk margin of the member at ``delta``; None where its loop is unstable or ill-posed."""
+        try:
+            made = realise_delta(self.blocks, delta, margin.frequency or 0.0, self.uncertain.dt)
+        except InputError:  # complex values at an end of the axis: not a member with real coefficients
+            return self.member or self.nominal
+        try:
+            model = perturbed_model(self.loop, made)
+        except NoTrustworthyNumber:  # ill-posed
+            return None
+        if len(self.names) > 1:
+            self.budget.spend(search_work(model.n_states, [ComplexScalar(name) for name in self.names]))
+        try:
+            return disk_margin_of(model, self.names, self.skew, self.budget, self.seed)
+        except NoTrustworthyNumber:
+            speed = float(np.abs(model.poles()).max(initial=0.0))
+            if model.spectral_abscissa() > -ON_THE_AXIS * speed:
+                return None
+            return self.member or self.nominal  # stable, only without a number: no candidate
+
+    def result(self, accuracy: float) -> WorstCaseDiskMargin:
+        """The bounds as a result."""
+        met = self.upper <= self.lower * (1 + accuracy) or self.upper == 0
+        notes: list[str] = []
+        if self.upper == 0:
+            notes.append("a member of the set has a loop that is not stable")
+        elif not met:
+            apart = (
+                f"the bounds differ by {100 * (self.upper / self.lower - 1):.3g} %" if self.lower else "nothing proved"
+            )
+            notes.append(apart)
+        if not met and self.budget.remark:
+            notes.append(self.budget.remark)
+        if met:
+            status = Status.CERTIFIED
+        elif self.budget.struck:
+            status = Status.TIMEOUT
+        else:
+            status = Status.CERTIFIED if self.lower > 0 else Status.INCONCLUSIVE
+        notes += self.uncertain.impossible(self.delta)
+        low, high, phase = gain_and_phase(float(self.lower), self.skew)
+        physical = self.uncertain.physical(self.delta)
+        return WorstCaseDiskMargin(
+            float(self.lower),
+            float(self.upper),
+            (low, high),
+            phase,
+            self.skew,
+            dict(self.delta),
+            physical,
+            self.member,
+            self.nominal,
+            status,
+            tuple(notes),
+        )
+
+
+def _zero(block: Block) -> Any:
+    return np.zeros((block.rows, block.cols)) if isinstance(block, FullBlock) else 0.0
+
+
+def _size(value: Any) -> float:
+    array = np.asarray(value)
+    return float(np.linalg.norm(array, 2) if array.ndim == 2 else abs(array.reshape(()).item()))
+
+
+def _towards_the_edge(blocks: tuple[Block, ...], found: Mapping[str, Any]) -> Iterator[dict[str, NDArray[Any] | Any]]:
+    """The Delta as found, and with every block (every real one) at the edge of the set."""
+    yield dict(found)
+    sizes = {name: _size(value) for name, value in found.items()}
+    yield {name: value / sizes[name] if sizes[name] > 0.5 else value for name, value in found.items()}
+    real = {b.name for b in blocks if isinstance(b, RealScalar)}
+    if len(real) < len(blocks):
+        yield {n: v / sizes[n] if n not in real and sizes[n] > 0.5 else v for n, v in found.items()}

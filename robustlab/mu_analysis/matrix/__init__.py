@@ -1,0 +1,1 @@
+"""mu of constant matrices: upper bounds with their scalings, lower bounds with their Delta."""

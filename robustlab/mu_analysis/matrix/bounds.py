@@ -1,0 +1,292 @@
+"""mu of constant matrices: both bounds, each with its evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.mu_analysis.matrix.certificate import has_structure
+from robustlab.mu_analysis.matrix.decomposition import components
+from robustlab.mu_analysis.matrix.lower import lower_bounds
+from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
+from robustlab.result import Status
+from robustlab.uncertainty.blocks.base import Block, RealScalar, as_blocks, structure_size
+
+__all__ = ["MuBounds", "matrix_stack", "mu"]
+
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+# What branch and bound may cost, for all matrices of a stack together: about a minute.
+WORK = 60 * MILLION
+
+
+@dataclass(frozen=True, eq=False)
+class MuBounds:
+    r"""Bounds of mu with what proves them; a stack of k matrices has a leading axis k everywhere.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= mu <= upper``; floats, or arrays (k,).
+    delta
+        Delta of norm ``1 / lower`` with ``det(I - M Delta) = 0``, shape (q, p); zeros where none was found (``lower =
+        0``).
+    D, G
+        Scalings (q, q) and (q, p) with :math:`M^* D_z M + j (G M - M^* G^*) - upper^2 D \preceq 0`. An ``upper`` of
+        zero of a nilpotent structure is proved by its zero pattern; D then shows it in the limit only.
+    D_z
+        The scaling (p, p) on the side of the outputs of M; equal to D where all blocks are square.
+    status
+        CERTIFIED: upper proved and lower attained (or both zero). CONVERGED: upper proved, no Delta found at some
+        matrix. TIMEOUT: the time limit ended branch and bound; both bounds hold.
+    blocks
+        The blocks of Delta.
+    scaled
+        The bound that D and G prove: equal to ``upper``, unless branch and bound has lowered that.
+    boxes
+        Boxes of the real parameters that branch and bound has proved one by one for ``upper``; 0 without it.
+    notes
+        Remarks for the reader of a report: what ended branch and bound before its tolerance.
+    """
+
+    lower: Any
+    upper: Any
+    delta: ComplexArray
+    D: ComplexArray
+    G: ComplexArray
+    D_z: ComplexArray
+    status: Status
+    blocks: tuple[Block, ...]
+    scaled: Any = None
+    boxes: Any = 0
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.scaled is None:
+            object.__setattr__(self, "scaled", self.upper)
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes; arrays stay arrays."""
+        names = [b.name for b in self.blocks]
+        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status", "scaled", "boxes", "notes")
+        return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
+
+
+@told_as("mu")
+def mu(
+    M: ArrayLike,
+    blocks: Any,
+    seed: int = 0,
+    certify: bool = False,
+    tolerance: float | None = None,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+) -> MuBounds:
+    r"""Bounds of the structured singular value.
+
+    .. math:: \mu(M) = 1 / \min \{ \|\Delta\| : \det(I - M \Delta) = 0 \}, \qquad \mu = 0 \text{ where no } \Delta
+    \text{ does}
+
+    The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an
+    explicit Delta. What lies between them is not known; with ``tolerance`` branch and bound over the real parameters
+    closes it.
+
+    Parameters
+    ----------
+    M
+        Complex matrix (p, q), or a stack (k, p, q); Delta is (q, p).
+    blocks
+        Blocks, or rows of MATLAB's ``mussv``: ``[-r, 0]`` real and ``[r, 0]`` complex scalar repeated r times,
+        ``[r, c]`` full.
+    seed
+        Seed of the starting points of the lower bound.
+    tolerance
+        Relative gap between the bounds that branch and bound over the real scalars aims at; none where left out. It
+        needs a Delta to start from: where ``lower`` is zero, nothing is cut.
+    time_limit
+        Time in s from the call after which branch and bound stops. Where it strikes, the status is TIMEOUT:
+        the answer cannot be repeated. None: no limit.
+    effort
+        Work that branch and bound may take, as a multiple of the usual (about a minute for all matrices together);
+        counted, not timed.
+    certify
+        Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
+
+    Raises
+    ------
+    InputError
+        NaN or Inf, a shape that does not fit the blocks, or a parameter whose range is not symmetric: its delta does
+        not fill [-1, 1] times one number.
+    NoTrustworthyNumber
+        A lower bound above the upper one, or an upper bound that ball arithmetic does not confirm.
+    DependencyMissing
+        ``certify`` without python-flint.
+
+    References
+    ----------
+    Doyle (1982); Fan, Tits, Doyle, IEEE TAC 36 (1991); Young, Doyle (1990).
+
+    Examples
+    --------
+    >>> bounds = mu([[0.0, 4.0], [1.0, 0.0]], [[1, 0], [1, 0]])
+    >>> round(bounds.lower, 6), round(bounds.upper, 6)
+    (2.0, 2.0)
+    """
+    structure = as_blocks(blocks)
+    _refuse_asymmetric(structure)
+    stack, single = matrix_stack(M, structure)
+    if tolerance is not None and not tolerance > 0:
+        raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
+    if tolerance is not None:
+        compile_kernels()
+    budget = search_budget("mu", WORK, effort, time_limit)
+    with one_thread():
+        parts, status = _bounds(stack, structure, seed, certify)
+        if tolerance is not None:
+            parts["boxes"] = _close(stack, parts, structure, tolerance, budget)
+    if single:
+        parts = {key: value[0] for key, value in parts.items()}
+        parts.update({key: float(parts[key]) for key in ("lower", "upper", "scaled")})
+        parts.update(boxes=int(parts.get("boxes", 0)))
+    for value in parts.values():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+    notes = (budget.remark,) if budget.remark else ()
+    return MuBounds(**parts, status=Status.TIMEOUT if budget.struck else status, blocks=structure, notes=notes)
+
+
+def _bounds(
+    stack: ComplexArray, structure: tuple[Block, ...], seed: int, certify: bool
+) -> tuple[dict[str, Any], Status]:
+    """The D-G bounds of each matrix and the Delta found, and what they are worth."""
+    scale = _scale(stack)
+    stack = stack * scale[:, None, None]
+    uppers = upper_bounds(stack, structure)
+    lowers = lower_bounds(stack, structure, seed)
+    q, p = structure_size(structure)
+    zero = np.zeros((q, p), dtype=complex)
+    lower = np.array([value for value, _ in lowers])
+    upper = np.array([bound.beta for bound in uppers])
+    # A lower bound is attained up to the rounding of its Delta: it may pass a tight upper bound by that much, no more.
+    lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
+    if (lower > upper).any():
+        raise _contradiction(int(np.argmax(lower - upper)), lower, upper)
+    size = scale[:, None, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        delta = _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size
+    beyond = ~np.isfinite(delta).all(axis=(1, 2))  # M is so small that no floats hold such a Delta: none was found
+    lower, delta[beyond] = np.where(beyond, 0.0, lower), 0.0
+    sure = np.isfinite(upper).all()
+    attained = ((lower > 0) | (upper == 0)).all()
+    status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
+    parts: dict[str, Any] = {
+        "lower": _outward(lower, scale, 0.0),
+        "upper": _outward(upper, scale, np.inf),
+        "scaled": _outward(upper, scale, np.inf),
+        "delta": delta,
+        "D": _stacked([b.Dw for b in uppers], (q, q)),
+        "G": _stacked([b.G for b in uppers], (q, p)) / size,
+        "D_z": _stacked([b.Dz for b in uppers], (p, p)),
+    }
+    if certify:
+        _confirm(stack / size, parts, structure)
+    return parts, status
+
+
+def _outward(bound: NDArray[np.float64], scale: NDArray[np.float64], towards: float) -> NDArray[np.float64]:
+    """A bound in M's own size; where that is no float of full length, rounded to the safe side."""
+    own = bound / scale
+    unsafe = own * scale < bound if towards > 0 else own * scale > bound
+    return np.where(unsafe, np.nextafter(own, towards), own)
+
+
+def _close(
+    stack: ComplexArray, parts: dict[str, Any], blocks: tuple[Block, ...], tolerance: float, budget: Budget
+) -> NDArray[np.intp]:
+    """Branch and bound of each matrix whose bounds are further apart than the tolerance; how many boxes each took."""
+    from robustlab.mu_analysis.axis.branch_and_bound import MatrixProblem, tighten
+
+    boxes, scale = np.zeros(len(stack), dtype=int), _scale(stack)
+    some_real = any(isinstance(b, RealScalar) for b in blocks)
+    for k, m in enumerate(stack * scale[:, None, None]):
+        lower, upper = parts["lower"][k] * scale[k], parts["upper"][k] * scale[k]
+        if not some_real or not 0 < lower * (1 + tolerance) < upper:
+            continue
+        part = budget.share(1 / (len(stack) - k))
+        proof = tighten(MatrixProblem(m, blocks), lower, upper, tolerance, part)
+        parts["upper"][k], boxes[k] = proof.upper / scale[k], len(proof.leaves)
+        if proof.values is not None:
+            parts["lower"][k], parts["delta"][k] = proof.lower / scale[k], proof.values * scale[k]
+    return boxes
+
+
+def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, bool]:
+    """M as a finite complex stack (k, p, q) that fits the blocks, and whether it was a single matrix."""
+    try:
+        array = np.asarray(M)
+    except ValueError as error:
+        raise InputError("mu: M", f"ragged ({error})", "a rectangular array of numbers") from None
+    if array.dtype.kind not in "fiuc":
+        raise InputError("mu: M", f"dtype {array.dtype}", "numbers")
+    q, p = structure_size(blocks)
+    single = array.ndim == 2
+    if array.ndim not in (2, 3) or array.shape[-2:] != (p, q):
+        hint = "Delta has the transposed shape of M" if array.shape[-2:] == (q, p) else None
+        raise InputError("mu: M", f"shape {array.shape}", f"{(p, q)} or (k, {p}, {q}) for a Delta of {(q, p)}", hint)
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        index = ",".join(str(i) for i in bad[0])
+        raise InputError(
+            "mu: M", f"entry [{index}] is not finite ({len(bad)} of {array.size} entries)", "finite numbers"
+        )
+    stack = array.astype(np.complex128)
+    return (stack[None] if single else stack), single
+
+
+def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
+    for block in blocks:
+        if isinstance(block, RealScalar) and block.parameter is not None and block.ratio != 1:
+            scale = block.parameter
+            raise InputError(
+                f"mu: block {block.name!r}",
+                f"range {scale.low:g} .. {scale.high:g} around {scale.nominal:g}",
+                "a range that is symmetric around its nominal value",
+                "robust_stability takes such ranges; or give the block a symmetric range that holds this one",
+            )
+
+
+def _confirm(stack: ComplexArray, parts: dict[str, Any], blocks: Sequence[Block]) -> None:
+    """Prove each upper bound in ball arithmetic; a zero by the zero pattern of M where D shows it in the limit only."""
+    from robustlab.mu_analysis.matrix.ball_proof import certified_in_balls
+
+    for k, m in enumerate(stack):
+        D, D_z, G, beta = (parts[key][k] for key in ("D", "D_z", "G", "upper"))
+        if beta == 0 and not any(component.matrix.any() for component in components(m, blocks)):
+            continue
+        if not (has_structure(blocks, D, D_z, G) and certified_in_balls(m, D, G, beta, D_z)):
+            raise NoTrustworthyNumber(f"mu: matrix {k}", f"upper bound {beta:.12g} is not confirmed by ball arithmetic")
+
+
+def _scale(stack: ComplexArray) -> NDArray[np.float64]:
+    """The power of two that makes the largest entry of each matrix about one, shape (k,); 1 for a zero matrix.
+
+    It is exact, and keeps the squares of the entries inside the range of floating point.
+    """
+    largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
+    return np.exp2(-np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000))
+
+
+def _stacked(parts: list[ComplexArray], shape: tuple[int, int]) -> ComplexArray:
+    return np.stack(parts) if parts else np.zeros((0, *shape), dtype=complex)
+
+
+def _contradiction(k: int, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> ArithmeticError:
+    return NoTrustworthyNumber(
+        f"mu: matrix {k}", f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost"
+    )

@@ -1,0 +1,113 @@
+r"""Boxes of perturbations: each real delta in an interval, each complex block in a ball, as one normalised model.
+
+With centre c (real blocks) and half width h of each block, ``Delta = C + H Delta'``, ``|Delta'| <= 1``, and
+
+.. math:: M' = (I - M C)^{-1} M H
+
+sees the normalised ``Delta'``. For a state-space model the same holds with ``z = C_z x + D w``, ``w = C z + H w'``.
+Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices
+
+__all__ = ["Box", "block_entries", "box_matrices", "box_model", "centre_matrix", "gauge", "lowest", "root_box"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Box:
+    """Centre and half width of each block, shape (n_blocks,); the centre of a complex block is zero."""
+
+    centre: Array
+    half: Array
+
+    def halves(self, index: int) -> tuple[Box, Box]:
+        """The two boxes that are left when the interval of one real block is cut in its middle."""
+        half = self.half.copy()
+        half[index] /= 2
+        low, high = self.centre.copy(), self.centre.copy()
+        low[index] -= half[index]
+        high[index] += half[index]
+        return Box(low, half), Box(high, half)
+
+
+def lowest(blocks: Sequence[Block]) -> Array:
+    """What multiplies in Delta at the lower end of each block's range: -1, or ``-below / radius`` where asymmetric."""
+    return np.array([-b.ratio if isinstance(b, RealScalar) else -1.0 for b in blocks])
+
+
+def root_box(blocks: Sequence[Block], size: float = 1.0) -> Box:
+    """The whole set, scaled by ``size`` about the nominal point."""
+    low, real = lowest(blocks), np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
+    return Box(np.where(real, size * (1 + low) / 2, 0.0), np.where(real, size * (1 - low) / 2, size))
+
+
+def gauge(blocks: Sequence[Block], values: Array) -> float:
+    """The smallest size of the set that holds these entries of Delta (moduli for complex blocks)."""
+    low = lowest(blocks)
+    return float(np.max(np.where(values >= 0, values, values / low), initial=0.0))
+
+
+def block_entries(blocks: Sequence[Block], delta: ComplexArray) -> Array:
+    """What stands in Delta (q, p) for each real block; the size of a complex one, shape (n_blocks,)."""
+    entries = []
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        part = delta[w, z]
+        entries.append(float(part[0, 0].real) if isinstance(block, RealScalar) else float(np.linalg.norm(part, 2)))
+    return np.array(entries)
+
+
+def centre_matrix(blocks: Sequence[Block], centre: Array) -> Array:
+    """The Delta (q, p) of a box's centre."""
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    matrix = np.zeros((q, p))
+    for value, block, (w, z) in zip(centre, blocks, block_slices(blocks), strict=True):
+        if isinstance(block, RealScalar):
+            matrix[w, z] = value * np.eye(block.repeats)
+    return matrix
+
+
+def box_model(model: StateSpaceModel, blocks: Sequence[Block], box: Box) -> StateSpaceModel | None:
+    """The Delta channels that a box's normalised Delta sees; None where the loop is ill-posed at the centre."""
+    middle = centre_matrix(blocks, box.centre)
+    half = np.repeat(box.half, [b.rows for b in blocks])
+    if not box.centre.any():
+        return StateSpaceModel(model.A, model.B * half, model.C, model.D * half)
+    p = model.n_outputs
+    try:
+        solved = np.linalg.solve(np.eye(p) - model.D @ middle, np.hstack([model.C, model.D]))
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(solved).all():
+        return None
+    to_z, direct = solved[:, : model.n_states], solved[:, model.n_states :]
+    # w = C z + H w' with z = to_z x + direct H w'
+    into = model.B + model.B @ middle @ direct
+    return StateSpaceModel(model.A + model.B @ middle @ to_z, into * half, to_z, direct * half)
+
+
+def box_matrices(M: ComplexArray, blocks: Sequence[Block], boxes: Sequence[Box]) -> ComplexArray:
+    """``(I - M C)^-1 M H`` of one matrix M (p, q) for each box, shape (k, p, q); NaN where ill-posed at the centre."""
+    p = M.shape[0]
+    middle = np.stack([centre_matrix(blocks, box.centre) for box in boxes])
+    half = np.stack([np.repeat(box.half, [b.rows for b in blocks]) for box in boxes])
+    loop = np.eye(p) - M @ middle
+    result = np.full((len(boxes), *M.shape), np.nan, dtype=complex)
+    for k, matrix in enumerate(loop):
+        try:
+            result[k] = np.linalg.solve(matrix, M) * half[k]
+        except np.linalg.LinAlgError:
+            continue
+    return result

@@ -1,0 +1,244 @@
+r"""Proofs of mu bounds, evaluated from the returned evidence alone.
+
+Upper: any D > 0 and G of the structure prove ``mu(M) <= beta`` where
+
+.. math:: N(\beta) = \beta^2 D_w - M^* D_z M - j (G M - M^* G^*) \succeq 0 .
+
+Lower: any Delta of the structure with ``det(I - M Delta) = 0`` proves ``mu(M) >= 1 / ||Delta||``.
+
+References
+----------
+Fan, Tits, Doyle (1991); Rump, "Verification of positive definiteness", BIT 46 (2006).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices
+
+__all__ = [
+    "EPS",
+    "certified_level",
+    "certified_levels",
+    "delta_norm",
+    "has_structure",
+    "level",
+    "positive_definite",
+    "project",
+    "proves",
+    "singularity",
+]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+EPS = float(np.finfo(float).eps)
+
+
+def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
+    """Smallest beta of D and G by floating point, no proof; 0 where N(0) > 0, inf where D is not positive definite."""
+    if not M.size:
+        return 0.0
+    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
+    return float(np.sqrt(max(inequality.squares()[0], 0.0)) * inequality.unit[0])
+
+
+def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:
+    """Whether D > 0 and N(beta) >= 0 hold with all rounding errors of this evaluation allowed for.
+
+    The matrices are scaled by powers of two (exact); the rounding error of N is bounded entry by entry, and a Cholesky
+    factorisation of N minus that bound has to succeed.
+    """
+    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
+    return bool(inequality.proves(np.array([beta]) / inequality.unit)[0])
+
+
+def positive_definite(X: ComplexArray, error: float) -> bool:
+    """Whether every Hermitian matrix within ``error`` (2-norm) of X is positive definite, by Rump's criterion."""
+    return bool(_positive_definite(X[None], np.array([error]))[0])
+
+
+def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
+    """The level of D and G, raised until `proves` says yes; inf where it never does."""
+    return float(certified_levels(*(part[None] for part in (M, Dw, Dz, G)))[0])
+
+
+def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> Array:
+    """`certified_level` of each matrix of a stack, shape (k,)."""
+    if not M.size:
+        return np.zeros(len(M))
+    inequality = _Inequality(M, Dw, Dz, G)
+    squares = inequality.squares()
+    zero = ~M.any(axis=(1, 2))
+    result = np.where(zero, 0.0, np.inf)
+    # beta^2 is raised by what the allowance for rounding errors asks for, then in steps of a factor of four.
+    raised = inequality.allowance(np.sqrt(np.maximum(squares, 0.0)))
+    todo = np.flatnonzero(~zero & np.isfinite(squares) & np.isfinite(raised))
+    for _ in range(40):
+        if not len(todo):
+            break
+        beta = np.sqrt(np.maximum(squares[todo] + raised[todo], 0.0))
+        proved = inequality.proves(beta, todo)
+        result[todo[proved]] = beta[proved] * inequality.unit[todo[proved]]
+        todo = todo[~proved]
+        raised[todo] *= 4
+    return result
+
+
+class _Inequality:
+    """``N(beta) = beta^2 D_w - supply`` of a stack, with the bounds of its rounding errors.
+
+    D has a diagonal of order one, M is of order one in ``unit``, a power of two; beta is in this unit too.
+    """
+
+    def __init__(self, M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
+            largest = np.abs(M).max(axis=(1, 2), initial=0.0)
+            usual = (largest > 0) & np.isfinite(largest)
+            self.unit = np.exp2(np.rint(np.log2(np.where(usual, largest, 1.0))))
+            M, G = M / self.unit[:, None, None], G / self.unit[:, None, None]
+            product = G @ M
+            supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+            size = np.abs(M)
+            cross = np.abs(G) @ size
+            bound = np.swapaxes(size, 1, 2) @ np.abs(Dz) @ size + cross + np.swapaxes(cross, 1, 2)
+        self.supply = (supply + hermitian(supply)) / 2
+        self.Dw = Dw
+        # Complex products of two factors, summed over p and q terms.
+        self.gamma = 4 * (sum(M.shape[1:]) + 4) * EPS
+        self.bound, self.d_bound = bound.sum(axis=2), np.abs(Dw).sum(axis=2)
+        parts = (self.supply, self.bound, Dw, Dz)
+        self.finite = np.logical_and.reduce([np.isfinite(a).all(axis=tuple(range(1, a.ndim))) for a in parts])
+        for part in (self.supply, self.Dw):
+            part[~self.finite] = np.eye(part.shape[1])
+
+    def squares(self) -> Array:
+        """Smallest t of ``t D_w - supply >= 0``; inf where D is not positive definite."""
+        result = np.full(len(self.Dw), np.inf)
+        good = np.flatnonzero(self.finite & _positive_definite(self.Dw, np.zeros(len(self.Dw))))
+        if len(good):
+            factor = np.linalg.cholesky(self.Dw[good])
+            half = np.linalg.solve(factor, self.supply[good])
+            scaled = np.linalg.solve(factor, hermitian(half))
+            fine = np.isfinite(scaled).all(axis=(1, 2))
+            scaled[~fine] = 0
+            values = np.linalg.eigvalsh((scaled + hermitian(scaled)) / 2)[:, -1]
+            result[good] = np.where(fine, values, np.inf)
+        return result
+
+    def error(self, beta: Array, which: Any = slice(None)) -> Array:
+        """Bound of the rounding error of N(beta), in the 2-norm."""
+        rows = self.bound[which] + beta[:, None] ** 2 * self.d_bound[which]
+        return self.gamma * rows.max(axis=1, initial=0.0)
+
+    def allowance(self, beta: Array) -> Array:
+        """About how much larger than its level beta^2 has to be for a proof."""
+        smallest = np.linalg.eigvalsh(self.Dw)[:, 0]
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN proves nothing
+            traces = np.einsum("kii->k", beta[:, None, None] ** 2 * self.Dw - self.supply).real
+            needed = self.error(beta) + 4 * (self.Dw.shape[1] + 2) * EPS * np.maximum(traces, 0.0)
+            return 2 * needed / np.where(smallest > 0, smallest, np.nan) + 1e-300
+
+    def proves(self, beta: Array, which: Any = slice(None)) -> NDArray[np.bool_]:
+        """Whether D > 0 and N(beta) >= 0 hold in spite of all rounding errors, for each matrix."""
+        sure = self.finite[which] & np.isfinite(beta)
+        beta = np.where(sure, beta, 0.0)
+        n = beta[:, None, None] ** 2 * self.Dw[which] - self.supply[which]
+        error = self.error(beta, which)
+        return sure & _positive_definite(n, error) & _positive_definite(self.Dw[which], np.zeros(len(beta)))
+
+
+def _positive_definite(X: ComplexArray, error: Array) -> NDArray[np.bool_]:
+    n = X.shape[1]
+    if n == 0:
+        return np.ones(len(X), dtype=bool)
+    diagonal = np.einsum("kii->ki", X).real
+    finite = np.isfinite(X).all(axis=(1, 2)) & np.isfinite(error)
+    result = finite & (diagonal.min(axis=1) > 0)
+    shift = error + 4 * (n + 2) * EPS * diagonal.sum(axis=1)
+    shifted = X[result] - shift[result][:, None, None] * np.eye(n)
+    result[result] = _factorises(shifted)
+    return result
+
+
+def _factorises(X: ComplexArray) -> NDArray[np.bool_]:
+    """Whether the Cholesky factorisation runs through, for each matrix of the stack."""
+    try:
+        np.linalg.cholesky(X)
+    except np.linalg.LinAlgError:
+        if len(X) == 1:
+            return np.array([False])
+        return np.concatenate([_factorises(X[i : i + 1]) for i in range(len(X))])
+    return np.ones(len(X), dtype=bool)
+
+
+def singularity(M: ComplexArray, delta: ComplexArray) -> float:
+    """Smallest singular value of ``I - M Delta`` over ``1 + ||M Delta||``; 0 where Delta makes it singular."""
+    loop = M @ delta
+    if not np.isfinite(loop).all():
+        return float("inf")
+    values = np.linalg.svd(np.eye(len(loop)) - loop, compute_uv=False)
+    return float(values[-1] / (1 + np.linalg.norm(loop, 2)))
+
+
+def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
+    """Largest singular value of the blocks of Delta (q, p)."""
+    largest = 0.0
+    for block, (w, z) in _with_slices(blocks):
+        full = isinstance(block, FullBlock) and block.rows * block.cols > 1
+        size = np.linalg.norm(delta[w, z], 2) if full else abs(delta[w.start, z.start])
+        largest = max(largest, float(size))
+    return largest
+
+
+def has_structure(blocks: Sequence[Block], Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> bool:
+    """Whether D and G commute with every Delta of these blocks, to the last bit: no number of theirs is rounded."""
+    rest = (Dw.copy(), Dz.copy(), G.copy())
+    for block, (w, z) in _with_slices(blocks):
+        d_w, d_z, g = Dw[w, w], Dz[z, z], G[w, z]
+        if isinstance(block, FullBlock):
+            d = d_w[0, 0].real
+            fits = (d_w == d * np.eye(block.rows)).all() and (d_z == d * np.eye(block.cols)).all() and not g.any()
+        else:
+            fits = (d_w == d_z).all() and (d_w == d_w.conj().T).all()
+            fits = fits and ((g == g.conj().T).all() if isinstance(block, RealScalar) else not g.any())
+        if not fits:
+            return False
+        for part, rows, cols in zip(rest, (w, z, w), (w, z, z), strict=True):
+            part[rows, cols] = 0
+    return not any(part.any() for part in rest)
+
+
+def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:
+    """The Delta of exactly this structure that lies next to the given one."""
+    result = np.zeros(delta.shape, dtype=complex)
+    for block, (w, z) in _with_slices(blocks):
+        part = delta[w, z]
+        if not isinstance(block, FullBlock):
+            value = np.trace(part) / len(part)
+            part = (value.real if isinstance(block, RealScalar) else value) * np.eye(len(part))
+        result[w, z] = part
+    return result
+
+
+def _with_slices(blocks: Sequence[Block]) -> list[tuple[Block, tuple[slice, slice]]]:
+    return list(zip(blocks, block_slices(blocks), strict=True))
+
+
+def _power_of_two_scaled(
+    M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+    """The same inequality with diagonals of D between 1/2 and 2: congruence by powers of two, free of rounding."""
+    w, z = (np.exp2(np.round(-0.5 * np.log2(np.maximum(np.einsum("kii->ki", d).real, 1e-300)))) for d in (Dw, Dz))
+    return (
+        M * w[:, None, :] / z[:, :, None],
+        Dw * w[:, :, None] * w[:, None, :],
+        Dz * z[:, :, None] * z[:, None, :],
+        G * w[:, :, None] * z[:, None, :],
+    )

@@ -1,0 +1,119 @@
+"""What is done to M before any solver sees it: strongly connected components, and balancing by powers of two.
+
+Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it is
+20 to 40 times slower. mu of a block-triangular M is the largest mu of its diagonal components.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.uncertainty.blocks.base import Block, block_slices
+
+__all__ = ["Component", "balancing_exponents", "block_norms", "components", "expand"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Component:
+    """A strongly connected set of blocks of one matrix.
+
+    Attributes
+    ----------
+    members
+        Indices of its blocks.
+    depth
+        How many components lie before it on the longest path; w flows from a lower to a higher depth.
+    exponents
+        Scaling ``2^exponent`` per member: ``M_ij 2^(e_i - e_j)`` is balanced.
+    matrix
+        The balanced diagonal part of M.
+    """
+
+    members: tuple[int, ...]
+    depth: int
+    exponents: Array
+    matrix: ComplexArray
+
+
+def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
+    """Frobenius norm of each block ``M_ij`` (outputs of block i, inputs of block j), shape (n_blocks, n_blocks)."""
+    if not M.size:
+        return np.zeros((len(blocks), len(blocks)))
+    w, z = (np.array([part[side].start for part in block_slices(blocks)]) for side in (0, 1))
+    size = np.abs(M)
+    largest = np.maximum.reduceat(np.maximum.reduceat(size, z, axis=0), w, axis=1)
+    # Scaled by the largest entry of the block: the squares of a small coupling must not vanish.
+    unit = np.repeat(
+        np.repeat(np.where(largest > 0, largest, 1.0), [b.cols for b in blocks], 0), [b.rows for b in blocks], 1
+    )
+    return largest * np.sqrt(np.add.reduceat(np.add.reduceat((size / unit) ** 2, z, axis=0), w, axis=1))
+
+
+def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:
+    """One value per block, repeated over its entries of w and of z."""
+    return np.repeat(values, [b.rows for b in blocks]), np.repeat(values, [b.cols for b in blocks])
+
+
+def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
+    """The strongly connected components of M in the order in which signals pass through them, each balanced."""
+    from scipy.sparse.csgraph import connected_components
+
+    if not blocks:
+        return []
+    norms = block_norms(M, blocks)
+    if (norms > 0).all():
+        exponents = _osborne(norms)
+        w, z = expand(blocks, exponents)
+        matrix = M * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
+        return [Component(tuple(range(len(blocks))), 0, exponents, matrix)]
+    count, labels = connected_components(norms > 0, directed=True, connection="strong")
+    groups = [np.flatnonzero(labels == c) for c in range(count)]
+    # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
+    drives = np.array([[bool((norms[i[:, None], j] > 0).any()) for j in groups] for i in groups])
+    np.fill_diagonal(drives, False)
+    depth = np.zeros(count, dtype=int)
+    for _ in range(count):
+        deeper = np.where(drives, depth[None, :] + 1, 0).max(axis=1)
+        if (deeper == depth).all():
+            break
+        depth = deeper
+    slices = block_slices(blocks)
+    result = []
+    for c in np.argsort(depth, kind="stable"):
+        members = groups[c]
+        exponents = _osborne(norms[members[:, None], members])
+        part = [blocks[i] for i in members]
+        w, z = expand(part, exponents)
+        rows = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
+        cols = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
+        matrix = M[rows[:, None], cols] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
+        result.append(Component(tuple(int(i) for i in members), int(depth[c]), exponents, matrix))
+    return result
+
+
+def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
+    """Whole exponents per block that balance M without splitting it; couplings smaller than 1e-6 count as that much."""
+    norms = block_norms(M, blocks)
+    return _osborne(np.maximum(norms, 1e-6 * max(float(norms.max(initial=0.0)), 1e-300)))
+
+
+def _osborne(norms: Array) -> Array:
+    """Whole exponents e such that row i and column i of ``norms_ij 2^(e_i - e_j)`` have about the same norm."""
+    from robustlab.mu_analysis.matrix.balancing_kernel import osborne
+
+    n = len(norms)
+    if n < 2:
+        return np.zeros(n)
+    with np.errstate(divide="ignore"):
+        log = np.log2(norms)
+    np.fill_diagonal(log, -np.inf)
+    e = osborne(log, 100, 0.01)
+    return np.round(e - np.round(e.mean()))

@@ -1,0 +1,149 @@
+"""Where the blocks of Delta sit, as index arrays: stacks of Deltas are made and measured without a loop over blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+
+__all__ = ["DeltaLayout", "delta_layout"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class DeltaLayout:
+    """Index arrays of one block structure.
+
+    Attributes
+    ----------
+    q, p
+        Delta is q x p.
+    real, full
+        Which blocks are real scalars, and which are full blocks of more than one entry; shape (n_blocks,).
+    of_w, of_z
+        The block of each row and each column of Delta, shapes (q,), (p,).
+    entry_w, entry_z, entry_block
+        Row, column and block of every entry of Delta that may be non-zero.
+    """
+
+    q: int
+    p: int
+    real: Mask
+    full: Mask
+    of_w: Indices
+    of_z: Indices
+    entry_w: Indices
+    entry_z: Indices
+    entry_block: Indices
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return len(self.real)
+
+    @property
+    def diagonal(self) -> bool:
+        """Whether every Delta is a diagonal matrix."""
+        return not self.full.any()
+
+    def gains(self, row: ComplexArray, x: ComplexArray) -> ComplexArray:
+        """Factors a (k, n_blocks) in ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block.
+
+        row is (k, q), x (k, p).
+        """
+        if self.diagonal:
+            return self._sum(row * x, self.of_w)
+        scalar_w, scalar_z = ~self.full[self.of_w], ~self.full[self.of_z]
+        products = np.zeros((len(row), self.q), dtype=complex)
+        products[:, scalar_w] = row[:, scalar_w] * x[:, scalar_z]
+        result = self._sum(products, self.of_w)
+        sizes = self.vector_sizes(row, self.of_w) * self.vector_sizes(x, self.of_z)
+        return np.where(self.full, sizes, result)
+
+    def deltas(self, values: Array | ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
+        """Delta (k, q, p) from one number per block (k, n_blocks); full blocks point along row (k, q) and x (k, p)."""
+        delta = np.zeros((len(values), self.q, self.p), dtype=complex)
+        entries = values[:, self.entry_block]
+        if not self.diagonal:
+            left = np.conj(row) / _positive(self.vector_sizes(row, self.of_w))[:, self.of_w]
+            right = np.conj(x) / _positive(self.vector_sizes(x, self.of_z))[:, self.of_z]
+            rank_one = left[:, self.entry_w] * right[:, self.entry_z]
+            entries = np.where(self.full[self.entry_block], entries * rank_one, entries)
+        delta[:, self.entry_w, self.entry_z] = entries
+        return delta
+
+    def sizes(self, delta: ComplexArray) -> Array:
+        """Largest singular value of each block of Delta (k, q, p), shape (k, n_blocks)."""
+        first_w = np.searchsorted(self.of_w, np.arange(self.n))
+        first_z = np.searchsorted(self.of_z, np.arange(self.n))
+        result = np.abs(delta[:, first_w, first_z])
+        for i in np.flatnonzero(self.full):
+            part = delta[:, self.of_w == i][:, :, self.of_z == i]
+            result[:, i] = np.linalg.norm(part, 2, axis=(1, 2))
+        return result
+
+    def contributions(self, delta: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
+        """Parts ``row_i Delta_i x_i`` (k, n_blocks) of ``row Delta x``."""
+        entries = row[:, self.entry_w] * delta[:, self.entry_w, self.entry_z] * x[:, self.entry_z]
+        return self._sum(entries, self.entry_block)
+
+    def scaled(self, delta: ComplexArray, factors: ComplexArray) -> ComplexArray:
+        """Delta (k, q, p) with block i multiplied by factor i (k, n_blocks)."""
+        result = np.zeros_like(delta)
+        result[:, self.entry_w, self.entry_z] = delta[:, self.entry_w, self.entry_z] * factors[:, self.entry_block]
+        return result
+
+    def _sum(self, entries: ComplexArray, block: Indices) -> ComplexArray:
+        """Sums over the columns of each block; the columns are ordered by block."""
+        if len(block) == self.n:
+            return entries
+        return np.add.reduceat(entries, np.searchsorted(block, np.arange(self.n)), axis=1)
+
+    def vector_sizes(self, vectors: ComplexArray, block: Indices) -> Array:
+        """Euclidean norm of the part of each block; block is ``of_w`` or ``of_z``."""
+        return np.sqrt(self._sum((vectors * np.conj(vectors)), block).real)
+
+
+def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
+    """Index arrays of these blocks (at least one).
+
+    Examples
+    --------
+    >>> layout = delta_layout([RealScalar("k", 2), FullBlock("f", 1, 2)])
+    >>> layout.q, layout.p, layout.full.tolist(), layout.entry_z.tolist()
+    (3, 4, [False, True], [0, 1, 2, 3])
+    """
+    q, p = structure_size(blocks)
+    entry_w, entry_z, entry_block = [], [], []
+    for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):
+        for r in range(w.start, w.stop):
+            columns = range(z.start, z.stop) if isinstance(block, FullBlock) else [z.start + r - w.start]
+            for c in columns:
+                entry_w.append(r)
+                entry_z.append(c)
+                entry_block.append(i)
+    parts = np.arange(len(blocks))
+    return DeltaLayout(
+        q=q,
+        p=p,
+        real=np.array([isinstance(b, RealScalar) for b in blocks]),
+        full=np.array([isinstance(b, FullBlock) and b.rows * b.cols > 1 for b in blocks]),
+        of_w=np.repeat(parts, [b.rows for b in blocks]),
+        of_z=np.repeat(parts, [b.cols for b in blocks]),
+        entry_w=np.array(entry_w, dtype=np.intp),
+        entry_z=np.array(entry_z, dtype=np.intp),
+        entry_block=np.array(entry_block, dtype=np.intp),
+    )
+
+
+def _positive(size: Array) -> Array:
+    return np.where(size > 0, size, 1.0)

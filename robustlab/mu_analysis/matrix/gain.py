@@ -1,0 +1,151 @@
+r"""The gain of a matrix closed by Delta, how it changes with Delta, and the ascent to a large one.
+
+.. math:: F = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}, \qquad
+          \partial \sigma_{max}(F) = \Re\, l \, \partial\Delta \, r, \quad
+          l = u^* M_{21} (I - \Delta M_{11})^{-1}, \quad r = (I - M_{11}\Delta)^{-1} M_{12} v
+
+The channels of the performance are the last block of M.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.mu_analysis.matrix.box import Box, centre_matrix
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices
+
+__all__ = ["Gain", "ascend", "ascend_corners", "gain_at", "largest_gain"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+ASCENTS = 40  # steps of an ascent
+RISE = 1e-7  # an ascent ends where a step gains less than this share
+
+
+@dataclass(frozen=True)
+class Gain:
+    """``sigma_max`` with its u and v, the Delta (q, p) of the other blocks, and the directions l (q,), r (p,)."""
+
+    value: float
+    delta: ComplexArray
+    left: ComplexArray
+    right: ComplexArray
+    u: ComplexArray
+    v: ComplexArray
+
+    def closing_block(self) -> ComplexArray:
+        """The performance block of size ``1 / value`` that makes the whole loop singular."""
+        return np.outer(self.v, np.conj(self.u)) / self.value
+
+    def slopes(self, blocks: Sequence[Block]) -> Array:
+        """Derivative by the entry of each real block; zero for the others, the performance included."""
+        slopes = [
+            (self.left[w] * self.right[z]).sum().real if isinstance(b, RealScalar) else 0.0
+            for b, (w, z) in zip(blocks[:-1], block_slices(blocks[:-1]), strict=True)
+        ]
+        return np.array([*slopes, 0.0])
+
+
+def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Gain | None:
+    """The gain with the given Delta of all blocks but the last; None where the loop is singular."""
+    w, z = block_slices(blocks)[-1]
+    q, p = w.start, z.start
+    try:
+        inside = np.linalg.solve(np.eye(p) - M[:p, :q] @ delta, M[:p, q:])
+        outside = np.linalg.solve((np.eye(q) - delta @ M[:p, :q]).T, M[p:, :q].T).T
+        closed = M[p:, q:] + outside @ delta @ M[:p, q:]
+        if not np.isfinite(closed).all():
+            return None
+        u, sigma, vh = np.linalg.svd(closed)
+    except np.linalg.LinAlgError:
+        return None
+    return Gain(float(sigma[0]), delta, np.conj(u[:, 0]) @ outside, inside @ np.conj(vh[0]), u[:, 0], np.conj(vh[0]))
+
+
+def ascend(M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: Box) -> Gain | None:
+    """A large gain with every block inside the box, from a Delta (q, p): each step aligns all blocks with l and r.
+
+    A step that does not raise the gain is shortened; the set is convex, so that what lies between stays inside.
+    """
+    best = gain_at(M, blocks, start)
+    for _ in range(ASCENTS if best is not None else 0):
+        assert best is not None
+        aim = _aligned(blocks, best, box)
+        step, better = 1.0, None
+        while step > 1e-3:
+            trial = gain_at(M, blocks, best.delta + step * (aim - best.delta))
+            if trial is not None and trial.value > best.value:
+                better = trial
+                break
+            step /= 3
+        if better is None:
+            return best
+        rise = better.value / best.value - 1 if best.value > 0 else 1.0
+        best = better
+        if rise < RISE and step == 1.0:
+            break
+    return best
+
+
+def largest_gain(
+    M: ComplexArray, blocks: Sequence[Block], box: Box, rng: np.random.Generator, starts: int = 12
+) -> Gain | None:
+    """The largest gain of ascents from the centre of the box and from random corners."""
+    others = blocks[:-1]
+    best: Gain | None = None
+    for k in range(starts if others else 1):
+        delta = centre_matrix(others, box.centre[:-1]).astype(complex)
+        if k:
+            for block, (w, z), half in zip(others, block_slices(others), box.half[:-1], strict=True):
+                if isinstance(block, RealScalar):
+                    delta[w, z] += half * rng.choice([-1.0, 1.0]) * np.eye(block.repeats)
+                elif isinstance(block, FullBlock):
+                    sides = [rng.standard_normal((n, 2)) @ np.array([1, 1j]) for n in (block.rows, block.cols)]
+                    delta[w, z] = half * np.outer(*(side / np.linalg.norm(side) for side in sides))
+                else:
+                    delta[w, z] = half * np.exp(2j * np.pi * rng.random()) * np.eye(block.repeats)
+        found = ascend(M, blocks, delta, box)
+        if found is not None and (best is None or found.value > best.value):
+            best = found
+    return best
+
+
+def _aligned(blocks: Sequence[Block], gain: Gain, box: Box) -> ComplexArray:
+    """The Delta of the box that raises the gain most, to first order."""
+    delta = np.zeros_like(gain.delta)
+    others = blocks[:-1]
+    for block, (w, z), centre, half in zip(others, block_slices(others), box.centre[:-1], box.half[:-1], strict=True):
+        left, right = gain.left[w], gain.right[z]
+        if isinstance(block, FullBlock):
+            size = np.linalg.norm(left) * np.linalg.norm(right)
+            delta[w, z] = half * np.outer(np.conj(left), np.conj(right)) / size if size > 0 else gain.delta[w, z]
+            continue
+        slope = (left * right).sum()
+        if isinstance(block, RealScalar):
+            value = centre + half * np.sign(slope.real)
+        else:
+            value = half * np.conj(slope) / abs(slope) if slope != 0 else gain.delta[w.start, z.start]
+        delta[w, z] = value * np.eye(block.repeats)
+    return delta
+
+
+def ascend_corners(M: ComplexArray, blocks: Sequence[Block], box: Box, values: Array, steps: int = 4) -> list[Gain]:
+    """Gains met on the way from real values, corner after corner of the box."""
+    met: list[Gain] = []
+    for _ in range(steps):
+        gain = gain_at(M, blocks, centre_matrix(blocks[:-1], values[:-1]).astype(complex))
+        if gain is None:
+            break
+        met.append(gain)
+        real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
+        corner = np.where(real, box.centre + box.half * np.sign(gain.slopes(blocks)), 0.0)
+        if np.array_equal(corner, values):
+            break
+        values = corner
+    return met

@@ -1,0 +1,371 @@
+r"""Lower bounds of mu: the smallest Delta found that makes ``I - M Delta`` singular.
+
+Several methods give Deltas; each is projected to the structure and verified by singular values, and the smallest that
+passes is the bound:
+
+* complex structures: power iteration, its end points sharpened by minimum-norm steps;
+* any structure: minimum-norm steps from many directions, and from the box points that gain ascent reaches inside the
+  best ball found so far;
+* real M with real blocks: a search over vertices (all of them where they are few).
+
+All starts of all matrices of a stack go through the same stacked linear algebra.
+
+References
+----------
+Packard, Fan, Doyle, "A power method for the structured singular value" (1988). Young, Doyle, "Computation of mu with
+real and complex uncertainties" (1990). Seiler, Packard, Balas, Automatica 46 (2010).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
+from robustlab.mu_analysis.matrix.decomposition import Component, components, expand
+from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.gain_based_lower import gain_ascent, power_directions, vertex_rays, vertex_search
+from robustlab.mu_analysis.matrix.minimum_norm import (
+    descended,
+    first_steps,
+    minimum_norm_paths,
+    sharpened,
+    smallest_step,
+)
+from robustlab.uncertainty.blocks.base import Block, block_slices, structure_size
+
+__all__ = ["SINGULAR", "lower_bound", "lower_bounds"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+Found = tuple[float, ComplexArray | None]
+
+# Relative smallest singular value below which I - M Delta counts as singular.
+SINGULAR = 1e-11
+# A Delta counts as attaining its bound where an exactly singular one lies within this share of its norm.
+NEARBY = 1e-8
+# Candidates per matrix that are taken to rounding and verified.
+CHOSEN = 6
+# So many times the paths asked for begin where blocks are real; the most promising go on.
+WIDER = 3
+# Candidates per matrix that go down along the singular set, and the rounds of that.
+DESCENDING = 2
+ROUNDS = 12
+# Structures of so few real blocks alone get scattered starts as well, so many.
+FEW = 5
+SCATTERED = 48
+# The farthest that rows and columns are scaled: what lies beyond it is none, and two such factors do not overflow.
+FARTHEST = 2.0**500
+# Numbers that one stack of paths may hold.
+STACK = 4_000_000
+
+
+def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
+    """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``.
+
+    Parameters
+    ----------
+    M
+        Complex matrix (p, q).
+    seed
+        Seed of the starting directions; the same seed gives the same Delta.
+    restarts, steps
+        How many paths are followed, and the effort along each.
+    """
+    return lower_bounds(np.asarray(M)[None], blocks, seed, restarts, steps)[0]
+
+
+def lower_bounds(
+    stack: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40
+) -> list[Found]:
+    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
+    best: list[Found] = [(0.0, None)] * len(stack)
+    jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
+    for k, m in enumerate(stack):
+        for component in components(m, blocks):
+            if component.matrix.any():
+                # The steps are sized for a matrix of order one.
+                size = float(np.exp2(max(np.rint(np.log2(np.abs(component.matrix).max())), -1000.0)))
+                jobs.setdefault(component.members, []).append((k, component, size))
+    for members, group in jobs.items():
+        part = [blocks[i] for i in members]
+        layout = delta_layout(part)
+        chunk = max(1, STACK // (max(restarts, 1) * layout.p * max(layout.q, layout.p)))
+        for first in range(0, len(group), chunk):
+            some = group[first : first + chunk]
+            matrices = np.stack([component.matrix / size for _, component, size in some])
+            # A path that leads nowhere may overflow; its end does not verify.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
+            for (k, component, size), found in zip(some, candidates, strict=True):
+                with np.errstate(over="ignore", invalid="ignore"):  # a Delta that overflows does not verify
+                    back = [c for c in (c / size for c in found) if np.isfinite(c).all()]
+                best[k] = _verified(stack[k], blocks, component, back, best[k])
+    return best
+
+
+def _verified(
+    M: ComplexArray, blocks: Sequence[Block], component: Component, candidates: list[ComplexArray], best: Found
+) -> Found:
+    """The smallest candidate that is better than ``best`` and singular to rounding, on the whole of M."""
+    part = [blocks[i] for i in component.members]
+    exact = [project(part, c) for c in candidates]
+    for norm, candidate in sorted(((delta_norm(part, c), c) for c in exact), key=lambda pair: pair[0]):
+        if not 0 < norm < np.inf:
+            continue
+        if 1 / norm <= best[0]:
+            break
+        delta = _embed(candidate, blocks, component)
+        close = singularity(component.matrix, candidate) <= SINGULAR and singularity(M, delta) <= 1e3 * SINGULAR
+        if close and _singular_nearby(component.matrix, part, candidate):
+            return 1 / delta_norm(blocks, delta), delta
+    return best
+
+
+def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
+    r"""Whether a Delta of the structure within ``NEARBY`` of this one makes ``I - M Delta`` singular to first order.
+
+    A small singular value alone does not say so: that of ``I - M Delta`` for a nilpotent M falls like
+    ``1 / ||Delta||``, and no Delta at all makes it zero.
+    """
+    loop = np.eye(len(M)) - M @ delta
+    # Rows and columns may carry any scaling; with the largest entries at one, singular values keep their digits.
+    scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
+    for _ in range(3):
+        scale_rows /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=1))
+        scale_rows = np.clip(scale_rows, 1 / FARTHEST, FARTHEST)
+        scale_cols /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=0))
+        scale_cols = np.clip(scale_cols, 1 / FARTHEST, FARTHEST)
+    u, sigma, vh = np.linalg.svd(loop * scale_rows[:, None] * scale_cols)
+    y, x, smallest = scale_rows * u[:, -1], scale_cols * np.conj(vh[-1]), sigma[-1]
+    rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
+    layout = delta_layout(blocks)
+    if smallest <= rounding:
+        return _within_reach(M, layout, delta, x, y)
+    row = (np.conj(y) @ M)[None] / smallest
+    gains = layout.gains(row, x[None])
+    real = layout.real
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = smallest_step(gains, real)
+        reached = (np.where(real, gains * step, np.abs(gains * step))).sum()
+    return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= NEARBY * delta_norm(blocks, delta))
+
+
+def _within_reach(
+    M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array
+) -> bool:
+    """Whether a loop that is singular to rounding is so for a Delta within ``NEARBY``, or for M with other last bits.
+
+    With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
+    jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
+    exact arithmetic: the residual counts as none where it is less than what every entry of M may change by in its last
+    place.
+    """
+    if not layout.real.all():
+        return True
+    gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
+    size = float(np.abs(gains).sum())
+    along = np.exp(-0.5j * np.angle(((gains / size) ** 2).sum())) if size else complex(1.0)
+    off = float(np.abs((gains * along).imag).sum())
+    if off > 1e-6 * size:
+        return True
+    reach = NEARBY * float(layout.sizes(delta[None]).max())
+    residual = _exact_residual(M, delta, x, y) * along
+    last_places = EPS * float(np.abs(y) @ np.abs(M) @ np.abs(delta) @ np.abs(x))
+    return abs(residual.imag) <= max(off * reach, last_places) and abs(residual.real) <= max(size * reach, last_places)
+
+
+def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array) -> complex:
+    """``y^* (I - M Delta) x`` of the very numbers given, rounded once; for a diagonal Delta."""
+    exact = [
+        [(Fraction(float(v.real)), Fraction(float(v.imag))) for v in row] for row in (*M, x, y, np.diagonal(delta))
+    ]
+    rows, x_exact, y_exact, d = exact[:-3], exact[-3], exact[-2], exact[-1]
+    moved = [_product(a, b) for a, b in zip(d, x_exact, strict=True)]
+    total = (Fraction(0), Fraction(0))
+    for row, own, (y_re, y_im) in zip(rows, x_exact, y_exact, strict=True):
+        loop = own
+        for entry, part in zip(row, moved, strict=True):
+            re, im = _product(entry, part)
+            loop = (loop[0] - re, loop[1] - im)
+        re, im = _product((y_re, -y_im), loop)
+        total = (total[0] + re, total[1] + im)
+    return complex(float(total[0]), float(total[1]))
+
+
+def _product(a: tuple[Fraction, Fraction], b: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
+def _power_of_two(size: Array) -> Array:
+    return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))
+
+
+# --- candidates ------------------------------------------------------------------------------------------------------
+
+
+def _candidates(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int) -> list[list[ComplexArray]]:
+    """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
+    if layout.real.any():
+        x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
+        x_more, y_more = _ascended(M, layout, near, seed, max(restarts // 3, 1))
+        x, y = np.concatenate([x, x_more], axis=1), np.concatenate([y, y_more], axis=1)
+    else:
+        x, y = _starts(M, layout, seed, restarts, steps)
+    delta, norm = _follow(M, layout, x, y, steps=10 + steps // 3)
+    few = layout.real.all() and layout.n <= FEW
+    if few:
+        more, more_norm = _scattered(M, layout, norm.min(axis=1), seed)
+        delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
+    of, chosen = _chosen(norm, CHOSEN)
+    sharp = sharpened(M[of], layout, delta[of, chosen])
+    if layout.real.any():
+        # The best of each matrix go down to the minimum of their valley.
+        sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
+        count = 2 * DESCENDING if few else DESCENDING
+        best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
+        lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
+        sharp, of = np.concatenate([sharp, lower]), np.concatenate([of, of[best]])
+    found = [list(sharp[of == k]) for k in range(len(M))]
+    if layout.real.all():
+        for k in range(len(M)):
+            if not M[k].imag.any():
+                found[k].extend(_vertices(M[k].real, layout, found[k], seed, restarts))
+    return found
+
+
+def _chosen(norm: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row and column of the ``count`` smallest norms (k, r) of each row, one of those that agree to 1e-6 left out."""
+    of, chosen = [], []
+    for k, row in enumerate(norm):
+        order = np.argsort(row)
+        order = order[np.isfinite(row[order])]
+        twin = np.zeros(len(order), dtype=bool)
+        # The second of three that agree stays: one of two may fail to become exact.
+        twin[2:] = row[order[2:]] <= row[order[:-2]] * (1 + 1e-6)
+        order = order[~twin][:count]
+        of.extend([k] * len(order))
+        chosen.extend(order)
+    return np.array(of, dtype=np.intp), np.array(chosen, dtype=np.intp)
+
+
+def _first(indices: NDArray[np.intp], sizes: Array, count: int) -> NDArray[np.intp]:
+    order = indices[np.argsort(sizes[indices])]
+    return order[np.isfinite(sizes[order])][:count]
+
+
+def _residuals(M: ComplexArray, delta: ComplexArray) -> Array:
+    return np.linalg.svd(np.eye(M.shape[1]) - M @ delta, compute_uv=False)[:, -1]
+
+
+def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int) -> tuple[ComplexArray, Array]:
+    """Deltas (k, r, q, p), singular, next to random points of the box of the best norm (k,) so far, and their norms.
+
+    With few real parameters valleys are narrow, and steps to the corners jump over them.
+    """
+    rng = np.random.default_rng([seed, 3])
+    k = len(M)
+    radius = np.where(np.isfinite(norm), norm, 3.0)
+    values = rng.uniform(-1, 1, (1, SCATTERED, layout.n)) * radius[:, None, None]
+    ones = np.ones((k * SCATTERED, layout.q), dtype=complex)
+    start = layout.deltas(values.reshape(-1, layout.n).astype(complex), ones, ones)
+    repeated = _repeated(M, SCATTERED)
+    found = sharpened(repeated, layout, start, steps=8)
+    sizes = np.where(_residuals(repeated, found) <= 1e-8, layout.sizes(found).max(axis=1), np.inf)
+    return found.reshape(k, SCATTERED, layout.q, layout.p), sizes.reshape(k, SCATTERED)
+
+
+def _starts(
+    M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """Directions x, y (k, restarts, p); the same random ones for every matrix."""
+    k = len(M)
+    rng = np.random.default_rng(seed)
+    u, _, vh = np.linalg.svd(M)
+    if not layout.real.any():
+        b, w = rng.standard_normal((2, 1, restarts, layout.q, 2)) @ np.array([1, 1j]) * np.ones((1, k, 1, 1))
+        b[:, 0] = w[:, 0] = np.conj(vh[:, 0])
+        x, y = power_directions(_repeated(M, restarts), layout, _flat(b), _flat(w), 15 + steps // 2)
+        return x.reshape(k, restarts, -1), y.reshape(k, restarts, -1)
+    x, y = rng.standard_normal((2, 1, restarts, layout.p, 2)) @ np.array([1, 1j]) * np.ones((1, k, 1, 1))
+    x[:, 0] = y[:, 0] = u[:, :, 0]
+    if restarts > 1 and layout.p == layout.q:
+        x[:, 1], y[:, 1] = np.conj(vh[:, 0]), u[:, :, 0]
+    return x, y
+
+
+def _promising(
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, count: int
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Of the directions (k, r, p) those ``count`` whose steps are the smallest after the first few, and that norm."""
+    k, r = x.shape[:2]
+    x, y, norm = first_steps(_repeated(M, r), layout, _flat(x), _flat(y))
+    norm = norm.reshape(k, r)
+    keep = np.argsort(norm, axis=1)[:, :count, None]
+    x, y = np.take_along_axis(x.reshape(k, r, -1), keep, 1), np.take_along_axis(y.reshape(k, r, -1), keep, 1)
+    return x, y, norm.min(axis=1)
+
+
+def _follow(
+    M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int
+) -> tuple[ComplexArray, Array]:
+    """Deltas (k, r, q, p) at the ends of minimum-norm paths from x, y (k, r, p), and their norms, inf where none is."""
+    k, r = x.shape[:2]
+    delta, norm = minimum_norm_paths(_repeated(M, r), layout, _flat(x), _flat(y), steps, r)
+    return delta.reshape(k, r, layout.q, layout.p), norm.reshape(k, r)
+
+
+def _ascended(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, ...]:
+    """Directions (k, count, p) at points that gain ascent reaches in a box of about the size (k,) that is expected."""
+    rng = np.random.default_rng([seed, 1])
+    k = len(M)
+    known = np.where(np.isfinite(norm), norm, 1.0)
+    radius = known[:, None] * np.linspace(1.0, 0.8, count)
+    values = np.where(layout.real, rng.choice([-1.0, 1.0], (count, layout.n)), 0.0).astype(complex)
+    values = (values * radius[..., None]).reshape(k * count, layout.n)
+    ones = np.ones((k * count, max(layout.q, layout.p)), dtype=complex)
+    start = layout.deltas(values, ones[:, : layout.q], ones[:, : layout.p])
+    x, y = gain_ascent(_repeated(M, count), layout, start, radius.ravel())
+    return x.reshape(k, count, -1), y.reshape(k, count, -1)
+
+
+def _vertices(M: Array, layout: DeltaLayout, known: list[ComplexArray], seed: int, count: int) -> list[ComplexArray]:
+    """Vertices that a search over signs finds for real M; blocks that are repeated follow rays only."""
+    rng = np.random.default_rng([seed, 2])
+    signs = rng.choice([-1.0, 1.0], (2 * count, layout.n))
+    signs[0] = 1.0
+    for row, delta in zip(signs[1:], known, strict=False):
+        row[:] = np.where(np.diagonal(delta).real[np.searchsorted(layout.of_w, np.arange(layout.n))] < 0, -1.0, 1.0)
+    if layout.n == layout.q:
+        found = vertex_search(M, signs)
+    else:
+        found = vertex_rays(M, signs[:, layout.of_w])
+    return [(size * np.diag(s)).astype(complex) for size, s in found[:3]]
+
+
+def _repeated(M: ComplexArray, count: int) -> ComplexArray:
+    return np.repeat(M, count, axis=0)
+
+
+def _flat(v: ComplexArray) -> ComplexArray:
+    return v.reshape(-1, v.shape[-1])
+
+
+def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -> ComplexArray:
+    """A component's Delta in the coordinates of the whole M, zero elsewhere."""
+    q, p = structure_size(blocks)
+    slices = block_slices(blocks)
+    part = [blocks[i] for i in component.members]
+    e_w, e_z = expand(part, component.exponents)
+    # M_balanced = 2^z M 2^-w, so Delta = 2^-w Delta_balanced 2^z: the same numbers block by block, by exact powers of
+    # two.
+    scaled = delta * np.exp2(-e_w)[:, None] * np.exp2(e_z)[None, :]
+    result = np.zeros((q, p), dtype=complex)
+    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
+    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
+    result[w[:, None], z] = scaled
+    return result

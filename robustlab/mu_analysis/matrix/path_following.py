@@ -1,0 +1,231 @@
+r"""The D-G upper bound by path following, for a batch of matrices and every block structure.
+
+For fixed ``t = beta^2`` the analytic centre minimises
+
+.. math:: \varphi_t(x) = -\log\det F_t(x) - \rho \log\det D_w(x) + \kappa \, \mathrm{tr} D_w(x), \qquad
+          F_t(x) = t D_w - M^* D_z M - j (G M - M^* G^*)
+
+Newton steps keep x near the centre while t falls along the tangent of the central path. Every x met on the way is
+feasible for the t that `certificate.level` gives it, so stopping early costs tightness, never soundness.
+
+References
+----------
+Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Linear Algebra and its Applications 188
+(1993).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian
+
+__all__ = ["minimise"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+RHO = 0.3  # weight of the barrier that keeps D away from singular
+NEAR = 0.3  # squared Newton decrement below which a point counts as centred
+STEP = 0.9  # part of the way to the boundary that a predictor step goes
+NEGATIVE = -1.0  # t below this, of a matrix of norm 1, cannot make a proof of mu = 0 any firmer
+
+
+def minimise(
+    M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 80
+) -> Array:
+    """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q).
+
+    Parameters
+    ----------
+    M
+        Balanced matrices.
+    tol
+        Stop where the estimated distance of t to its optimum falls below ``tol * t``.
+    target
+        Stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of reach.
+    """
+    scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
+    path = _Path(M / scale[:, None, None], space)
+    goal = np.full(len(M), -np.inf) if target is None else (np.minimum(target, 1e3 * scale) / scale) ** 2
+    active = np.arange(len(M))
+    for _ in range(max_steps):
+        if not len(active):
+            break
+        active = path.step(active, tol, goal)
+    x = path.best_x
+    # Back from M / scale: G carries the unit of M.
+    return np.where(space.scales_with_m, x * scale[:, None], x)
+
+
+class _Path:
+    """State of the batch: iterate x, its t, and the best feasible pair so far."""
+
+    def __init__(self, M: ComplexArray, space: ScalingSpace) -> None:
+        k = len(M)
+        self.M, self.space = M, space
+        self.m = space.q
+        eye = np.broadcast_to(np.eye(self.m, dtype=complex), (k, self.m, self.m))
+        self.U = np.concatenate([eye, hermitian(M)], axis=2)  # (k, q, q + p)
+        self.x = np.tile(space.identity, (k, 1))
+        self.t = np.full(k, 1.3)
+        self.best_t = np.ones(k)
+        self.best_x = self.x.copy()
+        self.calm = np.zeros(k, dtype=int)
+
+    def step(self, active: NDArray[np.intp], tol: float, goal: Array) -> NDArray[np.intp]:
+        """One Newton step and, where centred, one predictor step; returns the points that go on."""
+        try:
+            done = self._step(active, tol, goal)
+        except np.linalg.LinAlgError:
+            # One matrix of the stack has come to the end of its digits: find it, and let it rest at its best point.
+            if len(active) == 1:
+                return active[:0]
+            return np.concatenate([self.step(active[i : i + 1], tol, goal) for i in range(len(active))])
+        return active[~done]
+
+    def _step(self, i: NDArray[np.intp], tol: float, goal: Array) -> NDArray[np.bool_]:
+        x, t = self.x[i], self.t[i]
+        F, Dw, _ = self._forms(i, x, t)
+        gradient, hessian, drift, P = self._derivatives(i, F, Dw, t)
+        dx, tangent = _solve(hessian, -gradient, -drift)
+        decrement = -(gradient * dx).sum(axis=1)
+        near = decrement < NEAR
+        x = x + self._line(i, dx, t, F, Dw)[:, None] * dx
+        gap = 3 * self.m / np.maximum(np.einsum("kij,kji->k", P, Dw).real, 1e-300)
+        x, t = self._predict(i, x, t, tangent, near)
+        found = self._level(i, x)
+        better = found < self.best_t[i]
+        self.best_t[i] = np.where(better, found, self.best_t[i])
+        self.best_x[i] = np.where(better[:, None], x, self.best_x[i])
+        self.x[i], self.t[i] = x, t
+        best = self.best_t[i]
+        # D far from I makes the gap estimate lie now and then: two centred steps in a row have to agree.
+        beyond = self.t[i] - gap > goal[i]
+        calm = near & ((gap < tol * np.abs(t)) | (np.isfinite(goal[i]) & beyond))
+        self.calm[i] = np.where(calm, self.calm[i] + 1, 0)
+        return (self.calm[i] >= 2) | (best <= 0) | (self.t[i] < NEGATIVE) | (best <= goal[i])
+
+    def _forms(self, i: NDArray[np.intp], x: Array, t: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """``F_t(x)``, ``D_w(x)`` and the supply ``t D_w - F_t``, which does not depend on t."""
+        M = self.M[i]
+        Dw, Dz, G = self.space.matrices(x)
+        product = G @ M
+        supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+        supply = (supply + hermitian(supply)) / 2
+        return t[:, None, None] * Dw - supply, Dw, supply
+
+    def _derivatives(
+        self, i: NDArray[np.intp], F: ComplexArray, Dw: ComplexArray, t: Array
+    ) -> tuple[Array, Array, Array, ComplexArray]:
+        """Gradient, Hessian, derivative of the gradient by t, and ``P = F^-1``."""
+        s, U = self.space, self.U[i]
+        P = np.linalg.inv(F)
+        P = (P + hermitian(P)) / 2
+        W = hermitian(U) @ P @ U
+        V = hermitian(U) @ (P @ Dw @ P) @ U
+        inverse = np.zeros_like(W)
+        inverse[:, : self.m, : self.m] = np.linalg.inv(Dw)
+        c = s.coefficients * np.where(s.in_w > 0, t[:, None], 1.0)
+        r, k = s.rows, s.cols
+        entry = -c * W[:, k, r] - RHO * s.in_w * s.coefficients * inverse[:, k, r]
+        entry += (1 + RHO) * s.in_w * s.coefficients * (r == k)
+        drift = c * V[:, k, r] - s.in_w * s.coefficients * W[:, k, r]
+        # tr(W E_a W E_b) for unit entries (r, k): W[k_b, r_a] W[k_a, r_b].
+        cross = W[:, k[None, :], r[:, None]]
+        cross = cross * np.swapaxes(cross, 1, 2) * (c[:, :, None] * c[:, None, :])
+        own = inverse[:, k[None, :], r[:, None]]
+        cw = s.in_w * s.coefficients
+        cross += RHO * own * np.swapaxes(own, 1, 2) * (cw[:, None] * cw[None, :])
+        hessian = np.real(np.add.reduceat(np.add.reduceat(cross, s.first, axis=1), s.first, axis=2))
+        return (
+            np.real(np.add.reduceat(entry, s.first, axis=1)),
+            hessian,
+            np.real(np.add.reduceat(drift, s.first, axis=1)),
+            P,
+        )
+
+    def _line(self, i: NDArray[np.intp], dx: Array, t: Array, F: ComplexArray, Dw: ComplexArray) -> Array:
+        """Step lengths that minimise the barrier along dx, by safeguarded Newton steps on its eigenvalue form."""
+        dF, dD, _ = self._forms(i, dx, t)
+        e, d = _relative(F, dF), _relative(Dw, dD)
+        slope = (1 + RHO) * np.einsum("kii->k", dD).real
+        high = 0.999 / np.maximum(np.maximum(-e[:, 0], -d[:, 0]), 1e-3)
+        low = np.zeros(len(high))
+        a = np.minimum(1.0, 0.9 * high)
+        for _ in range(10):
+            qe, qd = e / (1 + a[:, None] * e), d / (1 + a[:, None] * d)
+            g = slope - qe.sum(axis=1) - RHO * qd.sum(axis=1)
+            h = (qe**2).sum(axis=1) + RHO * (qd**2).sum(axis=1)
+            low, high = np.where(g < 0, a, low), np.where(g < 0, high, a)
+            newton = a - g / np.maximum(h, 1e-300)
+            a = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
+        return a
+
+    def _predict(
+        self, i: NDArray[np.intp], x: Array, t: Array, tangent: Array, near: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Lower t along the tangent of the central path where centred; towards the level of x elsewhere."""
+        F, Dw, _ = self._forms(i, x, t)
+        vF, vD, _ = self._forms(i, tangent, t)
+        e = _relative(F, Dw + vF)  # F(t - s, x - s v) = F - s (D_w + F(v)) + s^2 D_w(v)
+        d = _relative(Dw, vD)
+        reach = STEP / np.maximum(np.maximum(e[:, -1], d[:, -1]), 1e-12)
+        own = STEP * 0.5 / np.maximum(_relative(F, Dw)[:, -1], 1e-12)
+        step = np.where(near, reach, 0.0)
+        good = np.zeros(len(i), dtype=bool)
+        for _ in range(6):
+            nx, nt = x - step[:, None] * tangent, t - step
+            F1, D1, _ = self._forms(i, nx, nt)
+            good = (np.linalg.eigvalsh(F1)[:, 0] > 0) & (np.linalg.eigvalsh(D1)[:, 0] > 0)
+            if good.all():
+                break
+            step = np.where(good, step, step / 2)
+        straight = ~(good & near & (step > own))
+        return np.where(straight[:, None], x, x - step[:, None] * tangent), np.where(straight, t - own, t - step)
+
+    def _level(self, i: NDArray[np.intp], x: Array) -> Array:
+        """Smallest t for which x is feasible in spite of rounding; near mu = 0, G grows and digits are lost."""
+        M = self.M[i]
+        Dw, Dz, G = self.space.matrices(x)
+        w, z = (1 / np.sqrt(np.einsum("kii->ki", d).real) for d in (Dw, Dz))
+        M = M * w[:, None, :] / z[:, :, None]
+        Dw = Dw * w[:, :, None] * w[:, None, :]
+        Dz = Dz * z[:, :, None] * z[:, None, :]
+        G = G * w[:, :, None] * z[:, None, :]
+        product = G @ M
+        supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+        size = np.abs(M)
+        cross = np.abs(G) @ size
+        bound = np.swapaxes(size, 1, 2) @ np.abs(Dz) @ size + cross + np.swapaxes(cross, 1, 2)
+        rounding = 1e-14 * self.m * bound.sum(axis=2).max(axis=1)
+        return _relative(Dw, (supply + hermitian(supply)) / 2)[:, -1] + rounding / np.linalg.eigvalsh(Dw)[:, 0]
+
+
+def _relative(X: ComplexArray, Y: ComplexArray) -> Array:
+    """Eigenvalues of Y relative to the positive definite X, ascending, (k, n)."""
+    factor = np.linalg.cholesky(X)
+    half = np.linalg.solve(factor, Y)
+    value = np.linalg.solve(factor, hermitian(half))
+    if not np.isfinite(value).all():
+        raise np.linalg.LinAlgError("not finite")
+    return np.linalg.eigvalsh((value + hermitian(value)) / 2)
+
+
+def _solve(hessian: Array, *right: Array) -> list[Array]:
+    """Newton system in diagonal scaling; directions without curvature (G of a real entry of M) stay where they are."""
+    diagonal = np.einsum("kii->ki", hessian)
+    largest = diagonal.max(axis=1, keepdims=True)
+    if not (np.isfinite(diagonal).all() and (largest > 0).all()):
+        raise np.linalg.LinAlgError("not finite")
+    flat = diagonal < 1e-14 * largest
+    scale = 1 / np.sqrt(np.where(flat, largest, diagonal))
+    scaled = hessian * scale[:, :, None] * scale[:, None, :]
+    n = hessian.shape[1]
+    scaled = scaled + (1e-13 + flat.astype(float))[:, :, None] * np.eye(n)
+    rhs = np.stack([r * scale for r in right], axis=2)
+    solution = np.linalg.solve(scaled, rhs) * scale[:, :, None]
+    return [solution[:, :, j] for j in range(len(right))]

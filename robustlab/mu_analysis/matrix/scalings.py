@@ -1,0 +1,118 @@
+r"""The scalings D and G that commute with a block structure, as a linear function of real parameters.
+
+With ``U = [I, M^*]`` the matrix of the D-G inequality is linear in one sparse Hermitian matrix E of order q + p,
+
+.. math:: \beta^2 D_w - M^* D_z M - j (G M - M^* G^*) = U E(x) U^*
+
+so that gradients and Hessians of its barrier need products of single entries of ``U^* P U`` only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+
+__all__ = ["ScalingSpace", "hermitian", "scaling_space"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+
+def hermitian(X: NDArray) -> NDArray:
+    """Conjugate transpose over the last two axes."""
+    return np.conj(np.swapaxes(X, -1, -2))
+
+
+class ScalingSpace:
+    """Real parameters of all D and G of a block structure.
+
+    A full block has one number in D; a scalar repeated r times a Hermitian r x r block, in G too where it is real.
+
+    Attributes
+    ----------
+    size
+        Number of real parameters.
+    rows, cols, coefficients, first
+        Entries of E, sorted by parameter: position, factor, and where each parameter's entries begin.
+    in_w
+        1 for the entries of D_w (they carry the factor beta^2), else 0.
+    identity
+        Parameters of D = I, G = 0, shape (size,).
+    block_of
+        Index of the block that a parameter belongs to, shape (size,).
+    scales_with_m
+        Whether a parameter belongs to G, which carries the unit of M, shape (size,).
+    """
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        self.blocks = tuple(blocks)
+        self.q, self.p = structure_size(blocks)
+        self.slices = block_slices(blocks)
+        parameters: list[list[tuple[int, int, complex, int]]] = []
+        identity: list[float] = []
+        for block, (w, z) in zip(self.blocks, self.slices, strict=True):
+            if isinstance(block, FullBlock):
+                parameters.append(
+                    [(i, i, 1 + 0j, 1) for i in range(w.start, w.stop)]
+                    + [(self.q + i, self.q + i, -1 + 0j, 0) for i in range(z.start, z.stop)]
+                )
+                identity.append(1.0)
+                continue
+            for pattern in _hermitian_basis(block.repeats):
+                parameters.append(
+                    [(w.start + i, w.start + j, c, 1) for i, j, c in pattern]
+                    + [(self.q + z.start + i, self.q + z.start + j, -c, 0) for i, j, c in pattern]
+                )
+                identity.append(float(len(pattern) == 1))
+            if isinstance(block, RealScalar):
+                for pattern in _hermitian_basis(block.repeats):
+                    entries = [(w.start + i, self.q + z.start + j, -1j * c, 0) for i, j, c in pattern]
+                    parameters.append(entries + [(b, a, np.conj(c), 0) for a, b, c, _ in entries])
+                    identity.append(0.0)
+        flat = [entry for parameter in parameters for entry in parameter]
+        self.size = len(parameters)
+        self.rows = np.array([e[0] for e in flat], dtype=int)
+        self.cols = np.array([e[1] for e in flat], dtype=int)
+        self.coefficients = np.array([e[2] for e in flat], dtype=complex)
+        self.in_w = np.array([e[3] for e in flat], dtype=float)
+        lengths = [len(parameter) for parameter in parameters]
+        self.first = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
+        # Two parameters (a real and an imaginary part) may share a place in E: their sum is taken place by place.
+        place = self.rows * (self.q + self.p) + self.cols
+        order = np.argsort(place, kind="stable")
+        self._places, self._begin = np.unique(place[order], return_index=True)
+        self._owner = np.repeat(np.arange(self.size), lengths)[order]
+        self._ordered = self.coefficients[order]
+        self.identity = np.array(identity)
+        # The first entry of every parameter stands in the rows of w.
+        starts = np.array([w.start for w, _ in self.slices], dtype=int)
+        self.block_of = np.searchsorted(starts, self.rows[self.first], side="right") - 1
+        self.scales_with_m = (self.cols[self.first] >= self.q) & (self.rows[self.first] < self.q)
+
+    def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """``D_w (k, q, q)``, ``D_z (k, p, p)``, ``G (k, q, p)`` of parameters x (k, size)."""
+        q, n = self.q, self.q + self.p
+        e = np.zeros((len(x), n * n), dtype=complex)
+        values = x[:, self._owner] * self._ordered
+        e[:, self._places] = np.add.reduceat(values, self._begin, axis=1)
+        e = e.reshape(len(x), n, n)
+        return e[:, :q, :q], -e[:, q:, q:], 1j * e[:, :q, q:]
+
+
+@lru_cache(maxsize=256)
+def scaling_space(blocks: tuple[Block, ...]) -> ScalingSpace:
+    """The scaling space of these blocks; bounds of one structure are asked for again and again."""
+    return ScalingSpace(blocks)
+
+
+def _hermitian_basis(r: int) -> list[list[tuple[int, int, complex]]]:
+    """Basis of the Hermitian r x r matrices over the real numbers as (row, column, value); diagonal ones first."""
+    diagonal: list[list[tuple[int, int, complex]]] = [[(i, i, 1.0)] for i in range(r)]
+    pairs = [(i, j) for i in range(r) for j in range(i + 1, r)]
+    return diagonal + [[(i, j, c), (j, i, np.conj(c))] for i, j in pairs for c in (1.0 + 0j, 1j)]

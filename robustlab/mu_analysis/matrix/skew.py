@@ -1,0 +1,260 @@
+r"""Skewed mu: some blocks stay at size one, and the smallest size of the others is sought.
+
+.. math:: \nu(M) = 1 / \min \{ \|\Delta_v\| : \|\Delta_f\| \le 1, \; \det(I - M \, diag(\Delta_f, \Delta_v)) = 0 \}
+
+With ``S = diag(1, nu)`` on the inputs of M, ``nu`` is an upper bound where the D-G inequality of ``M S^-1`` holds at
+level one. For given D, G the smallest such level is known in closed form (a Schur complement), so that minimising the
+D-G level of ``M S^-1`` and lowering ``nu`` to it in turn converges from above.
+
+References
+----------
+Fan, Tits, "A measure of worst-case H-infinity performance and of largest acceptable uncertainty" (1992); Ferreres,
+"A Practical Approach to Robustness Analysis with Aeronautical Applications" (1999), chapter 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.budget import one_thread
+from robustlab.errors import InputError, did_you_mean, told_as
+from robustlab.mu_analysis.matrix.bounds import MuBounds, matrix_stack
+from robustlab.mu_analysis.matrix.box import root_box
+from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
+from robustlab.mu_analysis.matrix.gain import largest_gain
+from robustlab.mu_analysis.matrix.lower import lower_bound
+from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
+from robustlab.result import Status
+from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, as_blocks, block_slices, structure_size
+
+__all__ = ["skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
+
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+ROUNDS = 14
+# Factors by which a level is raised until its D, G prove it.
+INFLATIONS = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
+# Levels above this, for a matrix of norm one, count as infinite: the fixed blocks alone are at the edge of singular.
+LARGEST = 1e8
+
+
+@told_as("skew_mu")
+@one_thread()
+def skew_mu(M: ArrayLike, blocks: Any, fixed: Sequence[str], seed: int = 0) -> MuBounds:
+    r"""Bounds of skewed mu: the blocks named in ``fixed`` keep ``|Delta| <= 1``, the size of the others is sought.
+
+    Parameters
+    ----------
+    M
+        Complex matrix (p, q), or a stack (k, p, q); Delta is (q, p).
+    blocks
+        Blocks, or rows of MATLAB's ``mussv`` (then called ``delta1``, ``delta2``, ...).
+    fixed
+        Names of the blocks that stay at size one.
+    seed
+        Seed of the starting points of the lower bound.
+
+    Returns
+    -------
+    MuBounds
+        ``lower`` is attained by ``delta`` (fixed blocks within one, the others of size ``1 / lower``); ``D``, ``G``
+        prove level one of M with the inputs of the varying blocks divided by ``upper``. ``upper`` is inf where the
+        fixed blocks alone could not be shown to leave ``I - M Delta`` regular.
+
+    Raises
+    ------
+    InputError
+        Unknown names, all blocks fixed, NaN or Inf, or a shape that does not fit the blocks.
+
+    Examples
+    --------
+    >>> bounds = skew_mu([[0.5, 1.0], [1.0, 0.0]], [[1, 0], [1, 0]], fixed=["delta1"])
+    >>> round(bounds.lower, 6), round(bounds.upper, 6)
+    (2.0, 2.0)
+    """
+    structure = as_blocks(blocks)
+    stack, single = matrix_stack(M, structure)
+    varying = varying_inputs(structure, fixed)
+    q, p = structure_size(structure)
+    found = [skew_upper(m, structure, varying) for m in stack]
+    attained = [skew_lower(m, structure, varying, seed) for m in stack]
+    lower = np.array([value for value, _ in attained])
+    upper = np.array([level for level, _ in found])
+    lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
+    zero = np.zeros((q, p), dtype=complex)
+    parts: dict[str, Any] = {
+        "delta": np.stack([zero if d is None else d for _, d in attained]),
+        "D": np.stack([b.Dw for _, b in found]),
+        "G": np.stack([b.G for _, b in found]),
+        "D_z": np.stack([b.Dz for _, b in found]),
+    }
+    if (lower > upper).any():
+        raise _contradiction(float(lower.max()), float(upper.min()))
+    sure = bool(np.isfinite(upper).all())
+    status = Status.CERTIFIED if sure and (lower > 0).all() else Status.CONVERGED if sure else Status.INACCURATE
+    if single:
+        parts = {key: value[0] for key, value in parts.items()}
+        return MuBounds(float(lower[0]), float(upper[0]), **parts, status=status, blocks=structure)
+    return MuBounds(lower, upper, **parts, status=status, blocks=structure)
+
+
+def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str]) -> NDArray[np.bool_]:
+    """True for the inputs of M (entries of w) that belong to blocks whose size is sought, shape (q,)."""
+    names = [b.name for b in blocks]
+    for name in fixed:
+        if name not in names:
+            hint = did_you_mean(name, tuple(names))
+            raise InputError("skew_mu: fixed", f"no block {name!r}", f"some of {', '.join(names)}", hint)
+    varying = [b.name not in fixed for b in blocks]
+    if not any(varying):
+        raise InputError("skew_mu: fixed", "all blocks are fixed", "at least one whose size is sought")
+    return np.repeat(np.array(varying, dtype=bool), [b.rows for b in blocks])
+
+
+def skew_upper(
+    M: ComplexArray, blocks: Sequence[Block], varying: NDArray[np.bool_], tol: float = 1e-4
+) -> tuple[float, UpperBound]:
+    """The smallest level found that D, G prove, and these D, G for ``M / S(level)``; inf where none was found."""
+    q, p = structure_size(blocks)
+    size = float(np.linalg.norm(M, 2))
+    eye, zero = np.eye(q, dtype=complex), np.zeros((q, p), dtype=complex)
+    plain = UpperBound(float("inf"), eye, np.eye(p, dtype=complex), zero)
+    if not M[:, varying].any():
+        return _when_nothing_varies(M, blocks, plain)
+    level, best, proof = max(size, 1e-300), float("inf"), plain
+    for _ in range(ROUNDS):
+        bound = upper_bounds(_scaled(M, varying, level)[None], blocks, tol)[0]
+        reached = level * _level_of(_scaled(M, varying, level), bound, varying)
+        if not np.isfinite(reached):
+            if np.isfinite(best) or level > LARGEST * size:
+                break
+            level *= 8
+            continue
+        rest = UpperBound(1.0, bound.Dw, bound.Dz, _carried(bound.G, varying, level / reached))
+        certain = _certified(M, varying, reached, rest)
+        if certain >= best * (1 - tol):
+            break
+        best, proof = certain, UpperBound(1.0, rest.Dw, rest.Dz, rest.G)
+        level = certain
+    return best, proof
+
+
+def skew_lower(
+    M: ComplexArray, blocks: Sequence[Block], varying: NDArray[np.bool_], seed: int = 0, rounds: int = 10
+) -> tuple[float, ComplexArray | None]:
+    """``(1 / size of the varying blocks, Delta)`` of the smallest Delta found with fixed blocks within one."""
+    level = float(np.linalg.norm(M, 2))
+    best: tuple[float, ComplexArray | None] = (0.0, None)
+    if level == 0:
+        return best
+    slices = block_slices(blocks)
+    moving = [i for i, (w, _) in enumerate(slices) if varying[w.start]]
+    if len(moving) == 1 and _closes_a_gain(blocks[moving[0]]):
+        return _largest_gain(M, blocks, moving[0], seed)
+    failed = np.inf
+    for _ in range(rounds):
+        value, delta = lower_bound(_scaled(M, varying, level), blocks, seed, restarts=8, steps=30)
+        if delta is None:
+            failed, level = level, level / 4
+            if level < 1e-9 * np.linalg.norm(M, 2):
+                break
+            continue
+        scaled = np.where(varying[:, None], delta / level, delta)
+        some = [blocks[i] for i in moving]
+        part = np.zeros(structure_size(some), dtype=complex)
+        for (w, z), (sw, sz) in zip(block_slices(some), [slices[i] for i in moving], strict=True):
+            part[w, z] = scaled[sw, sz]
+        if value >= 1 - 1e-12:
+            reached = 1 / delta_norm(some, part)
+            if reached <= best[0] * (1 + 1e-9):
+                break
+            best = (reached, scaled)
+            level = np.sqrt(reached * failed) if np.isfinite(failed) else max(reached, level) * 1.0001
+        else:
+            failed = level
+            level = np.sqrt(best[0] * failed) if best[0] > 0 else level * value
+    return best
+
+
+def _closes_a_gain(block: Block) -> bool:
+    return isinstance(block, FullBlock) or (isinstance(block, ComplexScalar) and block.repeats == 1)
+
+
+def _largest_gain(
+    M: ComplexArray, blocks: Sequence[Block], moving: int, seed: int
+) -> tuple[float, ComplexArray | None]:
+    """One full block varies: its level is the largest gain of the channels that it closes."""
+    slices = block_slices(blocks)
+    order = [i for i in range(len(blocks)) if i != moving] + [moving]
+    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in order])
+    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in order])
+    sorted_blocks = [blocks[i] for i in order]
+    gain = largest_gain(M[z[:, None], w], sorted_blocks, root_box(sorted_blocks), np.random.default_rng(seed))
+    if gain is None or gain.value == 0:
+        return 0.0, None
+    last_w, last_z = block_slices(sorted_blocks)[-1]
+    whole = np.zeros(structure_size(blocks), dtype=complex)
+    whole[: last_w.start, : last_z.start] = gain.delta
+    whole[last_w, last_z] = gain.closing_block()
+    back = np.zeros_like(whole)
+    back[w[:, None], z] = whole
+    return 1 / float(np.linalg.norm(whole[last_w, last_z], 2)), back
+
+
+def _when_nothing_varies(M: ComplexArray, blocks: Sequence[Block], plain: UpperBound) -> tuple[float, UpperBound]:
+    """The varying blocks see nothing: only the fixed ones can make the loop singular."""
+    bound = upper_bounds(M[None], blocks)[0]
+    return (0.0, bound) if bound.beta < 1 else (float("inf"), plain)
+
+
+def _scaled(M: ComplexArray, varying: NDArray[np.bool_], level: float) -> ComplexArray:
+    return np.where(varying, M / level, M)
+
+
+def _carried(G: ComplexArray, varying: NDArray[np.bool_], ratio: float) -> ComplexArray:
+    """G of the scaled inequality for a level that is ``1 / ratio`` times the old one."""
+    return np.where(varying[:, None], G * ratio, G)
+
+
+def _level_of(M: ComplexArray, bound: UpperBound, varying: NDArray[np.bool_]) -> float:
+    """Factor on the level of the scaled M at which D, G hold with equality; inf where the fixed part never does."""
+    product = bound.G @ M
+    supply = hermitian(M) @ bound.Dz @ M + 1j * (product - hermitian(product))
+    fixed = ~varying
+    try:
+        rest = supply[varying][:, varying]
+        if fixed.any():
+            inner = bound.Dw[fixed][:, fixed] - supply[fixed][:, fixed]
+            factor = np.linalg.cholesky((inner + hermitian(inner)) / 2)
+            half = np.linalg.solve(factor, supply[fixed][:, varying])
+            rest = rest + hermitian(half) @ half
+        outer = np.linalg.cholesky(bound.Dw[varying][:, varying])
+        first = np.linalg.solve(outer, rest)
+        relative = np.linalg.solve(outer, hermitian(first))
+        value = float(np.linalg.eigvalsh((relative + hermitian(relative)) / 2)[-1])
+    except np.linalg.LinAlgError:
+        return float("inf")
+    return float(np.sqrt(max(value, 1e-30))) if np.isfinite(value) else float("inf")
+
+
+def _certified(M: ComplexArray, varying: NDArray[np.bool_], level: float, bound: UpperBound) -> float:
+    """The level, raised until D, G prove it with their rounding errors; inf where they never do."""
+    for inflation in INFLATIONS:
+        raised = level * (1 + inflation)
+        G = _carried(bound.G, varying, 1 / (1 + inflation))
+        # M / level carries one rounding more a entry, far inside the allowance of `proves`.
+        if proves(_scaled(M, varying, raised), bound.Dw, bound.Dz, G, 1.0):
+            return raised
+    return float("inf")
+
+
+def _contradiction(lower: float, upper: float) -> ArithmeticError:
+    from robustlab.errors import NoTrustworthyNumber
+
+    return NoTrustworthyNumber("skew_mu", f"lower bound {lower:.12g} above upper bound {upper:.12g}: digits were lost")

@@ -1,0 +1,182 @@
+"""Upper bounds of mu with the D and G that prove them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.mu_analysis.matrix.certificate import certified_level, certified_levels
+from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, expand
+from robustlab.mu_analysis.matrix.scalings import scaling_space
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+
+__all__ = ["UpperBound", "compile_kernels", "points_below", "points_work", "upper_bounds"]
+
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+# Ratios of D between one component and the next; the smaller, the less their coupling costs.
+RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
+
+
+@dataclass(frozen=True)
+class UpperBound:
+    r"""``mu(M) <= beta``, proved by :math:`M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w \preceq 0`.
+
+    ``D_w`` is (q, q), ``D_z`` (p, p) (the same matrix where all blocks are square), ``G`` (q, p).
+    """
+
+    beta: float
+    Dw: ComplexArray
+    Dz: ComplexArray
+    G: ComplexArray
+
+
+@cache
+def compile_kernels() -> None:
+    """Compile what the bounds need, half a minute once in an installation; called before a limit's clock starts."""
+    blocks = (RealScalar("real"), FullBlock("full", 2, 2))
+    upper_bounds(np.array([[[1.0, 2.0, 1j], [0.5, 1j, 1.0], [3.0, 1.0, 0.2]]]), blocks)
+
+
+def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) -> list[UpperBound]:
+    """The D-G upper bound of each matrix of the stack M (k, p, q), certified."""
+    split = [components(m, blocks) for m in M]
+    parts: list[list[UpperBound | None]] = [[None] * len(s) for s in split]
+    # Matrices with the same zero pattern go through the solver together.
+    batches: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+    for k, found in enumerate(split):
+        for j, component in enumerate(found):
+            batches.setdefault(component.members, []).append((k, j))
+    for members, places in batches.items():
+        stack = np.stack([split[k][j].matrix for k, j in places])
+        solved = _component_bounds(stack, [blocks[i] for i in members], tol)
+        for (k, j), bound in zip(places, solved, strict=True):
+            parts[k][j] = bound
+    done = [[p for p in part if p is not None] for part in parts]
+    whole = [k for k, found in enumerate(split) if len(found) == 1]
+    placed = [_placed(blocks, split[k], done[k], 1.0) for k in whole]
+    bounds: dict[int, UpperBound] = {}
+    if whole:
+        Dw, Dz, G = (np.stack(parts) for parts in zip(*placed, strict=True))
+        bounds = dict(zip(whole, _certified(M[whole], Dw, Dz, G), strict=True))
+    return [bounds[k] if k in bounds else _assemble(M[k], blocks, split[k], done[k]) for k in range(len(M))]
+
+
+def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
+    if len(blocks) == 1 and (isinstance(blocks[0], FullBlock) or structure_size(blocks) == (1, 1)):
+        return [_single(m, blocks[0]) for m in M]
+    # The methods are sized for matrices of order one; powers of two scale exactly, and G like M.
+    size = np.exp2(np.rint(np.log2(np.maximum(np.abs(M).max(axis=(1, 2)), 1e-300))))
+    bounds = _minimise(M / size[:, None, None], blocks, tol)
+    result = []
+    for m, s, bound in zip(M, size, bounds, strict=True):
+        best = UpperBound(bound.beta * s, bound.Dw, bound.Dz, bound.G * s)
+        plain = _unscaled(m, blocks) if best.beta >= 0.99 * np.linalg.norm(m, 2) else best
+        result.append(plain if plain.beta < best.beta else best)
+    return result
+
+
+def _minimise(M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None) -> list[UpperBound]:
+    """D and G by the primal-dual method; where that came to no end, the better ones of two methods."""
+    from robustlab.mu_analysis.matrix import path_following, primal_dual
+
+    space = scaling_space(tuple(blocks))
+    x, settled = primal_dual.minimise(M, space, tol, target)
+    bounds = _certified(M, *space.matrices(x))
+    rest = np.flatnonzero(~settled)
+    if len(rest):
+        others = _certified(M[rest], *space.matrices(path_following.minimise(M[rest], space, tol, target)))
+        for k, other in zip(rest, others, strict=True):
+            if other.beta < bounds[k].beta:
+                bounds[k] = other
+    return bounds
+
+
+def _certified(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> list[UpperBound]:
+    levels = certified_levels(M, Dw, Dz, G)
+    return [UpperBound(float(beta), *parts) for beta, *parts in zip(levels, Dw, Dz, G, strict=True)]
+
+
+def _unscaled(m: ComplexArray, blocks: Sequence[Block]) -> UpperBound:
+    """The largest singular value: D = I, G = 0."""
+    q, p = structure_size(blocks)
+    Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p, dtype=complex), np.zeros((q, p), dtype=complex)
+    return UpperBound(certified_level(m, Dw, Dz, G), Dw, Dz, G)
+
+
+def _single(m: ComplexArray, block: Block) -> UpperBound:
+    """One full block: the largest singular value. One real number: G takes all of a value that is not real."""
+    q, p = block.rows, block.cols
+    Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p, dtype=complex), np.zeros((q, p), dtype=complex)
+    if isinstance(block, RealScalar) and abs(m[0, 0].imag) > 1e-12 * abs(m[0, 0]):
+        # |m|^2 - 2 g Im m < 0
+        G[0, 0] = abs(m[0, 0]) * (abs(m[0, 0]) / m[0, 0].imag)
+    return UpperBound(certified_level(m, Dw, Dz, G), Dw, Dz, G)
+
+
+def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], parts: list[UpperBound]) -> UpperBound:
+    """D and G of the whole matrix from those of its components, certified once more on M itself.
+
+    Couplings run from a lower to a higher depth only: with D of a depth much smaller than that of the depth before it
+    they cost nothing.
+    """
+    floor = max((b.beta for b in parts), default=0.0)
+    best: UpperBound | None = None
+    for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
+        Dw, Dz, G = _placed(blocks, found, parts, ratio)
+        beta = certified_level(M, Dw, Dz, G)
+        if best is None or beta < best.beta:
+            best = UpperBound(beta, Dw, Dz, G)
+        if best.beta <= floor * (1 + 1e-9):
+            break
+    assert best is not None
+    if floor == 0.0 and all(not component.matrix.any() for component in found):
+        # Strictly block triangular: det(I - M Delta) = 1 for every Delta. D shows it in the limit of the ratio only.
+        return UpperBound(0.0, best.Dw, best.Dz, best.G)
+    return best
+
+
+def _placed(
+    blocks: Sequence[Block], found: list[Component], parts: list[UpperBound], ratio: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """D and G of all components, in the coordinates of M, as those of the whole."""
+    q, p = structure_size(blocks)
+    Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
+    G = np.zeros((q, p), dtype=complex)
+    slices = block_slices(blocks)
+    for component, bound in zip(found, parts, strict=True):
+        part = [blocks[i] for i in component.members]
+        e_w, e_z = (np.exp2(e) for e in expand(part, component.exponents))
+        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
+        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
+        weight = ratio**component.depth
+        Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
+        Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]
+        G[w[:, None], z] = weight * bound.G * e_w[:, None] * e_z[None, :]
+    return Dw, Dz, G
+
+
+def points_work(blocks: Sequence[Block], count: int) -> int:
+    """Work of `points_below` for so many matrices, as measured: 10 Newton systems each, where D, G are not easy."""
+    n, size = max(structure_size(blocks)), scaling_space(tuple(blocks)).size
+    return 800 + count * (200 + n**3 // 14 + size**2 // 3 + size**3 // 500)
+
+
+def points_below(M: ComplexArray, blocks: Sequence[Block], target: float) -> list[UpperBound]:
+    """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does.
+
+    Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
+    """
+    exponents = np.stack([balancing_exponents(m, blocks) for m in M])
+    w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
+    balanced = M * z[:, :, None] / w[:, None, :]
+    found = _minimise(balanced, blocks, 1e-4, target if target > 0 else None)
+    Dw = np.stack([b.Dw for b in found]) * w[:, :, None] * w[:, None, :]
+    Dz = np.stack([b.Dz for b in found]) * z[:, :, None] * z[:, None, :]
+    G = np.stack([b.G for b in found]) * w[:, :, None] * z[:, None, :]
+    return _certified(M, Dw, Dz, G)

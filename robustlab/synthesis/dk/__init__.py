@@ -1,0 +1,1 @@
+"""Robust performance: D-K iteration, direct minimisation over the scalings, D-G-K."""

@@ -1,0 +1,124 @@
+"""A finished robust-performance design with its scalings, the proof of its mu bound, and its history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
+from robustlab.synthesis.dk.riccati_level import proved_level
+from robustlab.synthesis.problem.design import Synthesis
+from robustlab.uncertainty.blocks.base import Block
+
+__all__ = ["DKStep", "DKSynthesis"]
+
+
+@dataclass(frozen=True)
+class DKStep:
+    """One iterate of the search.
+
+    Attributes
+    ----------
+    stage
+        ``"start"``, ``"nominal start"``, ``"D-K"``, ``"direct"`` or ``"D-G-K"``.
+    gamma
+        What the scalings of the iterate prove for mu at all frequencies.
+    mu
+        Largest upper bound of mu at single frequencies, complex blocks; NaN where it was not computed.
+    order
+        States of the controller.
+    scaling_orders
+        Orders of D (and G) of each block.
+    work
+        Work done since the start, in units of about a microsecond; see `robustlab.budget`.
+    """
+
+    stage: str
+    gamma: float
+    mu: float
+    order: int
+    scaling_orders: tuple[int, ...]
+    work: float
+
+    def to_json(self) -> dict[str, object]:
+        """All attributes."""
+        return vars(self).copy()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DKSynthesis(Synthesis):
+    r"""A robust-performance design; ``gamma`` bounds the peak of mu of ``closed_loop`` over all frequencies.
+
+    ``gamma < 1`` proves stability and a gain below one for every Delta of the structure with ``|Delta| <= 1``.
+
+    Attributes
+    ----------
+    blocks
+        The structure that mu is about, the performance block included.
+    lower
+        Lower bound of the peak of mu, attained by ``delta`` at ``frequency``; 0 where none was found.
+    frequency
+        Frequency in rad/s of ``lower``, or of the largest upper bound where ``lower`` is zero.
+    delta
+        The critical perturbation there, one value per block name, of size ``1 / lower``; empty where none was found.
+    scalings
+        D(s), G(s) that the controller was made with; for a discrete plant in ``s = (2/dt) (z - 1)/(z + 1)``.
+    scaled_level
+        What these prove alone, by the norm of the scaled loop; `proved_again` repeats it.
+    pieces
+        Proof by constant D, G on frequency intervals that together cover the axis; empty where ``scaled_level`` is the
+        smaller bound. Frequencies are those of the loop mapped to continuous time where it is discrete.
+    history
+        Every iterate.
+    """
+
+    blocks: tuple[Block, ...]
+    lower: float
+    frequency: float
+    delta: dict[str, Any]
+    scalings: DynamicScalings
+    scaled_level: float
+    pieces: tuple[Piece, ...]
+    history: tuple[DKStep, ...]
+
+    def proved_again(self) -> float:
+        """What the scalings prove for mu of the loop rebuilt from plant and K, computed anew; inf: nothing."""
+        from robustlab.norms import bilinear_to_continuous
+
+        loop: StateSpaceModel = self.plant.close(self.K)
+        if not loop.is_stable():
+            return float("inf")
+        loop = bilinear_to_continuous(loop) if loop.is_discrete else loop
+        return proved_level(loop, self.scalings, self.scaled_level)[0]
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (mu is at most this at all frequencies)"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        text = f"{self.lower:.6g} at {self.frequency:.4g} rad/s" if self.lower > 0 else "none found"
+        orders = ", ".join(f"{b.name} {o}" for b, o in zip(self.blocks, self.scalings.orders, strict=True) if o)
+        return [
+            rows[0],
+            ("peak of mu, lower bound", text),
+            *rows[1:5],
+            ("orders of the scalings", orders or "constant"),
+            ("iterates", f"{len(self.history)}, from {self.history[0].gamma:.6g}"),
+            *rows[5:],
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant and the pieces, with arrays."""
+        return super().to_json() | {
+            "lower": self.lower,
+            "frequency": self.frequency,
+            "delta": self.delta,
+            "blocks": [b.name for b in self.blocks],
+            "scaled_level": self.scaled_level,
+            "scalings": self.scalings.to_json(),
+            "intervals": [(p.low, p.high, p.beta) for p in self.pieces],
+            "history": list(self.history),
+        }

@@ -1,0 +1,493 @@
+"""Robust-performance synthesis: D-K iteration, direct minimisation over the scalings, and D-G-K for real blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from robustlab.budget import MILLION, Budget, one_thread
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.frequency import default_grid
+from robustlab.mu_analysis.axis.axis_model import continuous
+from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis
+from robustlab.mu_analysis.matrix.certificate import project
+from robustlab.mu_analysis.matrix.lower import lower_bounds
+from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
+from robustlab.norms import HinfNorm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.synthesis.dk.direct_scalings import grown, minimised
+from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
+from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, unit_scalings
+from robustlab.synthesis.dk.pointwise_scalings import MuCurve, as_complex, mu_curve
+from robustlab.synthesis.dk.riccati_level import proved_level
+from robustlab.synthesis.dk.robust_loop import Iterate, RobustProblem, nominal_start
+from robustlab.synthesis.dk.scalings_fit import fitted_scalings
+from robustlab.synthesis.hinf.hinf_synthesis import synthesize
+from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.stability import proved_stable
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, as_blocks, delta_values, structure_size
+
+__all__ = ["dk", "structure_with_performance"]
+
+PERFORMANCE = "performance"
+WORK = 120 * MILLION
+# Shares of the work: of the H-infinity start, and at which D-K iteration, the whole search and the search for slower
+# controllers have to end; the rest is for the proof. The search keeps at least LEAST.
+START, CLASSICAL, SEARCH, SOFTENING, LEAST = 0.25, 0.5, 0.8, 0.85, 0.3
+ITERATIONS = 60
+# Loss at single frequencies that a fit of D may have: in D-K iteration, and where direct minimisation starts.
+FIT_LOSS, FIRST_LOSS = 0.002, 0.2
+# Relative progress below which a stage ends; D-K iteration ends earlier where direct minimisation follows.
+PROGRESS, ROUGH_PROGRESS = 5e-4, 2e-2
+# Shares of the loop's gain that regularisation of a singular plant may cost: while iterating, and at the end.
+ROUGH, FINE = 0.1, 0.03
+# Numbers of blocks: above the one D starts at constants fitted, above the other less is computed on the side.
+FEW, MANY = 6, 30
+CURVES, POINTS = 1.5, 112  # work to keep for the end, in curves of mu; most frequencies of one
+BAND_LEVEL, BEYOND = 0.3, 30.0
+CLEARLY = 0.9  # share of the peak of mu at which the nominal start is preferred
+FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
+PROOF_ACCURACY = 1e-3
+
+
+@told_as("synth dk")
+def dk(
+    P: Any,
+    blocks: Any = None,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    *,
+    K0: Any = None,
+    direct: bool = True,
+    mixed: bool = True,
+    max_order: int | None = None,
+    order_rel: float = 0.01,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+    progress: Callable[[str], None] | None = None,
+) -> DKSynthesis:
+    r"""Controller ``u = K y`` (positive feedback) that makes the peak of mu of the closed loop small.
+
+    .. math:: \min_K \sup_\omega \mu_\Delta (F_l(P, K)(j \omega)) \le
+        \min_{K, D, G} \; \beta: \; \| D_z F_l(P, K) D_w^{-1} G_M / \beta - G_N \|_\infty \le 1
+
+    Three stages, each starting from the best of the one before. *D-K iteration*: H-infinity synthesis for the scaled
+    plant in turn with fits of the scalings that are optimal at single frequencies. *Direct*: gamma as a function of the
+    scalings' own parameters is minimised, in growing order. *D-G-K*: the same with G for real blocks. Every controller
+    is judged by the loop rebuilt from it, which has to be stable, and by what its scalings prove at all frequencies.
+
+    Parameters
+    ----------
+    P
+        Generalised plant with inputs [w_Delta; w; u] and outputs [z_Delta; z; y]: `GeneralizedPlant`,
+        StateSpaceModel, UncertainModel, or python-control object; continuous or discrete.
+    blocks
+        Blocks of Delta, or rows in the notation of mussv. Where they leave some w *and* some z over, these get a full
+        complex block ``"performance"``; where they cover all w and z, they are the whole structure. None: the blocks of
+        P, an UncertainModel or a `GeneralizedPlant` made from one. A repeated scalar gets a diagonal rational D times a
+        constant triangular matrix.
+    n_meas, n_con
+        Numbers of measurements and controls; left out for a `GeneralizedPlant`.
+    K0
+        Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); a `DKSynthesis` of the same
+        blocks also gives its scalings. H-infinity synthesis where left out.
+    direct
+        Whether to go on with direct minimisation after D-K iteration.
+    mixed
+        Whether to use that real blocks are real; False treats them as complex ones.
+    max_order
+        Largest order of the controller; three times the states of P, and no less than 24 more, where left out.
+    order_rel
+        The level may be so much larger (relative) than the smallest one for a controller of lower order, and then for
+        one with slower poles. 0 asks for the smallest level, whose controller is often absurdly fast.
+    time_limit
+        Time in s for everything; none where left out. Where it ends the search the status is TIMEOUT.
+    effort
+        Multiple of the usual work (one to two minutes of one core at most). The search counts what it does, so that it
+        ends the same way everywhere; ``reason`` says where it might have gone on.
+    progress
+        Called with one line at each iterate.
+
+    Returns
+    -------
+    DKSynthesis
+        ``gamma`` is an upper bound of mu at all frequencies: by the norm of the scaled loop, or by proved intervals
+        where these are tighter.
+
+    Raises
+    ------
+    InputError
+        Blocks that do not fit P, no blocks at all (use `hinf`), a range that is not symmetric (see `centred`), a K0
+        that does not fit or does not stabilise.
+    NoTrustworthyNumber
+        An unstable mode that no controller can stabilise (named), or no verified controller.
+
+    References
+    ----------
+    Doyle (1985); Balas, Doyle, Glover, Packard, Smith, *mu-Analysis and Synthesis Toolbox* (1993); Young (1996),
+    "Controller design with real parametric uncertainty".
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks.base import ComplexScalar
+    >>> A, B = [[-1.0]], [[0.5, 1.0, 1.0]]
+    >>> C, D = [[0.0], [1.0], [1.0]], [[0, 0, 1], [0, 0, 0], [0, 1, 0]]
+    >>> design = dk(StateSpaceModel(A, B, C, D), [ComplexScalar("gain")], 1, 1, direct=False)
+    >>> design.status.value, design.lower <= design.gamma < 1
+    ('certified', True)
+    """
+    plant, structure = structure_with_performance(P, blocks, n_meas, n_con)
+    if not 0 <= order_rel < 1:
+        raise InputError("synth dk", f"order_rel is {order_rel}", "a number in [0, 1)")
+    budget = design_budget("synth dk", WORK, effort, time_limit)
+    n = plant.model.n_states
+    if max_order is None:
+        max_order = max(3 * n, n + 24)
+    elif isinstance(max_order, bool) or not isinstance(max_order, (int, np.integer)) or max_order < n:
+        raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
+    with one_thread():
+        compile_kernels()
+        search = _Search(plant, structure, budget, int(max_order), mixed, progress)
+        search.start(K0)
+        search.alternate(ROUGH_PROGRESS if direct else PROGRESS)
+        if direct:
+            search.descend()
+        return search.finished(order_rel)
+
+
+def structure_with_performance(
+    P: Any, blocks: Any, n_meas: int | None, n_con: int | None
+) -> tuple[GeneralizedPlant, tuple[Block, ...]]:
+    """The plant, and the structure on all of its w and z; see `dk` for the rule of the performance block."""
+    where = "synth dk"
+    plant = as_generalized_plant(P, n_meas, n_con, where)
+    given = plant.blocks if blocks is None else as_blocks(blocks)
+    if not given:
+        raise InputError(where, "no uncertainty blocks", "at least one", "use hinf for a plant without uncertainty")
+    for block in given:
+        if isinstance(block, RealScalar) and block.parameter is not None and block.ratio != 1:
+            raise InputError(
+                f"{where}: block {block.name!r}",
+                f"a range that is wider on one side ({block.parameter.low:g} .. {block.parameter.high:g})",
+                "a range that is symmetric around its nominal value",
+                "centred(uncertain) moves the nominal value to the middle",
+            )
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    q, p = structure_size(given)
+    if (q, p) == (n_w, n_z):
+        return plant, given
+    if q >= n_w or p >= n_z:
+        raise InputError(
+            where,
+            f"blocks of {q} inputs w and {p} outputs z for a plant with {n_w} w and {n_z} z",
+            "blocks that cover all of both, or leave some of both for the performance block",
+        )
+    if PERFORMANCE in [b.name for b in given]:
+        raise InputError(where, f"a block is called {PERFORMANCE!r}", "another name for it")
+    return plant, (*given, FullBlock(PERFORMANCE, n_w - q, n_z - p))
+
+
+class _Search:
+    """All iterates so far; every stage adds to them."""
+
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        blocks: tuple[Block, ...],
+        budget: Budget,
+        max_order: int,
+        mixed: bool,
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self.budget, self.whole = budget, budget.left
+        self.plant, self.max_order, self.progress = plant, max_order, progress
+        some_real = any(isinstance(b, RealScalar) for b in blocks)
+        self.mixed = mixed and some_real
+        self.real, self.blocks = blocks, as_complex(blocks)
+        self.curve_work = points_work(self.real if self.mixed else self.blocks, POINTS)
+        self.problem = RobustProblem(plant, budget)
+        self.problem.budget = self.search = self._until(SEARCH)
+        self.iterates: list[Iterate] = []
+        self.history: list[DKStep] = []
+        self.curve: MuCurve | None = None
+        self.curved: Iterate | None = None  # whose curve that is
+        self.warm: DynamicScalings | None = None
+
+    def _until(self, end: float) -> Budget:
+        """A budget that is over when this share of the whole is spent, and enough for a last curve of mu is left."""
+        end = min(end, max(1 - CURVES * self.curve_work / self.whole, LEAST))
+        left = self.budget.left
+        return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
+
+    def _late(self) -> bool:
+        return self.problem.budget.over
+
+    @property
+    def best(self) -> Iterate:
+        """The iterate of smallest proved level."""
+        return min(self.iterates, key=lambda iterate: iterate.level)
+
+    @property
+    def max_states(self) -> int:
+        """States that the scalings may have."""
+        return self.max_order - self.plant.model.n_states
+
+    # --- stages ------------------------------------------------------------------------------------------------------
+
+    def start(self, K0: Any) -> None:
+        """The controller given; else that of H-infinity synthesis for the plant without scalings, or of its performance
+        channels alone (see `nominal_start`) where that one has a clearly smaller mu.
+        """
+        scalings = unit_scalings(self.blocks)
+        if K0 is None:
+            K = synthesize(self.plant, "hinf", 1.0, self.search.share(START)).K
+        else:
+            K = _controller(K0, self.plant)
+            if isinstance(K0, DKSynthesis) and K0.scalings.blocks in (self.blocks, self.real):
+                self.warm = scalings = K0.scalings
+        found = self.problem.proved(K, scalings, 1.0)
+        if found is None and K0 is not None:
+            raise InputError("synth dk: K0", "a loop that is not stable", "a controller that stabilises P")
+        if found is None:
+            raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
+        self._keep(found, "start")
+        if K0 is None and self.blocks[-1].name == PERFORMANCE and not self._late():
+            K = nominal_start(self.plant, self.blocks[-1].rows, self.blocks[-1].cols, self.search.share(START))
+            other = None if K is None else self.problem.proved(K, scalings, 1.0)
+            if other is not None:
+                self._prefer(other, found)
+
+    def _prefer(self, other: Iterate, found: Iterate) -> None:
+        """Go on from the other start where its mu is clearly smaller."""
+        before = self._followed(found)
+        if self._followed(other).peak < CLEARLY * before.peak:
+            self._keep(other, "nominal start")
+        else:
+            self.curve, self.curved = before, found
+
+    def alternate(self, progress: float) -> None:
+        """D-K iteration until two iterations in a row gain less than ``progress``."""
+        if progress > PROGRESS:
+            self.problem.budget = self._until(CLASSICAL)
+        now, stuck = self.iterates[-1], 0
+        for _ in range(ITERATIONS):
+            if self._late() or stuck == 2:
+                break
+            self.curve = self._followed(now)
+            before = self.best.level
+            scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self.problem.budget)
+            refitted = self.problem.proved(now.K, scalings, now.level)
+            if refitted is not None and refitted.level < before:
+                self._keep(refitted, "D-K", self.curve.peak)
+            self.problem.regularise(refitted or now, ROUGH)
+            found = self.problem.solve(scalings, min(now.level, 1.1 * self.curve.peak))
+            if found is None:
+                break
+            self._keep(found, "D-K")
+            stuck = stuck + 1 if found.level > before * (1 - progress) else 0
+            now = found
+        self.problem.budget = self.search
+
+    def descend(self) -> None:
+        """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a
+        fit of low order.
+
+        Where blocks are real, then over D and G from a D of low order; that gets two thirds of the work.
+        """
+        self.problem.regularise(self.best, FINE)
+        starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
+        if self.curve is not None and self.warm is None:
+            if len(self.blocks) > FEW:  # the way from D = I is long then
+                starts = [fitted_scalings(self.curve, self.blocks, np.inf, self.max_states, self.search)]
+            fitted = fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self.search)
+            starts += [fitted] if fitted.n_states and not self.mixed else []
+        share = 1 / 3 if self.mixed else 1 / len(starts)
+        for k, scalings in enumerate(starts):
+            self.problem.budget = self.search if k else self.search.share(share)
+            self._grow(scalings, "direct")
+        self.problem.budget = self.search
+        if self.mixed and not self._late():
+            warm = self.warm is not None and self.warm.mixed
+            first = self.warm if warm and self.warm is not None else self._few_states()
+            self._grow(_with_g(first, self.real), "D-G-K")
+
+    def _few_states(self) -> DynamicScalings:
+        """A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states."""
+        known = self._chosen(FIRST_LOSS).scalings
+        fitted = fitted_scalings(self._followed(self.best), self.blocks, FIRST_LOSS, self.max_states, self.search)
+        return min(known, fitted, key=lambda scalings: scalings.n_states)
+
+    def _grow(self, scalings: DynamicScalings, stage: str) -> None:
+        """Minimise, enlarge the scalings, and so on, until that brings nothing."""
+        if self._late():
+            return
+        found = minimised(self.problem, scalings, self.best.level)
+        band = self._band()
+        falls, before = 0, np.inf
+        while found is not None:
+            scalings, level = found
+            if self._late() and level >= self.best.level:
+                break
+            # What a minimisation reached by the end of its work is not thrown away.
+            iterate = (self.problem.at_level if self._late() else self.problem.solve)(scalings, level)
+            if iterate is not None:
+                self._keep(iterate, stage)
+            falls = falls + 1 if level > before * (1 - PROGRESS) else 0
+            if falls == FALLS or self._late():
+                break
+            before = level
+            larger = grown(self.problem, scalings, level, band, self.max_states)
+            found = None if larger is None else minimised(self.problem, *larger)
+
+    def _followed(self, iterate: Iterate) -> MuCurve:
+        """The curve of complex mu of an iterate; it is not computed again for the same one."""
+        if self.curve is None or self.curved is not iterate:
+            self.curve, self.curved = mu_curve(iterate.loop, self.blocks, self.problem.budget), iterate
+        return self.curve
+
+    def _band(self) -> tuple[float, float]:
+        """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
+        if self.curve is None:
+            self.curve = self._followed(self.best)
+        high = self.curve.omega[self.curve.levels > BAND_LEVEL * self.curve.peak]
+        return float(high[0] / BEYOND), float(high[-1] * BEYOND)
+
+    def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
+        self.iterates.append(iterate)
+        orders = iterate.scalings.orders
+        self.history.append(DKStep(stage, iterate.level, mu, iterate.K.n_states, orders, self.whole - self.budget.left))
+        if self.progress is not None:
+            self.progress(
+                f"iteration {len(self.history)} ({stage}): mu <= {iterate.level:.4f}, {iterate.K.n_states} states"
+            )
+
+    def _chosen(self, order_rel: float) -> Iterate:
+        """The iterate of lowest order whose level is at most ``order_rel`` above the smallest."""
+        fitting = [i for i in self.iterates if i.K.n_states <= self.max_order] or self.iterates
+        limit = min(i.level for i in fitting) * (1 + order_rel)
+        return min((i for i in fitting if i.level <= limit), key=lambda i: (i.K.n_states, i.level))
+
+    # --- the result --------------------------------------------------------------------------------------------------
+
+    def finished(self, order_rel: float) -> DKSynthesis:
+        """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
+        chosen = self._chosen(order_rel)
+        self.problem.budget = self._until(SOFTENING)
+        chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel))
+        blocks = self.real if self.mixed else self.blocks
+        # All that costs work comes before the proof by intervals, which takes whatever is left.
+        norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
+        curve = self._last_curve(chosen, blocks, norm.frequency)
+        lower, delta, omega = _lower(curve, blocks)
+        loop = self.plant.close(chosen.K)
+        stable = proved_stable(loop.A, loop.is_discrete)
+        cover = AxisCover()
+        if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
+            peaks = curve.omega[np.argsort(-curve.levels)[:8]]
+            cover = cover_axis(
+                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=PROOF_ACCURACY
+            )
+        proved = not cover.open and cover.beta < chosen.level
+        gamma = cover.beta if proved else chosen.level
+        if lower > gamma * (1 + 1e-6):
+            raise NoTrustworthyNumber("synth dk", f"lower bound {lower:.9g} of mu above the proved {gamma:.9g}")
+        frequency = omega
+        if loop.is_discrete:
+            frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
+        heard, doubt = self.problem.heard(chosen, loop, norm, cover.pieces if proved else ())
+        doubts = _doubts(stable, None if proved else norm) + [doubt] * bool(doubt)
+        status, reason = told(
+            Status.INACCURATE if doubts else Status.CERTIFIED,
+            [*doubts, *self._reasons(chosen, proved, order_rel)],
+            self.budget,
+            "a smaller mu",
+        )
+        return DKSynthesis(
+            K=chosen.K,
+            gamma=max(gamma, heard),
+            closed_loop=loop,
+            status=status,
+            reason=reason,
+            limit=limiting_channels(loop, frequency),
+            plant=self.plant,
+            method="dk",
+            blocks=blocks,
+            lower=min(lower, gamma),
+            frequency=frequency,
+            delta=delta,
+            scalings=chosen.scalings,
+            scaled_level=chosen.level,
+            pieces=tuple(cover.pieces) if proved else (),
+            history=tuple(self.history),
+        )
+
+    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:
+        """The curve of mu, or, where little work is left, around the peak of the scaled loop alone (rad/s)."""
+        around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
+        if self.budget.left < 0.6 * CURVES * self.curve_work or self.budget.over:
+            return mu_curve(chosen.loop, blocks, Budget(0.0), around)
+        first = np.unique(np.concatenate([default_grid(chosen.loop, 40, 1.0), around]))
+        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
+
+    def _reasons(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> list[str]:
+        how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
+        parts = [f"loop rebuilt from K is stable; mu bound proved at all frequencies by {how}"]
+        best = self.best
+        if chosen is not best and chosen.level > best.level:
+            parts.append(
+                f"lowest order within {order_rel:.1%} of the smallest level {best.level:.6g} ({best.K.n_states} states)"
+            )
+        return parts
+
+
+def _doubts(stable: bool, norm: HinfNorm | None) -> list[str]:
+    """What lost digits on the way to the bound; nothing where it is proved. ``norm``: of the scaled loop, if used."""
+    doubts: list[str] = []
+    if not stable:
+        doubts.append("eigenvalues are so ill-conditioned that stability of the loop was not proved beyond rounding")
+    if norm is not None and norm.status is not Status.CERTIFIED:
+        doubts.append(f"norm of the scaled loop: {norm.reason}")
+    return doubts
+
+
+def _with_g(scalings: DynamicScalings, real: tuple[Block, ...]) -> DynamicScalings:
+    """The same D, with room for G at the real blocks."""
+    parts = tuple(
+        BlockScaling(part.factors, part.mixing, part.g or (CoprimePair(),) * block.rows)
+        if isinstance(block, RealScalar)
+        else part
+        for block, part in zip(real, scalings.parts, strict=True)
+    )
+    return DynamicScalings(real, parts)
+
+
+def _without_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScalings:
+    """The same D for complex blocks."""
+    parts = tuple(BlockScaling(part.factors, part.mixing) for part in scalings.parts)
+    return DynamicScalings(blocks, parts)
+
+
+def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:
+    """Largest attained lower bound at the frequencies of the highest upper ones."""
+    top = np.argsort(-curve.levels)[: 4 if len(blocks) < MANY else 1]
+    found = lower_bounds(curve.response[top], blocks, restarts=4, steps=24)
+    best = max(range(len(found)), key=lambda k: found[k][0])
+    value, delta = found[best]
+    if delta is None:
+        return 0.0, {}, float(curve.omega[top[0]])
+    return value, delta_values(blocks, project(blocks, delta)), float(curve.omega[top[best]])
+
+
+def _controller(K0: Any, plant: GeneralizedPlant) -> StateSpaceModel:
+    K = K0.K if isinstance(K0, (Synthesis, Controller)) else as_model(K0, "synth dk: K0")
+    if K.D.shape != (plant.n_con, plant.n_meas) or K.dt != plant.model.dt:
+        raise InputError(
+            "synth dk: K0",
+            f"{K.n_outputs} x {K.n_inputs} with dt = {K.dt:g} s",
+            f"{plant.n_con} x {plant.n_meas} with dt = {plant.model.dt:g} s",
+        )
+    return K

@@ -1,0 +1,427 @@
+r"""Rational scalings D(s), G(s) of a block structure that prove a bound of mu at every frequency at once.
+
+A full block of r x c has one scalar factor d(s), on c outputs and r inputs. A scalar repeated r times has
+``D(s) = diag(d_1 .. d_r) T`` with a constant unit upper triangular T. Every factor is
+
+.. math:: d(s) = k \prod_i \frac{s / z_i + 1}{s / p_i + 1}
+    \prod_j \frac{s^2 / \omega_{zj}^2 + 2 \zeta_{zj} s / \omega_{zj} + 1}
+                 {s^2 / \omega_{pj}^2 + 2 \zeta_{pj} s / \omega_{pj} + 1}
+
+with at most one first-order section; all its numbers are positive, so that d and 1/d are stable by construction, and
+their logarithms are free parameters. Real scalars also carry normalised coprime factors of an odd function
+:math:`\hat g = G_N / G_M`, imaginary on the axis, made of two all-pass functions U, V of the same order:
+
+.. math:: G_M = \tfrac12 (U + V), \quad G_N = \tfrac12 (U - V), \qquad
+    U = \prod_i \frac{s - q_i}{s + q_i}, \quad V = \prod_i \frac{s - p_i}{s + p_i}, \qquad |G_M|^2 + |G_N|^2 = 1
+
+(pairs of factors may be complex conjugate). They are stable for all positive numbers, and G vanishes where U = V. With
+them
+
+.. math:: \| D_z M D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \quad \Rightarrow \quad \sup_\omega \mu(M) \le \beta .
+
+References
+----------
+Young, "Robustness with parametric and dynamic uncertainty", PhD thesis (1993), chapter 9; Fan, Tits, Doyle (1991).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+
+__all__ = [
+    "BlockScaling",
+    "CoprimePair",
+    "DynamicScalings",
+    "Factor",
+    "Realisation",
+    "reference_block",
+    "unit_scalings",
+]
+
+Array = NDArray[Any]
+Realisation = tuple[Array, Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One scalar factor d(s) by its logarithms; 2 numbers a first-order section, 4 a second-order one.
+
+    Attributes
+    ----------
+    log_gain
+        ``log d(0)``.
+    sections
+        ``(log z, log p)`` or ``(log w_z, log 2 zeta_z, log w_p, log 2 zeta_p)``, frequencies in rad/s; sections of
+        second order come first.
+    """
+
+    log_gain: float = 0.0
+    sections: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return sum(len(section) // 2 for section in self.sections)
+
+    def parameters(self) -> list[float]:
+        """All logarithms in a row."""
+        return [self.log_gain, *(value for section in self.sections for value in section)]
+
+    def with_parameters(self, values: Iterator[float]) -> Factor:
+        """The same form with the next numbers of ``values``."""
+        gain = float(next(values))
+        return Factor(gain, tuple(tuple(float(next(values)) for _ in section) for section in self.sections))
+
+    def with_section(self, log_zero: float, log_pole: float) -> Factor:
+        """One order higher: times ``(s/z + 1) / (s/p + 1)``; two sections of first order become one of second."""
+        return replace(self, sections=_extended(self.sections, log_zero, log_pole))
+
+    def realisation(self) -> Realisation:
+        """States, input, output and direct term of d(s), sections in series."""
+        return _realised(self)
+
+    def log_modulus(self, omega: Array) -> Array:
+        """``log |d(j omega)|``, shape (n_omega,)."""
+        result = np.full(len(omega), self.log_gain)
+        for section in self.sections:
+            half = len(section) // 2
+            result += _log_modulus(section[:half], omega) - _log_modulus(section[half:], omega)
+        return result
+
+
+@lru_cache(maxsize=4096)
+def _realised(factor: Factor) -> Realisation:
+    n = factor.order
+    A, B, C, D = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), np.array([[np.exp(factor.log_gain)]])
+    at = 0
+    for section in factor.sections:
+        a, b, c, d = _section(section)
+        here, before = slice(at, at + len(a)), slice(0, at)
+        A[here, here], A[here, before] = a, b @ C[:, before]
+        B[here] = b @ D
+        C[:, before] *= d
+        C[:, here] = c
+        D, at = d * D, at + len(a)
+    return A, B, C, D
+
+
+@lru_cache(maxsize=4096)
+def _inverse(factor: Factor) -> Realisation:
+    A, B, C, D = _realised(factor)
+    return A - B @ C / D, B / D, -C / D, 1 / D
+
+
+def _section(values: tuple[float, ...]) -> Realisation:
+    if len(values) == 2:
+        zero, pole = np.exp(values)
+        d = pole / zero
+        return np.array([[-pole]]), np.array([[pole]]), np.array([[1 - d]]), np.array([[d]])
+    w_z, two_z, w_p, two_p = np.exp(values)
+    d = (w_p / w_z) ** 2
+    A = np.array([[0.0, w_p], [-w_p, -two_p * w_p]])
+    return A, np.array([[0.0], [w_p]]), np.array([[1 - d, two_z * w_p / w_z - d * two_p]]), np.array([[d]])
+
+
+def _log_modulus(values: tuple[float, ...], omega: Array) -> Array:
+    with np.errstate(over="ignore"):
+        ratio = omega / np.exp(values[0])
+        if len(values) == 1:
+            return 0.5 * np.log1p(ratio**2)
+        return 0.5 * np.log((1 - ratio**2) ** 2 + (np.exp(values[1]) * ratio) ** 2)
+
+
+@dataclass(frozen=True)
+class CoprimePair:
+    """G_M and G_N of one real channel.
+
+    Attributes
+    ----------
+    sections
+        ``(log p, log q)`` or ``(log w_p, log 2 zeta_p, log w_q, log 2 zeta_q)`` of V and U; none: G = 0.
+    """
+
+    sections: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def n_states(self) -> int:
+        """States of U and V together."""
+        return sum(map(len, self.sections))
+
+    def with_parameters(self, values: Iterator[float]) -> CoprimePair:
+        """The same form with the next numbers of ``values``."""
+        return CoprimePair(tuple(tuple(float(next(values)) for _ in section) for section in self.sections))
+
+    def with_section(self, log_p: float, log_q: float) -> CoprimePair:
+        """One order higher; where p = q it leaves G as it is."""
+        return CoprimePair(_extended(self.sections, log_p, log_q))
+
+    def realisation(self) -> tuple[Array, Array, Array, Array]:
+        """``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
+        return _coprime(self)
+
+
+def _extended(sections: tuple[tuple[float, ...], ...], one: float, two: float) -> tuple[tuple[float, ...], ...]:
+    """Sections with a pair of first-order numbers more; a pair that is there already is merged with it."""
+    last = sections[-1] if sections else ()
+    if len(last) != 2:
+        return (*sections, (one, two))
+    merged: list[float] = []
+    for old, new in zip(last, (one, two), strict=True):
+        middle = 0.5 * (old + new)  # (s + a)(s + b): w = sqrt(a b), 2 zeta = (a + b) / w
+        merged += [middle, float(np.logaddexp(old, new) - middle)]
+    return (*sections[:-1], tuple(merged))
+
+
+@dataclass(frozen=True, eq=False)
+class BlockScaling:
+    """Scalings of one block.
+
+    Attributes
+    ----------
+    factors
+        One for a full block, one a channel for a repeated scalar, none for the block whose D is one.
+    mixing
+        Entries of T above the diagonal, row by row.
+    g
+        For each channel of a real scalar its G.
+    """
+
+    factors: tuple[Factor, ...]
+    mixing: tuple[float, ...] = ()
+    g: tuple[CoprimePair, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """Orders of all factors."""
+        return sum(factor.order for factor in self.factors)
+
+    @property
+    def g_states(self) -> int:
+        """States of all G."""
+        return sum(pair.n_states for pair in self.g)
+
+    def triangular(self) -> Array:
+        """T, shape (r, r)."""
+        r = len(self.factors)
+        T = np.eye(r)
+        if self.mixing:
+            T[np.triu_indices(r, 1)] = self.mixing
+        return T
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicScalings:
+    """D(s) and G(s) of a whole structure; see the module's docstring."""
+
+    blocks: tuple[Block, ...]
+    parts: tuple[BlockScaling, ...]
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Order of D, and of G, that each block brings."""
+        return tuple(part.order + part.g_states for part in self.parts)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states that a plant gets when it is scaled."""
+        total = 0
+        for block, part in zip(self.blocks, self.parts, strict=True):
+            sides = block.rows + block.cols if isinstance(block, FullBlock) else 2
+            total += part.order * sides + part.g_states
+        return total
+
+    @property
+    def mixed(self) -> bool:
+        """Whether there is a G."""
+        return any(part.g_states for part in self.parts)
+
+    def parameters(self) -> Array:
+        """All free parameters, shape (n_theta,)."""
+        values: list[float] = []
+        for part in self.parts:
+            for factor in part.factors:
+                values += factor.parameters()
+            values += part.mixing
+            values += [value for pair in part.g for section in pair.sections for value in section]
+        return np.array(values)
+
+    def with_parameters(self, theta: Array) -> DynamicScalings:
+        """The same form with other parameters."""
+        values = iter(theta)
+        parts = []
+        for part in self.parts:
+            factors = tuple(factor.with_parameters(values) for factor in part.factors)
+            mixing = tuple(float(next(values)) for _ in part.mixing)
+            g = tuple(pair.with_parameters(values) for pair in part.g)
+            parts.append(BlockScaling(factors, mixing, g))
+        return replace(self, parts=tuple(parts))
+
+    def with_part(self, index: int, part: BlockScaling) -> DynamicScalings:
+        """With the scalings of one block replaced."""
+        return replace(self, parts=(*self.parts[:index], part, *self.parts[index + 1 :]))
+
+    def to_json(self) -> list[dict[str, object]]:
+        """For each block its factors (log gain, sections), mixing and G."""
+        return [
+            {
+                "block": block.name,
+                "factors": [{"log_gain": f.log_gain, "sections": f.sections} for f in part.factors],
+                "mixing": part.mixing,
+                "g": [pair.sections for pair in part.g],
+            }
+            for block, part in zip(self.blocks, self.parts, strict=True)
+        ]
+
+    def on_outputs(self) -> Realisation:
+        """``D_z(s)``, shape (p, p)."""
+        p = structure_size(self.blocks)[1]
+        pieces: list[tuple[Realisation, slice, slice]] = []
+        for block, part, (_, z) in self._with_slices():
+            pieces += [
+                (factor.realisation(), slice(i, i + 1), slice(i, i + 1))
+                for factor, i in _channels(block, part, z.start, block.cols)
+            ]
+        A, B, C, D = _placed(pieces, p, p, _ones(self, 1))
+        if not self._mixes:
+            return A, B, C, D
+        T = self._mixing(1)
+        return A, B @ T, C, D @ T
+
+    def on_inputs(self) -> Realisation:
+        """``D_w(s)^{-1}``, shape (q, q)."""
+        q = structure_size(self.blocks)[0]
+        pieces: list[tuple[Realisation, slice, slice]] = []
+        for block, part, (w, _) in self._with_slices():
+            for factor, i in _channels(block, part, w.start, block.rows):
+                pieces.append((_inverse(factor), slice(i, i + 1), slice(i, i + 1)))
+        A, B, C, D = _placed(pieces, q, q, _ones(self, 0))
+        if not self._mixes:
+            return A, B, C, D
+        back = np.linalg.inv(self._mixing(0))
+        return A, B, back @ C, back @ D
+
+    def coprime(self) -> tuple[Array, Array, Array, Array]:
+        """``(A, B, F, C)`` with ``G_M = I + F (sI - A)^-1 B`` (q x q) and ``G_N = C (sI - A)^-1 B`` (p x q)."""
+        q, p = structure_size(self.blocks)
+        pieces = []
+        for _, part, (w, z) in self._with_slices():
+            pieces += [(g.realisation(), w.start + i, z.start + i) for i, g in enumerate(part.g) if g.sections]
+        n = sum(len(piece[0][0]) for piece in pieces)
+        A, B, F, C = np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, n)), np.zeros((p, n))
+        at = 0
+        for (a, b, f, c), i, j in pieces:
+            m = len(a)
+            A[at : at + m, at : at + m], B[at : at + m, i] = a, b[:, 0]
+            F[i, at : at + m], C[j, at : at + m] = f[0], c[0]
+            at += m
+        return A, B, F, C
+
+    def _with_slices(self) -> list[tuple[Block, BlockScaling, tuple[slice, slice]]]:
+        return list(zip(self.blocks, self.parts, block_slices(self.blocks), strict=True))
+
+    @property
+    def _mixes(self) -> bool:
+        return any(part.mixing for part in self.parts)
+
+    def _mixing(self, side: int) -> Array:
+        T = np.eye(structure_size(self.blocks)[side])
+        for _, part, where in self._with_slices():
+            if part.mixing:
+                T[where[side], where[side]] = part.triangular()
+        return T
+
+
+def _channels(block: Block, part: BlockScaling, start: int, size: int) -> list[tuple[Factor, int]]:
+    """Each factor with each of its channels; the one factor of a full block comes once for every channel."""
+    if not part.factors:
+        return []
+    factors = part.factors * size if isinstance(block, FullBlock) else part.factors
+    return [(factor, start + i) for i, factor in enumerate(factors)]
+
+
+def _ones(scalings: DynamicScalings, side: int) -> list[int]:
+    """Channels of blocks whose D is one."""
+    slices = block_slices(scalings.blocks)
+    return [
+        i
+        for part, where in zip(scalings.parts, slices, strict=True)
+        if not part.factors
+        for i in range(where[side].start, where[side].stop)
+    ]
+
+
+def _placed(pieces: list[tuple[Realisation, slice, slice]], rows: int, cols: int, ones: list[int]) -> Realisation:
+    n = sum(len(piece[0][0]) for piece in pieces)
+    A, B, C, D = np.zeros((n, n)), np.zeros((n, cols)), np.zeros((rows, n)), np.zeros((rows, cols))
+    D[ones, ones] = 1.0
+    at = 0
+    for (a, b, c, d), row, col in pieces:
+        m = len(a)
+        A[at : at + m, at : at + m] = a
+        B[at : at + m, col], C[row, at : at + m], D[row, col] = b, c, d
+        at += m
+    return A, B, C, D
+
+
+@lru_cache(maxsize=4096)
+def _coprime(pair: CoprimePair) -> tuple[Array, Array, Array, Array]:
+    halves = [[section[: len(section) // 2] for section in pair.sections]]
+    halves.append([section[len(section) // 2 :] for section in pair.sections])
+    (A_v, B_v, C_v), (A_u, B_u, C_u) = (_all_pass(half) for half in halves)
+    n = len(A_u)
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, :n], A[n:, n:] = A_u, A_v
+    return A, np.vstack([B_u, B_v]), np.hstack([C_u, C_v]) / 2, np.hstack([C_u, -C_v]) / 2
+
+
+def _all_pass(sections: list[tuple[float, ...]]) -> tuple[Array, Array, Array]:
+    """States, input, output of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
+    n = sum(map(len, sections))
+    A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
+    at = 0
+    for section in sections:
+        m = len(section)
+        if m == 1:
+            w = e = float(np.exp(section[0]))
+            a = np.array([[-w]])
+        else:
+            w = float(np.exp(section[0]))
+            e = w * float(np.exp(section[1]))
+            a = np.array([[0.0, w], [-w, -e]])
+        root = np.sqrt(2 * e)
+        here = slice(at, at + m)
+        A[here, here] = a
+        A[at + m - 1, :at] = root * C[0, :at]
+        B[at + m - 1], C[0, at + m - 1] = root, -root
+        at += m
+    return A, B, C
+
+
+def reference_block(blocks: Sequence[Block]) -> int | None:
+    """The block whose D is one: of those with a scalar D the one whose D would cost most states; None: none has one."""
+    scalar = [
+        (block.rows + block.cols, i)
+        for i, block in enumerate(blocks)
+        if isinstance(block, FullBlock) or block.rows == 1
+    ]
+    return max(scalar)[1] if scalar else None
+
+
+def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
+    """D = I, G = 0."""
+    one = reference_block(blocks)
+    parts = []
+    for i, block in enumerate(blocks):
+        r = 1 if isinstance(block, FullBlock) else block.rows
+        factors = () if i == one else (Factor(),) * r
+        g = (CoprimePair(),) * r if isinstance(block, RealScalar) else ()
+        parts.append(BlockScaling(factors, (0.0,) * (r * (r - 1) // 2), g))
+    return DynamicScalings(tuple(blocks), tuple(parts))

@@ -1,0 +1,328 @@
+r"""Controllers of a robust-performance problem: solved for given scalings, closed, and proved at all frequencies.
+
+A first controller for robust-performance synthesis: good nominal performance that does not rely on the model alone.
+
+H-infinity synthesis for all channels of a perturbed plant weighs perturbations in the units they happen to have, and
+its controller may be far from any good one. The nominal problem has the units of the specifications; but where nothing
+in it disturbs the plant, its best controller is little more than a feedforward. A small disturbance on the controls
+asks for feedback:
+
+.. math:: u = K y + \eta \, \mathrm{diag}(\|T_{u_i w}\|_\infty) \, d
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import Budget, dense
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.mu_analysis.matrix.certificate import level as certificate_level
+from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
+from robustlab.synthesis.dk.riccati_level import LevelSearch, proved_level, scaled_plant
+from robustlab.synthesis.hinf.hinf_synthesis import synthesize
+from robustlab.synthesis.hinf.search import Search, soften
+from robustlab.synthesis.problem.independent_check import AGREEMENT, hinf_voice, separate_responses
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
+from robustlab.synthesis.problem.scaling import equilibrated, paths_first
+from robustlab.synthesis.problem.verified_loop import named_controller, with_direct_term
+
+__all__ = [
+    "Iterate",
+    "RobustProblem",
+    "nominal_start",
+]
+
+
+Array = NDArray[Any]
+
+# A central controller at the smallest level itself is ill-conditioned: the level is backed off until the proof agrees.
+# The last ones are for plants of such spread that digits are lost in the controller.
+BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
+# Loss against the level of the Riccati equations above which the other numerical scaling is tried as well.
+ACCEPTED = 1e-2
+# Shares (of a logarithm) of the slack in the level at which slower controllers are sought.
+SOFTER = (0.999, 0.8, 0.5)
+# So many of the slowest controllers found are tried.
+CALMEST = 4
+# D12, D21 below this size in scaled units need regularisation.
+REGULAR = 1e-6
+STATE_SHARE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A controller with what its scalings prove.
+
+    Attributes
+    ----------
+    K
+        In the units and the time domain of the plant as given, D22 included.
+    loop
+        The closed loop rebuilt with it, mapped to continuous time where the plant is discrete.
+    scalings
+        D, G whose scaled loop proves ``level``.
+    level
+        mu of the loop is at most this, at all frequencies.
+    """
+
+    K: StateSpaceModel
+    loop: StateSpaceModel
+    scalings: DynamicScalings
+    level: float
+
+    @property
+    def pace(self) -> float:
+        """Largest modulus of the controller's poles."""
+        return float(np.abs(self.K.poles()).max(initial=0.0))
+
+
+class RobustProblem:
+    """Plant, structure and regularisation of a robust-performance synthesis.
+
+    Parameters
+    ----------
+    plant
+        Generalised plant as given; its w and z are exactly the channels of the structure.
+    budget
+        What is done is counted there, and it is asked between steps; each stage of a search may put its own. None: no
+        limit.
+    """
+
+    def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None) -> None:
+        self.plant, self.budget = plant, Budget() if budget is None else budget
+        model = plant.model
+        mapped = bilinear_to_continuous(model) if model.is_discrete else model
+        self._continuous = GeneralizedPlant(mapped, plant.n_meas, plant.n_con)
+        self.bare = self._continuous.matrices()
+        self.matrices = self.bare
+        self.scale = paths_first(self.bare)
+        p = self.scale.apply(self.bare)
+        _, n_w, n_u, n_z, n_y = p.sizes
+        u_size = np.linalg.svd(p.D12, compute_uv=False).min() if n_z >= n_u else 0.0
+        y_size = np.linalg.svd(p.D21, compute_uv=False).min() if n_w >= n_y else 0.0
+        self._regular = bool(u_size > REGULAR and y_size > REGULAR)
+
+    def search(self, scalings: DynamicScalings, alternative: bool = False) -> LevelSearch:
+        """Search for the smallest level of scalings of this form; ``alternative``: with another numerical scaling."""
+
+        def at(theta: Array, beta: float) -> PlantMatrices:
+            return scaled_plant(self.matrices, scalings.with_parameters(theta), beta)
+
+        scaled = at(scalings.parameters(), 1.0)
+        return LevelSearch(at, equilibrated(scaled) if alternative else paths_first(scaled), self.budget)
+
+    def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
+        """The controller of smallest proved level for given scalings; None where none was found."""
+        best: Iterate | None = None
+        for alternative in (False, True):
+            search = self.search(scalings, alternative)
+            level = search.smallest(scalings.parameters(), start, 1e-5)
+            if level is None:
+                continue
+            found = self._backed_off(search, scalings, level.beta)
+            if found is not None and (best is None or found.level < best.level):
+                best = found
+            if best is not None and best.level <= level.beta * (1 + ACCEPTED):
+                return best
+        return best
+
+    def at_level(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
+        """The controller at a level that is known to be the smallest one of these scalings; does not ask the budget."""
+        return self._backed_off(self.search(scalings), scalings, beta, BACKOFF[:3])
+
+    def _backed_off(
+        self, search: LevelSearch, scalings: DynamicScalings, beta: float, shares: tuple[float, ...] = BACKOFF
+    ) -> Iterate | None:
+        """The controller of smallest proved level among those a little above the level ``beta``."""
+        best: Iterate | None = None
+        for share in shares:
+            if best is not None and best.level <= beta * (1 + share):
+                break  # a higher level promises nothing better
+            K = search.controller(scalings.parameters(), beta * (1 + share))
+            found = None if K is None else self.closed(K, scalings, beta)
+            if found is not None and (best is None or found.level < best.level):
+                best = found
+            if best is not None and best.level <= beta * (1 + share) * (1 + 1e-3):
+                break
+        return best
+
+    def softened(self, iterate: Iterate, limit: float) -> Iterate:
+        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``.
+
+        The central controller at the smallest level has poles that run away to infinity; at a level a little higher
+        they are slower by orders of magnitude, and slower once more with penalties on u and noises on y as large as
+        the limit allows.
+        """
+        search = self.search(iterate.scalings)
+        theta = iterate.scalings.parameters()
+        best, middle = iterate, None
+        for share in SOFTER:
+            K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
+            middle = K if K is not None else middle
+            best = self._slower(K, best, limit)
+        if middle is None or self.budget.over:
+            return best
+        plant = scaled_plant(self.bare, iterate.scalings, limit)  # a gain of at most one proves the limit
+        trials = Search(plant, paths_first(plant), self.budget)
+        start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
+        if start is not None:
+            soften(trials, start, 1.0)
+        for candidate in sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)[:CALMEST]:
+            best = self._slower(StateSpaceModel(*candidate.K), best, limit)
+        return best
+
+    def _slower(self, K: StateSpaceModel | None, best: Iterate, limit: float) -> Iterate:
+        """The controller in place of the best one where it is slower and proves the limit."""
+        found = None if K is None or self.budget.over else self.closed(K, best.scalings, best.level)
+        return found if found is not None and found.level <= limit and found.pace < best.pace else best
+
+    def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
+        """A controller for the continuous plant without D22 as an iterate; None where its loop is not stable."""
+        try:
+            full = with_direct_term(K, self._continuous.D22)
+            if self.plant.model.is_discrete:
+                full = bilinear_to_discrete(full, self.plant.model.dt)
+        except (InputError, NoTrustworthyNumber):
+            return None
+        return self.proved(full, scalings, guess)
+
+    def proved(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
+        """A controller for the plant as given as an iterate; None where its loop is not stable or nothing is proved."""
+        try:
+            K = named_controller(K, self.plant.measurements, self.plant.controls, K.dt)
+            loop = self.plant.close(K)
+            if not loop.is_stable():
+                return None
+            loop = bilinear_to_continuous(loop) if loop.is_discrete else loop
+            self.budget.spend(dense(loop.n_states + scalings.n_states, 20 * 10 if scalings.mixed else 10))
+            level, _ = proved_level(loop, scalings, guess)
+        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
+            return None
+        return Iterate(K, loop, scalings, level) if np.isfinite(level) else None
+
+    def heard(
+        self, iterate: Iterate, loop: StateSpaceModel, norm: HinfNorm, pieces: Sequence[Piece]
+    ) -> tuple[float, str]:
+        """What P(jw) and K(jw), each evaluated on its own, say of an iterate's level: the level that they give at
+        single frequencies where it is the larger number (else 0), and why it is not verified (empty: it is).
+
+        ``loop`` is the one in the plant's own time domain, ``norm`` that of the scaled loop; ``pieces`` are those that
+        prove the level where the scalings alone do not.
+        """
+        doubt = hinf_voice(self.plant, iterate.K, loop).doubt(0.0, np.inf)
+        K = self._mapped(iterate.K)
+        if not pieces:
+            # The norm of the scaled loop: with G at the level, where it is at most one, without it at one.
+            beta = iterate.level if iterate.scalings.mixed else 1.0
+            plant = self._scaled(iterate.scalings, beta)
+            voice = hinf_voice(plant, K, plant.close(K), [norm.frequency])
+            gamma = voice.larger(norm.upper)
+            return (gamma * beta if gamma > norm.upper else 0.0), doubt or voice.doubt(norm.lower, norm.upper)
+        level, beta = 0.0, max(piece.beta for piece in pieces)
+        low, high = np.array([(piece.low, piece.high) for piece in pieces]).T
+        inside = np.where(np.isfinite(high), np.sqrt(np.maximum(low, 1e-3 * high) * high), 2 * low + 1)
+        inside, which = np.unique(inside, return_index=True)
+        _, T, error = separate_responses(self._continuous, K, iterate.loop, inside)
+        for k, response, blur in zip(which, T, error, strict=True):
+            bound = pieces[k].bound
+            if pieces[k].members is None and np.isfinite(blur):
+                level = max(level, certificate_level(response, bound.Dw, bound.Dz, bound.G))
+        if level > beta * (1 + AGREEMENT):
+            doubt = doubt or f"P and K evaluated separately give mu up to {level:.6g}, the rebuilt loop {beta:.6g}"
+        return (level if level > beta else 0.0), doubt
+
+    def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
+        """The scaled plant, D22 included."""
+        model = scaled_plant(self.bare, scalings, beta).model()
+        D, D22 = model.D.copy(), self._continuous.D22
+        D[D.shape[0] - D22.shape[0] :, D.shape[1] - D22.shape[1] :] = D22
+        return GeneralizedPlant(StateSpaceModel(model.A, model.B, model.C, D), self.plant.n_meas, self.plant.n_con)
+
+    def regularise(self, iterate: Iterate, share: float) -> None:
+        r"""Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations.
+
+        Each channel gets about ``share`` of the gain of the present scaled loop, ``eps_u = share beta / ||T_uw||`` and
+        so on: the smallest level rises by the square of it.
+        """
+        if self._regular:
+            return
+        self.budget.spend(dense(iterate.loop.n_states + iterate.scalings.n_states, 4))
+        n, n_w, n_u, n_z, n_y = self.bare.sizes
+        into = self.scale.states * self.scale.rate
+        try:
+            open_loop = scaled_plant(
+                self.bare.with_channels(1.0, 1.0, 1 / self.scale.states, into), iterate.scalings, 1.0
+            ).model()
+            K = with_direct_term(self._mapped(iterate.K), -self._continuous.D22)  # taken out again
+            loop = lower_lft(open_loop, K)
+            response = frequency_response(loop, default_grid(loop, 80))
+        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
+            return
+        size = np.linalg.norm
+        # Rows [z; u; x], columns [w; noise on y; x].
+        u = size(response[:, n_z : n_z + n_u, :n_w], axis=2).max(axis=0)
+        y = size(response[:, :n_z, n_w : n_w + n_y], axis=1).max(axis=0)
+        out = float(size(response[:, n_z + n_u :, :n_w], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
+        back = float(size(response[:, :n_z, n_w + n_y :], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
+        level = share * iterate.level
+        least = level  # no channel heavier than one in these units
+        self.matrices = self.bare.with_channels(
+            level / np.maximum(u, least) / np.sqrt(n_u),
+            level / np.maximum(y, least) / np.sqrt(n_y),
+            STATE_SHARE * level / max(out, least) / self.scale.states,
+            STATE_SHARE * level / max(back, least) * into,
+        )
+
+    def _mapped(self, K: StateSpaceModel) -> StateSpaceModel:
+        return bilinear_to_continuous(K) if K.is_discrete else K
+
+
+# eta: the disturbance's share of what the control does without it; and the factor above the smallest gamma that the
+# calmer controllers of both designs may cost.
+SHARE, GAMMA_REL = 0.03, 1.1
+POINTS = 80
+
+
+def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -> StateSpaceModel | None:
+    """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
+
+    None where no controller was verified, or where the control has nothing to do.
+    """
+    m, n_u, n_y = plant.model, plant.n_con, plant.n_meas
+    into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
+    out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
+    B, C, D = m.B[:, into], m.C[out], m.D[out][:, into]
+    try:
+        bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
+        first = synthesize(bare, "hinf", GAMMA_REL, budget.share(0.5))
+        size = SHARE * _effort(m.A, B, C[n_z:], D[n_z:], first.K)
+        if not (np.isfinite(size).all() and size.any()):
+            return None
+        more_B, more_D = B[:, n_w:] * size, D[:, n_w:] * size
+        disturbed = StateSpaceModel(m.A, np.hstack([more_B, B]), C, np.hstack([more_D, D]), m.dt)
+        return synthesize(GeneralizedPlant(disturbed, n_y, n_u), "hinf", GAMMA_REL, budget).K
+    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow, or nothing was verified
+        return None
+
+
+def _effort(A: NDArray[Any], B: NDArray[Any], C: NDArray[Any], D: NDArray[Any], K: StateSpaceModel) -> NDArray[Any]:
+    """Largest gain from all w to each control on a grid, shape (n_u,); B, C, D from [w; u] to y."""
+    n_u, n = K.n_outputs, len(A)
+    n_w = B.shape[1] - n_u
+    direct = np.hstack([np.zeros((n_u, n_w)), np.eye(n_u)])
+    loop = lower_lft(StateSpaceModel(A, B, np.vstack([np.zeros((n_u, n)), C]), np.vstack([direct, D]), K.dt), _bare(K))
+    return np.linalg.norm(frequency_response(loop, default_grid(loop, POINTS)), axis=2).max(axis=0)
+
+
+def _bare(K: StateSpaceModel) -> StateSpaceModel:
+    """Without names and units."""
+    return StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)

@@ -1,0 +1,207 @@
+"""Rational scalings of low order that come close to the optimal ones of single frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import Budget
+from robustlab.synthesis.dk.dynamic_scalings import (
+    BlockScaling,
+    DynamicScalings,
+    Factor,
+    reference_block,
+    unit_scalings,
+)
+from robustlab.synthesis.dk.pointwise_scalings import MuCurve
+from robustlab.uncertainty.blocks.base import Block, FullBlock, block_slices, structure_size
+
+__all__ = ["fit_factor", "fitted_scalings", "scaled_peaks"]
+
+Array = NDArray[Any]
+
+MAX_FACTOR_ORDER = 5
+# Exponent of the mean over frequency that stands for the peak: it also rewards lowering the second-highest peak.
+SHARPNESS = 24
+# Error of a factor's logarithm, where mu is largest, that counts as one elsewhere where mu lies a factor e lower.
+ROOM = 0.1
+# Factors that are tried in a round: those whose fit is worst.
+TRIED = 6
+# Zeros and poles lie within the frequencies whose weight is above this share of the largest one, and so far beyond
+# (logarithm): far slower or faster ones cost the synthesis digits and bring nothing.
+HEARD, REACH = 0.04, 2.3
+FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
+
+
+def fitted_scalings(
+    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget
+) -> DynamicScalings:
+    """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be.
+
+    All factors start as constants; in each round that one gets one order more which lowers the peak most for the states
+    it costs, or all of them where no single one does: a block that drifts away from all others needs that. At most
+    ``max_states`` states are spent.
+    """
+    # A factor may be off by as much (in logarithms) as mu lies below its peak.
+    weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
+    targets, mixings = _targets(curve, blocks)
+    fits: dict[tuple[int, int, int], Factor] = {}
+
+    def factor(i: int, k: int, order: int) -> Factor:
+        if (i, k, order) not in fits:
+            before = factor(i, k, order - 1) if order else None
+            budget.spend(FIT_WORK * order**2)
+            fits[i, k, order] = fit_factor(curve.omega, targets[i][k], weights, before)
+        return fits[i, k, order]
+
+    scalings = unit_scalings(blocks)
+    for i, part in enumerate(scalings.parts):
+        factors = tuple(factor(i, k, 0) for k in range(len(part.factors)))
+        scalings = scalings.with_part(i, BlockScaling(factors, mixings[i], part.g))
+    score = _score(scaled_peaks(curve, scalings))
+    while score[1] > curve.peak * (1 + loss) and not budget.over:
+        best: tuple[float, tuple[float, float], DynamicScalings] | None = None
+        for i, k in _worst(scalings, curve.omega, targets, weights):
+            part = scalings.parts[i]
+            order = part.factors[k].order + 1
+            factors = (*part.factors[:k], factor(i, k, order), *part.factors[k + 1 :])
+            trial = scalings.with_part(i, BlockScaling(factors, part.mixing, part.g))
+            cost = trial.n_states - scalings.n_states
+            if order > MAX_FACTOR_ORDER or trial.n_states > max_states:
+                continue
+            budget.spend(_peaks_work(curve, trial))
+            reached = _score(scaled_peaks(curve, trial))
+            gain = (score[0] - reached[0]) / cost
+            if best is None or gain > best[0]:
+                best = (gain, reached, trial)
+        if best is None or best[0] <= 0:
+            trial = _all_larger(scalings, factor)
+            if trial.n_states > max_states or max(_orders(trial), default=0) > MAX_FACTOR_ORDER:
+                break
+            reached = _score(scaled_peaks(curve, trial))
+            if reached[0] >= score[0]:
+                break
+            best = (0.0, reached, trial)
+        _, score, scalings = best
+    return scalings
+
+
+def _peaks_work(curve: MuCurve, scalings: DynamicScalings) -> float:
+    """Work of `scaled_peaks`: responses of D on both sides, and the singular values."""
+    n, size = scalings.n_states, structure_size(scalings.blocks)[1]
+    return 300 + len(curve.omega) * (10 + n**2 // 10 + size**3 // 5)
+
+
+def _all_larger(scalings: DynamicScalings, factor: Callable[[int, int, int], Factor]) -> DynamicScalings:
+    """Every factor with one order more."""
+    for i, part in enumerate(scalings.parts):
+        factors = tuple(factor(i, k, f.order + 1) for k, f in enumerate(part.factors))
+        scalings = scalings.with_part(i, BlockScaling(factors, part.mixing, part.g))
+    return scalings
+
+
+def _orders(scalings: DynamicScalings) -> list[int]:
+    return [f.order for part in scalings.parts for f in part.factors]
+
+
+def fit_factor(omega: Array, log_d: Array, weights: Array, before: Factor | None = None) -> Factor:
+    r"""Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares.
+
+    A constant where ``before`` is None; else of one order more than ``before``, with the better of two starts: the new
+    section in the middle, or where ``before`` is furthest off.
+    """
+    from scipy.optimize import least_squares
+
+    if before is None:
+        return Factor(float(np.average(log_d, weights=weights)))
+    log_omega = np.log(omega)
+    heard = log_omega[weights > HEARD * weights.max()]
+    low, high = heard[0] - REACH, heard[-1] + REACH
+    error = weights * (log_d - before.log_modulus(omega))
+    best: tuple[float, Factor] | None = None
+    for at in (float(log_omega[np.argmax(np.abs(error))]), float(log_omega.mean())):
+        start = before.with_section(at - 0.1, at + 0.1)
+        bottom, top = _bounds(start, low, high)
+        values = np.clip(start.parameters(), bottom + 1e-6, top - 1e-6)
+
+        def residual(x: Array, form: Factor = start) -> Array:
+            return weights * (form.with_parameters(iter(x)).log_modulus(omega) - log_d)
+
+        found = least_squares(residual, values, bounds=(bottom, top), max_nfev=60)
+        if best is None or found.cost < best[0]:
+            best = (float(found.cost), start.with_parameters(iter(found.x)))
+    assert best is not None
+    return best[1]
+
+
+def scaled_peaks(curve: MuCurve, scalings: DynamicScalings) -> Array:
+    """``sigma_max(D_z M D_w^{-1})`` at the curve's frequencies, shape (n_omega,)."""
+    from robustlab.frequency import frequency_response
+    from robustlab.statespace import StateSpaceModel
+
+    left = frequency_response(StateSpaceModel(*scalings.on_outputs()), curve.omega)
+    right = frequency_response(StateSpaceModel(*scalings.on_inputs()), curve.omega)
+    return np.linalg.svd(left @ curve.response @ right, compute_uv=False)[:, 0]
+
+
+def _score(peaks: Array) -> tuple[float, float]:
+    """Logarithm of a power mean of the peaks, and the largest peak."""
+    top = float(peaks.max(initial=1e-300))
+    return float(np.log(top) + np.log(np.mean((peaks / top) ** SHARPNESS)) / SHARPNESS), top
+
+
+def _bounds(factor: Factor, low: float, high: float) -> tuple[Array, Array]:
+    """Frequencies within reach of the data, damping between 0.02 and 50."""
+    bottom, top = [-60.0], [60.0]
+    for section in factor.sections:
+        half = [low, -3.2][: len(section) // 2], [high, 4.6][: len(section) // 2]
+        bottom += half[0] * 2
+        top += half[1] * 2
+    return np.array(bottom), np.array(top)
+
+
+def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[Array]], list[tuple[float, ...]]]:
+    """For each block its ``log d(omega)`` a factor, and the constant mixing of a repeated scalar.
+
+    T comes from the real part of D at the highest level, ``Re D = T^T diag T``; what is left of D elsewhere is fitted
+    on its diagonal.
+    """
+    one = reference_block(blocks)
+    slices = block_slices(blocks)
+    D = np.stack([bound.Dw for bound in curve.bounds])
+    base = np.zeros(len(D)) if one is None else np.log(D[:, slices[one][0].start, slices[one][0].start].real)
+    top = int(np.argmax(curve.levels))
+    targets: list[list[Array]] = []
+    mixings: list[tuple[float, ...]] = []
+    for i, (block, (w, _)) in enumerate(zip(blocks, slices, strict=True)):
+        r = block.rows
+        if i == one:
+            targets.append([])
+            mixings.append(())
+            continue
+        if isinstance(block, FullBlock) or r == 1:
+            targets.append([0.5 * (np.log(D[:, w.start, w.start].real) - base)])
+            mixings.append(())
+            continue
+        lower = np.linalg.cholesky(D[top, w, w].real)
+        T = (lower / np.diag(lower)).T
+        back = np.linalg.inv(T)
+        left = np.einsum("kii->ki", back.T @ D[:, w, w] @ back).real
+        targets.append([0.5 * (np.log(np.maximum(left[:, k], 1e-300)) - base) for k in range(r)])
+        mixings.append(tuple(T[np.triu_indices(r, 1)]))
+    return targets, mixings
+
+
+def _worst(
+    scalings: DynamicScalings, omega: Array, targets: list[list[Array]], weights: Array
+) -> list[tuple[int, int]]:
+    """The factors that fit worst."""
+    errors = [
+        (float(np.abs(weights * (targets[i][k] - factor.log_modulus(omega))).max()), i, k)
+        for i, part in enumerate(scalings.parts)
+        for k, factor in enumerate(part.factors)
+    ]
+    return [(i, k) for _, i, k in sorted(errors, reverse=True)[:TRIED]]

@@ -1,0 +1,388 @@
+"""Controllers of a fixed structure or order: the parameters of smallest verified norm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.norms import H2Norm, HinfNorm, bilinear_to_continuous, h2_norm, hinf_norm
+from robustlab.result import Status
+from robustlab.synthesis.fixed.fixed_result import FixedSynthesis, LimitValue, ParameterValue
+from robustlab.synthesis.fixed.robust_structure import robust_design
+from robustlab.synthesis.fixed.structure_starts import informed_starts
+from robustlab.synthesis.laws.controller_laws import Law, Parameter, model_of
+from robustlab.synthesis.laws.controller_structures import as_structure
+from robustlab.synthesis.nonsmooth.design_limits import Limit
+from robustlab.synthesis.nonsmooth.design_problem import DesignProblem, common_scaling
+from robustlab.synthesis.nonsmooth.structure_search import Start, multi_start
+from robustlab.synthesis.problem.assumptions import require_stabilisable
+from robustlab.synthesis.problem.design import design_budget, limiting_channels, told
+from robustlab.synthesis.problem.independent_check import norm_doubt
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["fixed_structure"]
+
+Array = NDArray[Any]
+WHERE = "synth fixed"
+WORK = 60 * MILLION
+
+# Candidates that are verified, best first; the optimiser's own norm is not a proof.
+VERIFIED = 4
+# A limit that is met up to this share counts as kept: the search stays strictly inside.
+KEPT = 1e-9
+
+
+@told_as("synth fixed")
+def fixed_structure(
+    P: Any,
+    structure: Any = "static",
+    *,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    objective: str = "hinf",
+    limits: Sequence[Limit] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    start: Any = None,
+    starts: int = 16,
+    seed: int = 0,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+    progress: Callable[[str], None] | None = None,
+) -> FixedSynthesis:
+    r"""Controller of a given structure with the smallest norm of the closed loop, ``u = K(p) y``.
+
+    .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
+
+    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then a few
+    steps of BFGS on the norm; the better starts take more. The best go on along minimisers of :math:`\ln\gamma + \mu
+    \sum \varphi` for falling mu, with the entropy of the loops as a smooth barrier of their norms (the structure's own
+    start and all starts with limits do so from the beginning), and end with linear programs over all active peaks.
+    Gradients are analytic.
+    The problem is not convex: what is returned is a local optimum, verified on the loops rebuilt from K.
+
+    Parameters
+    ----------
+    P
+        Generalised plant, or a list of them (one controller for all); see `hinf` for what counts as one. Of an
+        uncertain model the gain from w to z is made small for its worst member: scenarios are added where the
+        worst-case gain shows them, and the bound that is proved for the whole set is reported.
+    structure
+        A structure of `robustlab.synthesis.laws.controller_structures`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``,
+        an order, a mask of a static gain, a list of structures (one per channel).
+    n_meas, n_con
+        Numbers of measurements and controls; left out for `GeneralizedPlant`.
+    objective
+        ``"hinf"`` or ``"h2"``.
+    limits
+        What the design must keep: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`.
+    bounds
+        ``(low, high)`` by parameter name.
+    start
+        Parameters by name to start from as well (or a list of such mappings, or an earlier result).
+    starts
+        Number of random starts, after the given ones, for a `FixedOrder` the best static gain and the full-order
+        H-infinity design reduced to the order, and the structure's own.
+    seed
+        Seed of the random starts.
+    time_limit
+        Time in s, asked between steps; none where left out. What is verified by then is returned with status TIMEOUT.
+    effort
+        Multiple of the usual work. The search counts its evaluations, so that it ends the same way everywhere.
+    progress
+        Called with a short line after every start.
+
+    Returns
+    -------
+    FixedSynthesis
+        Always with a stabilising, verified K that keeps the limits.
+
+    Raises
+    ------
+    InputError
+        Plants that do not fit together, an unknown structure or parameter, an H2 norm that is infinite by structure.
+    NoTrustworthyNumber
+        A mode that no controller can stabilise, or no start that stabilised all plants: which of them, and its pole.
+        The latter is no proof that there is none.
+
+    References
+    ----------
+    Lewis, Overton 2013 (BFGS); Apkarian, Noll 2006 (active peaks); Mustafa, Glover 1990 (entropy).
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> P = StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0], [0, 1], [0, 0]])
+    >>> design = fixed_structure(P, "static", n_meas=1, n_con=1, objective="h2")  # the LQR gain 1 + sqrt(2)
+    >>> round(design.gamma**2, 4), round(design.values["K[u2,y3]"], 3)
+    (2.4142, -2.414)
+    """
+    _check(objective, limits, starts)
+    budget = design_budget(WHERE, WORK, effort, time_limit)
+    plants = _plants(P, n_meas, n_con)
+    say = progress or (lambda _: None)
+    with one_thread():
+        first = plants[0]
+        law = as_structure(structure, common_scaling(plants)[0].rate).law(
+            first.measurements, first.controls, first.model.dt
+        )
+        law = _bounded(law, bounds or {})
+        task = _Task(law, objective, tuple(limits), starts, seed, say)
+        if first.blocks:
+            if objective != "hinf":
+                raise InputError(
+                    WHERE, f"objective {objective!r} of an uncertain plant", '"hinf", or a list of members'
+                )
+            given = _given(law, start)
+
+            def robust_run(members: Sequence[GeneralizedPlant], more: Sequence[Array], part: Budget) -> FixedSynthesis:
+                return task.run(members, [("given", p) for p in (*more, *given)], part)
+
+            return robust_design(first, robust_run, budget, say)
+        own = [("given", p) for p in _given(law, start)]
+        if objective == "h2":
+            _require_finite_h2(DesignProblem(plants, law, objective, limits))
+        return task.run(plants, [*own, *informed_starts(plants, law, objective, limits, seed, budget, say)], budget)
+
+
+def _check(objective: str, limits: Sequence[Limit], starts: int) -> None:
+    if objective not in ("hinf", "h2"):
+        raise InputError(WHERE, f"objective is {objective!r}", '"hinf" or "h2"')
+    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 0 <= starts <= 10000:
+        raise InputError(WHERE, f"starts is {starts!r}", "a whole number from 0 to 10000")
+    for limit in limits:
+        if not isinstance(limit, Limit):
+            raise InputError(f"{WHERE}: limits", f"{limit!r}", "Decay, Damping, Bandwidth, StableController, RollOff")
+
+
+def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPlant]:
+    given = list(P) if isinstance(P, (list, tuple)) else [P]
+    if not given:
+        raise InputError(WHERE, "an empty list of plants", "at least one")
+    plants = [as_generalized_plant(plant, n_meas, n_con, WHERE) for plant in given]
+    first = plants[0]
+    for i, other in enumerate(plants[1:], start=2):
+        if (other.n_meas, other.n_con) != (first.n_meas, first.n_con) or other.model.dt != first.model.dt:
+            found = f"plant {i} has {other.n_meas} measurements, {other.n_con} controls, dt = {other.model.dt:g} s"
+            expected = f"{first.n_meas}, {first.n_con} and {first.model.dt:g} s as plant 1"
+            raise InputError(WHERE, found, expected)
+        if other.blocks or first.blocks:
+            raise InputError(
+                WHERE, "an uncertain model in a list of plants", "its members (evaluate), or the set alone"
+            )
+    for i, plant in enumerate(plants, start=1):
+        place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
+        bare = UncertainModel(plant.model, plant.blocks).nominal  # what Delta needs is no performance
+        require_performance(GeneralizedPlant(bare, plant.n_meas, plant.n_con), place)
+        continuous = plant
+        if plant.model.dt:
+            continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)
+        scaling = common_scaling([continuous])[0]
+        require_stabilisable(scaling.apply(continuous.matrices()), plant.model.state_names, place, scaling.rate)
+    return plants
+
+
+# --- parameters ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounded:
+    """A law with other bounds of its parameters."""
+
+    inner: Law
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        return self.inner.sizes
+
+    def packed(self, p: Array) -> Array:
+        return self.inner.packed(p)
+
+    def pullback(self, p: Array, G: Array) -> Array:
+        return self.inner.pullback(p, G)
+
+
+def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
+    if not bounds:
+        return law
+    names = [p.name for p in law.parameters]
+    parameters = list(law.parameters)
+    for name, pair in bounds.items():
+        j = _place(name, names)
+        try:
+            low, high = (float(x) for x in pair)
+        except (TypeError, ValueError):
+            raise InputError(f"{WHERE}: bounds of {name}", f"{pair!r}", "(low, high)") from None
+        if not low <= high:
+            raise InputError(f"{WHERE}: bounds of {name}", f"({low:g}, {high:g})", "low <= high")
+        parameters[j] = replace(parameters[j], low=low, high=high, start=float(np.clip(parameters[j].start, low, high)))
+    return _Bounded(law, tuple(parameters))
+
+
+def _place(name: str, names: list[str]) -> int:
+    if name not in names:
+        hint = did_you_mean(name, names)
+        raise InputError(f"{WHERE}: parameter {name!r}", "no such parameter", f"one of {', '.join(names[:20])}", hint)
+    return names.index(name)
+
+
+def _given(law: Law, start: Any) -> list[Array]:
+    """Starts that were given, as parameters; what a start leaves out is the structure's own."""
+    if start is None:
+        return []
+    if isinstance(start, (FixedSynthesis, Mapping)):
+        start = [start]
+    names = [p.name for p in law.parameters]
+    found: list[Array] = []
+    for item in start:
+        values = item.values if isinstance(item, FixedSynthesis) else item
+        if not isinstance(values, Mapping):
+            raise InputError(f"{WHERE}: start", f"{type(item).__name__}", "values by parameter name")
+        p = np.array([q.start for q in law.parameters], dtype=float)
+        for name, value in values.items():
+            q = law.parameters[_place(name, names)]
+            if not q.low <= float(value) <= q.high:
+                raise InputError(f"{WHERE}: start of {name}", f"{value}", f"{q.low:g} to {q.high:g}")
+            p[names.index(name)] = float(value)
+        found.append(p)
+    return found
+
+
+# --- search and verification -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A law to be fitted to plants, with everything but the plants."""
+
+    law: Law
+    objective: str
+    limits: tuple[Limit, ...]
+    starts: int
+    seed: int
+    say: Callable[[str], None]
+
+    def run(
+        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, Array]], budget: Budget
+    ) -> FixedSynthesis:
+        """Search and verification for these plants."""
+        problem = DesignProblem(plants, self.law, self.objective, self.limits, budget)
+        found = multi_start(problem, given, self.starts, self.seed, self.say)
+        verified = [self._verified(plants, start) for start in found[:VERIFIED] if np.isfinite(start.gamma)]
+        kept = [design for design in verified if design is not None]
+        if not kept:
+            raise _not_found(problem, found)
+        best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
+        parts = [best.reason, f"{len(found)} starts; a local optimum"]
+        status, reason = told(best.status, parts, budget)
+        return replace(best, starts=tuple(found), status=status, reason=reason)
+
+    def _verified(self, plants: Sequence[GeneralizedPlant], start: Start) -> FixedSynthesis | None:
+        """The design of a start with the norms of its rebuilt loops; None where one is unstable or a limit broken."""
+        first = plants[0]
+        try:
+            K = model_of(self.law, start.p, first.model.dt, first.measurements, first.controls)
+            loops = tuple(plant.close(K) for plant in plants)
+            norms = tuple(hinf_norm(loop) if self.objective == "hinf" else h2_norm(loop) for loop in loops)
+        except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed
+            return None
+        bounds = tuple(norm.upper if isinstance(norm, HinfNorm) else norm.value for norm in norms)
+        limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in loops)) for c in self.limits)
+        if not np.isfinite(bounds).all() or any(limit.value > KEPT for limit in limits):
+            return None
+        heard = [norm_doubt(plant, K, loop, norm) for plant, loop, norm in zip(plants, loops, norms, strict=True)]
+        gammas = tuple(gamma for gamma, _ in heard)
+        worst = int(np.argmax(gammas))
+        status, reason = _trust(norms, [doubt for _, doubt in heard])
+        shown = norms[worst]
+        peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
+        return FixedSynthesis(
+            K=K,
+            gamma=max(gammas),
+            closed_loop=loops[worst],
+            status=status,
+            reason=reason,
+            limit=limiting_channels(loops[worst], peak) if np.isfinite(peak) else "",
+            plant=plants[worst],
+            method="fixed",
+            objective=self.objective,
+            parameters=tuple(
+                ParameterValue(q.name, float(x), q.unit, q.low, q.high)
+                for q, x in zip(self.law.parameters, start.p, strict=True)
+            ),
+            gammas=gammas,
+            norms=norms,
+            closed_loops=loops,
+            peak_frequency=float(peak),
+            limits=limits,
+            starts=(start,),
+        )
+
+
+def _trust(norms: Sequence[HinfNorm | H2Norm], doubts: Sequence[str]) -> tuple[Status, str]:
+    bad = [norm.reason for norm in norms if not norm.status.trustworthy] + [doubt for doubt in doubts if doubt]
+    if bad:
+        return Status.INACCURATE, bad[0]
+    proved = all(norm.status is Status.CERTIFIED for norm in norms)
+    loops = "loop" if len(norms) == 1 else f"{len(norms)} loops"
+    text = f"{loops} rebuilt from K: stable, norm verified"
+    return (Status.CERTIFIED if proved else Status.CONVERGED), text
+
+
+def _require_finite_h2(problem: DesignProblem) -> None:
+    """A continuous loop with a direct term has no H2 norm: say so before searching."""
+    if problem.dt:
+        return
+    rng = np.random.default_rng(0)
+    for i, family in enumerate(problem.families, start=1):
+        for v in (problem.start, problem.start + rng.standard_normal(len(problem.start))):
+            loop = family.loop(problem.theta(problem.parameters(v)[0]))
+            if loop is not None and np.abs(loop.D).max(initial=0.0) > 0:
+                raise InputError(
+                    f"{WHERE}: plant {i}",
+                    "the closed loop has a direct term from w to z: its H2 norm is infinite",
+                    "D11 = 0, and no direct path from w over the controller to z",
+                    "take a strictly proper structure, such as FixedOrder(n, strictly_proper=True)",
+                )
+
+
+def _not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
+    """What stayed unstable in the start that came nearest."""
+    nearest = min(found, key=lambda s: s.instability)
+    theta = problem.theta(nearest.p)
+    worst: tuple[float, int, complex] = (-np.inf, 0, complex(np.nan))
+    for i, family in enumerate(problem.families):
+        poles = family.poles(theta)
+        if poles is None or not len(poles):
+            continue
+        pole = poles[int(np.argmax(np.abs(poles) if problem.dt else np.real(poles)))]
+        edge = float(abs(pole) - 1 if problem.dt else pole.real)
+        if edge > worst[0]:
+            worst = edge, i, complex(pole) * (1.0 if problem.dt else problem.scaling.rate)
+    which = "the plant" if len(problem.families) == 1 else f"plant {worst[1] + 1}"
+    kind = "z" if problem.dt else "s"
+    pole_text = f"{worst[2].real:.6g}" + (f"{worst[2].imag:+.6g}j" if worst[2].imag else "")
+    if worst[0] < 0 and problem.limits:
+        broken = [
+            limit.text for limit, (c, _) in zip(_repeated(problem), problem.limit_values(theta), strict=True) if c >= 0
+        ]
+        text = f"no start kept every limit; in the nearest, {', '.join(dict.fromkeys(broken)) or 'the norm'} fails"
+    else:
+        text = f"no start stabilised {which}: nearest pole {kind} = {pole_text}"
+    return NoTrustworthyNumber(
+        WHERE,
+        f"{text} ({len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''})",
+        hint="not found is no proof that there is none: try more starts, another seed, or a richer structure",
+    )
+
+
+def _repeated(problem: DesignProblem) -> list[Limit]:
+    """The limit of each of `DesignProblem.limit_values`."""
+    return [limit for limit in problem.limits for _ in range(problem.values_of(limit))]

@@ -1,0 +1,1 @@
+"""H2, LQG and state feedback; H2 under an H-infinity bound."""

@@ -1,0 +1,488 @@
+"""H2 (LQG) synthesis in continuous and discrete time: two Riccati equations on a scaled and regularised plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.magnitude import moderated
+from robustlab.matrix_equations import care, dare, gramians
+from robustlab.norms import H2Norm, h2_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis.problem.assumptions import require_stabilisable
+from robustlab.synthesis.problem.design import Synthesis, design_budget, told
+from robustlab.synthesis.problem.independent_check import h2_voice
+from robustlab.synthesis.problem.partition import (
+    GeneralizedPlant,
+    PlantMatrices,
+    Realisation,
+    as_generalized_plant,
+    require_performance,
+)
+from robustlab.synthesis.problem.scaling import Scaling, by_magnitude, equilibrated, paths_first
+from robustlab.synthesis.problem.verified_loop import rebuilt_loop, separated_modes
+
+__all__ = ["WORK", "H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
+
+Array = NDArray[Any]
+
+WORK = 60 * MILLION
+LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+# A smallest singular value of D12 or D21 in scaled units above which that side needs no help.
+REGULAR = 1e-6
+# The regularised optimum falls with the regularisation; two steps that gain less than this end the ladder.
+SETTLED = 1e-4
+# A direct term from w to z below this share of D11 is rounding of the cancellation by D_K.
+CANCELLED = 1e-10
+# Trials, best first, that the second voice is asked about.
+HEARD = 6
+# Riccati equations of singular plants lose digits; the rebuilt loop decides.
+RESIDUAL = 1e-3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class H2Synthesis(Synthesis):
+    """An H2 design; ``gamma`` is the H2 norm of ``closed_loop``, the larger of what both Gramians give.
+
+    Attributes
+    ----------
+    norm
+        The H2 norm of the rebuilt loop with its status.
+    regularisation
+        Size of the added penalties and noises in the scaled plant; 0 where the plant was solved as it is, and K is then
+        optimal.
+    regularised_norm
+        Optimal H2 norm of the problem that was solved, in the plant's units: what the optimum of the plant as given is
+        certainly below. Equal to ``gamma`` where nothing was added.
+    regularised_channels
+        Which controls have no penalty and which measurements no noise of their own, so that K was kept finite by added
+        ones.
+    smallest_norm
+        Smallest verified H2 norm of the search; K may belong to a larger regularisation within the allowed ratio of it.
+    """
+
+    norm: H2Norm
+    regularisation: float
+    regularised_norm: float
+    regularised_channels: tuple[str, ...] = ()
+    smallest_norm: float = float("nan")
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        if not self.regularisation:
+            return rows
+        text = f"{self.regularisation:.0e} in scaled units; optimal norm with it {self.regularised_norm:.6g}"
+        return [*rows[:2], ("regularisation", text), *rows[2:]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant, with arrays."""
+        return super().to_json() | {
+            "norm": self.norm.to_json(),
+            "regularisation": self.regularisation,
+            "regularised_norm": self.regularised_norm,
+            "regularised_channels": list(self.regularised_channels),
+            "smallest_norm": self.smallest_norm,
+        }
+
+
+@told_as("synth h2")
+def h2(
+    P: Any,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    *,
+    gamma_rel: float = 1.0005,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+    progress: Callable[[str], None] | None = None,
+) -> H2Synthesis:
+    r"""H2-optimal (LQG) controller ``u = K y`` with positive feedback into the lower LFT of P.
+
+    .. math:: \min_K \|F_l(P, K)\|_2
+
+    The H2 norm is the root-mean-square of z for white noise w of unit intensity. K has the order of P; it is unique
+    where D12 has full column rank, D21 full row rank, and there are no zeros on the stability boundary. Elsewhere the
+    infimum may not be attained: then small penalties on u and x and small noises on y and x are added, ever smaller
+    until the verified norm stops falling, and ``regularisation`` says how small. A discrete P is solved by
+    discrete-time Riccati equations; its K may have a direct term (the measurement of this sample acts at once).
+
+    Parameters
+    ----------
+    P
+        Generalised plant as for `robustlab.hinf`. Continuous: the direct term from w to z must vanish in closed loop;
+        where ``D11 + D12 D_K D21 = 0`` has a solution D_K, K contains it, and else there is no finite H2 norm.
+    n_meas, n_con
+        Numbers of measurements and controls; left out for a `GeneralizedPlant`.
+    gamma_rel
+        How much larger than the smallest norm found the returned controller's may be (>= 1) where penalties or noises
+        had to be added; within it the largest ones are taken, because K grows faster without end as they go to zero.
+    time_limit
+        Time in s, asked between trials; none where left out. Where it ends the search the status is TIMEOUT.
+    effort
+        Multiple of the usual work.
+    progress
+        Called with one line per trial.
+
+    Returns
+    -------
+    H2Synthesis
+        Always with a stabilising K whose H2 norm was verified on the loop rebuilt from it.
+
+    Raises
+    ------
+    InputError
+        Numbers of channels that P does not have, ``gamma_rel`` below 1.
+    NoTrustworthyNumber
+        A mode that no controller can stabilise, a direct term that no controller can cancel, or no controller could be
+        verified.
+
+    References
+    ----------
+    Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapter 14; Chen, Francis, *Optimal
+    Sampled-Data Control Systems* (1995), section 6.5 (discrete time).
+
+    Examples
+    --------
+    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> design = h2(P, n_meas=1, n_con=1)
+    >>> design.status.value, round(design.gamma, 6)
+    ('converged', 0.696621)
+    """
+    plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
+    require_performance(plant, "synth h2")
+    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
+
+
+def synthesize_h2(
+    plant: GeneralizedPlant,
+    method: str,
+    gamma_rel: float,
+    budget: Budget,
+    progress: Callable[[str], None] | None = None,
+) -> H2Synthesis:
+    """The search behind `h2` and `robustlab.lqg`; see there."""
+    where = f"synth {method}"
+    if not np.isfinite(gamma_rel) or gamma_rel < 1:
+        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
+    with one_thread():
+        return _synthesized(plant, method, gamma_rel, budget, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A verified controller of one regularisation."""
+
+    K: StateSpaceModel
+    loop: StateSpaceModel
+    norm: H2Norm
+    eps: float
+    scaling: Scaling
+    regularised: PlantMatrices
+    bare: StateSpaceModel
+
+
+def _synthesized(
+    plant: GeneralizedPlant,
+    method: str,
+    gamma_rel: float,
+    budget: Budget,
+    progress: Callable[[str], None] | None,
+) -> H2Synthesis:
+    where, dt = f"synth {method}", plant.model.dt
+    matrices = plant.matrices()
+    start = cancelling_gain(matrices, dt, where)
+    shifted = _with_gain(matrices, start)
+    trials: list[_Trial] = []
+    for scale in (paths_first, equilibrated, by_magnitude):
+        if scale is by_magnitude and trials:
+            break
+        scaling = scale(shifted, dt > 0)
+        if dt:  # a step has no other unit of time
+            scaling = replace(scaling, rate=1.0)
+        if not trials:
+            _require_stabilisable(plant, shifted, scaling, where)
+        settled = _ladder(plant, shifted, start, scaling, trials, budget, progress)
+        if settled or budget.over:
+            break
+    best = min(trials, key=lambda t: t.norm.value, default=None)
+    if best is None:
+        late = f" ({NOT_REPEATABLE})" if budget.struck else ""
+        raise NoTrustworthyNumber(
+            where,
+            f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
+            hint="look at the plant's scaling and at poles and zeros on the stability boundary",
+        )
+    allowed = [t for t in trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
+    chosen = max(allowed, key=lambda t: t.eps)
+    chosen, gamma, doubt = _heard(plant, [chosen, *sorted(trials, key=lambda t: t.norm.value)[:HEARD]])
+    return _finished(plant, chosen, gamma, doubt, matrices, budget, method, best.norm.value)
+
+
+def _heard(plant: GeneralizedPlant, trials: list[_Trial]) -> tuple[_Trial, float, str]:
+    """The first trial whose norm the second voice confirms, in coordinates of K's modes if need be, with that norm; or
+    else the first of all, with the larger number and the reason why it is not verified.
+    """
+    first: tuple[_Trial, float, str] | None = None
+    for trial in trials:
+        for judged in (trial, _in_modes(plant, trial)):
+            if judged is None:
+                continue
+            voice = h2_voice(plant, judged.K, judged.loop, judged.norm.value)
+            doubt = voice.doubt(judged.norm.value, judged.norm.value)
+            if not doubt:
+                return judged, judged.norm.value, ""
+            first = first or (judged, voice.larger(judged.norm.value), doubt)
+    assert first is not None
+    return first
+
+
+def _in_modes(plant: GeneralizedPlant, trial: _Trial) -> _Trial | None:
+    """The same trial with K in coordinates of its modes; None where its loop is not sound."""
+    modes = separated_modes(trial.K)
+    rebuilt = None if modes is None else rebuilt_loop(plant, modes, np.zeros_like(plant.D22))
+    if rebuilt is None:
+        return None
+    K, loop = rebuilt
+    if not loop.is_discrete:
+        loop = cancelled_direct_term(loop, plant.matrices().D11, K.D)
+        if loop is None:
+            return None
+    norm = h2_norm(loop)
+    return replace(trial, K=K, loop=loop, norm=norm) if norm.status.trustworthy and np.isfinite(norm.value) else None
+
+
+def _ladder(
+    plant: GeneralizedPlant,
+    shifted: PlantMatrices,
+    start: Array,
+    scaling: Scaling,
+    trials: list[_Trial],
+    budget: Budget,
+    progress: Callable[[str], None] | None,
+) -> bool:
+    """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it settled.
+
+    Settled: the regular problem was solved, or smaller regularisations gained next to nothing.
+    """
+    dt = plant.model.dt
+    scaled = scaling.apply(shifted)
+    size_u, size_y = _least_direct(scaled.D12, 1), _least_direct(scaled.D21, 0)
+    ladder = LADDER if min(size_u, size_y) <= REGULAR and not dt else (0.0, *LADDER)
+    best, idle = np.inf, 0
+    for eps in ladder:
+        if budget.over:
+            return False
+        budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))  # two equations, and norms of the loop
+        u = 0.0 if size_u > max(REGULAR, eps) else eps
+        y = 0.0 if size_y > max(REGULAR, eps) else eps
+        regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
+        trial = _trial(plant, scaling, regularised, start, eps)
+        if progress is not None:
+            text = "no verified loop" if trial is None else f"H2 norm {trial.norm.value:.6g}"
+            progress(f"regularisation {eps:.0e}: {text}")
+        if trial is None or not trial.norm.status.trustworthy:
+            idle += bool(trials)
+        else:
+            trials.append(trial)
+            if not eps:
+                return True
+            idle = idle + 1 if trial.norm.value > best * (1 - SETTLED) else 0
+            best = min(best, trial.norm.value)
+        if idle == 2:
+            return best < np.inf
+    return False
+
+
+def _least_direct(D: Array, axis: int) -> float:
+    """Smallest singular value over the columns (axis 1) or rows (axis 0) of a direct path; 0 where it is too thin."""
+    if D.shape[1 - axis] < D.shape[axis]:
+        return 0.0
+    return float(np.linalg.svd(D, compute_uv=False).min(initial=np.inf))
+
+
+def _trial(
+    plant: GeneralizedPlant, scaling: Scaling, regularised: PlantMatrices, start: Array, eps: float
+) -> _Trial | None:
+    dt = plant.model.dt
+    try:
+        bare = _controller(regularised, dt)
+        K = scaling.controller_to_plant(Realisation(bare.A, bare.B, bare.C, bare.D))
+        K = StateSpaceModel(K.A, K.B, K.C, K.D + start, dt)
+    except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
+        return None
+    rebuilt = rebuilt_loop(plant, K, plant.D22)
+    if rebuilt is None:
+        return None
+    full, loop = rebuilt
+    if not dt:
+        loop = cancelled_direct_term(loop, plant.matrices().D11, K.D)
+        if loop is None:
+            return None
+    norm = h2_norm(loop)
+    return _Trial(full, loop, norm, eps, scaling, regularised, bare) if np.isfinite(norm.value) else None
+
+
+def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
+    """The optimal controller of a regular plant with D22 = 0 (and, in continuous time, D11 = 0)."""
+    solve = dare if dt else care
+    control = solve(p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12, tolerance=RESIDUAL)
+    filtering = solve(p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T, tolerance=RESIDUAL)
+    F, L = control.gain, filtering.gain.T
+    if not dt:
+        return StateSpaceModel(p.A + p.B2 @ F + L @ p.C2, -L, F, np.zeros((F.shape[0], L.shape[1])))
+    X, Y = control.X, filtering.X
+    try:
+        now = -np.linalg.solve(p.D12.T @ p.D12 + p.B2.T @ X @ p.B2, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)
+        # The measurement of this sample corrects the state and tells of w itself.
+        seen = p.D21 @ p.D21.T + p.C2 @ Y @ p.C2.T
+        direct = np.linalg.solve(seen, (F @ Y @ p.C2.T + now @ p.D21.T).T).T
+    except np.linalg.LinAlgError:
+        raise NoTrustworthyNumber("h2", "a weight of the Riccati equations is singular") from None
+    into = p.B2 @ direct - L
+    return StateSpaceModel(p.A + p.B2 @ F - into @ p.C2, into, F - direct @ p.C2, direct)
+
+
+# --- the direct term and the assumptions ---------------------------------------------------------------------------
+
+
+def cancelling_gain(p: PlantMatrices, dt: float, where: str) -> Array:
+    """D_K with ``D11 + D12 D_K D21 = 0``, of smallest norm; zero in discrete time, where nothing has to vanish."""
+    _, _, n_u, _, n_y = p.sizes
+    if dt or not p.D11.any():
+        return np.zeros((n_u, n_y))
+    gain = -np.linalg.pinv(p.D12, rcond=1e-10) @ p.D11 @ np.linalg.pinv(p.D21, rcond=1e-10)
+    left = p.D11 + p.D12 @ gain @ p.D21
+    share = float(np.abs(left).max() / np.abs(p.D11).max())
+    if share > CANCELLED:
+        raise NoTrustworthyNumber(
+            where,
+            f"the H2 norm is infinite for every controller: {share:.1%} of the direct term from w to z stays",
+            "D11 = 0, or D11 + D12 D_K D21 = 0 for some D_K",
+            "take w's direct way to z out of the plant, or pass w through a fast low-pass filter first",
+        )
+    return gain
+
+
+def cancelled_direct_term(loop: StateSpaceModel, D11: Array, D_K: Array) -> StateSpaceModel | None:
+    """The loop with D = 0 where D is rounding of the cancellation of D11 by D_K; None where it is more."""
+    allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(D_K).max(initial=0.0))
+    if np.abs(loop.D).max(initial=0.0) > allowed:
+        return None
+    nothing = np.zeros_like(loop.D)
+    return StateSpaceModel(loop.A, loop.B, loop.C, nothing, 0.0, loop.inputs, loop.outputs, loop.states)
+
+
+def _with_gain(p: PlantMatrices, gain: Array) -> PlantMatrices:
+    """The plant with ``u = gain y + v`` closed around it, v its new control, and D11 cancelled."""
+    if not gain.any():
+        return p
+    return replace(
+        p,
+        A=p.A + p.B2 @ gain @ p.C2,
+        B1=p.B1 + p.B2 @ gain @ p.D21,
+        C1=p.C1 + p.D12 @ gain @ p.C2,
+        D11=np.zeros_like(p.D11),
+    )
+
+
+def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scaling: Scaling, where: str) -> None:
+    """The test of modes, in discrete time through ``z -> (z - 1)/(z + 1)``, which keeps modes and their sides."""
+    scaled = scaling.apply(shifted)
+    if plant.model.dt:
+        n = scaled.A.shape[0]
+        plus = np.eye(n) + scaled.A  # in balanced states
+        if n and np.linalg.cond(plus) > 1e12:
+            return  # a pole at z = -1: the Riccati equations and the rebuilt loop will tell
+        scaled = replace(scaled, A=np.linalg.solve(plus, scaled.A - np.eye(n)), B2=np.linalg.solve(plus, scaled.B2))
+    require_stabilisable(scaled, plant.model.state_names, where, scaling.rate)
+
+
+def _finished(
+    plant: GeneralizedPlant,
+    best: _Trial,
+    gamma: float,
+    doubt: str,
+    matrices: PlantMatrices,
+    budget: Budget,
+    method: str,
+    smallest: float,
+) -> H2Synthesis:
+    parts = [doubt or "loop rebuilt from K is stable; both Gramians and P(jw), K(jw) on their own give its norm"]
+    regularised = best.norm.value
+    channels: tuple[str, ...] = ()
+    if best.eps:
+        parts.append(f"kept finite by penalties and noises of {best.eps:.0e} in scaled units")
+        parts.append(f"the smallest norm found with smaller ones is {smallest:.6g}")
+        regularised = max(_regularised_norm(best, plant.model.dt), best.norm.value)
+        channels = _lacking(plant, matrices)
+    else:
+        parts.append("the plant is regular: this is the optimum")
+    status, reason = told(Status.INACCURATE if doubt else best.norm.status, parts, budget, "a smaller norm")
+    return H2Synthesis(
+        K=best.K,
+        gamma=gamma,
+        closed_loop=best.loop,
+        status=status,
+        reason=reason,
+        limit=_loudest(best.loop),
+        plant=plant,
+        method=method,
+        norm=best.norm,
+        regularisation=best.eps,
+        regularised_norm=regularised,
+        regularised_channels=channels,
+        smallest_norm=smallest,
+    )
+
+
+def _regularised_norm(best: _Trial, dt: float) -> float:
+    """H2 norm of the scaled, regularised loop, in the plant's units."""
+    model = best.regularised.model()
+    scaled = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
+    bare = StateSpaceModel(best.bare.A, best.bare.B, best.bare.C, best.bare.D, dt)
+    return h2_norm(lower_lft(scaled, bare)).value * np.sqrt(best.scaling.rate) / best.scaling.gain
+
+
+def _lacking(plant: GeneralizedPlant, p: PlantMatrices) -> tuple[str, ...]:
+    """Controls without a penalty of their own and measurements without noise of their own."""
+    found: list[str] = []
+    for D, signals, text in (
+        (p.D12, plant.controls, "control {} has no penalty of its own"),
+        (p.D21.T, plant.measurements, "measurement {} has no noise of its own"),
+    ):
+        for i, signal in enumerate(signals):
+            others = np.delete(D, i, axis=1)
+            rank = np.linalg.matrix_rank(D) - (np.linalg.matrix_rank(others) if others.size else 0)
+            if rank == 0:
+                found.append(text.format(signal.name))
+    return tuple(found)
+
+
+def _loudest(loop: StateSpaceModel) -> str:
+    """The output that carries most of the H2 norm, and the input that makes most of it."""
+    if not loop.n_inputs or not loop.n_outputs:
+        return ""
+    try:
+        loop = moderated(loop, "h2").model  # shares do not depend on the scaling
+        reach, see = gramians(loop.A, loop.B, loop.C, loop.is_discrete)
+    except NoTrustworthyNumber:
+        return ""
+    out = np.diag(loop.C @ reach @ loop.C.T) + (loop.D**2).sum(axis=1)
+    into = np.diag(loop.B.T @ see @ loop.B) + (loop.D**2).sum(axis=0)
+    total = out.sum()
+    if total <= 0:
+        return ""
+    i, j = int(out.argmax()), int(into.argmax())
+    names = loop.output_names[i], loop.input_names[j]
+    return f"{names[0]} ({out[i] / total:.0%} of the variance); {names[1]} makes {into[j] / into.sum():.0%} of it"

@@ -1,0 +1,193 @@
+r"""H-infinity synthesis by linear matrix inequalities: the fallback behind the Riccati equations.
+
+A controller of full order with closed-loop norm below gamma exists iff there are symmetric R and S with
+
+.. math::
+    N_R^T \begin{bmatrix} A R + R A^T & R C_1^T & B_1 \\ \cdot & -\gamma I & D_{11} \\ \cdot & \cdot & -\gamma I
+    \end{bmatrix} N_R \prec 0, \quad
+    N_S^T \begin{bmatrix} A^T S + S A & S B_1 & C_1^T \\ \cdot & -\gamma I & D_{11}^T \\ \cdot & \cdot & -\gamma I
+    \end{bmatrix} N_S \prec 0, \quad \begin{bmatrix} R & I \\ I & S \end{bmatrix} \succeq 0
+
+(Gahinet, Apkarian 1994, theorem 4.2). Nothing is assumed about ranks of D12 and D21 or zeros on the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import NOT_REPEATABLE, Budget
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.scaling import Scaling
+
+__all__ = ["LmiOutcome", "lmi_controllers", "solve_conic"]
+
+Array = NDArray[Any]
+
+# The semidefinite programs have n (n + 1) unknowns: beyond this many states they outlast any patience.
+MOST_STATES = 30
+NULL = 1e-10
+# Back-offs from the optimum and couplings [R tI; tI S] >= 0 for a well-conditioned reconstruction.
+ITERATIONS = 200  # of the solver: three times what it ever needed
+BACKOFFS, COUPLINGS = (0.002, 0.02, 0.1), (1.5, 1.05)
+
+
+@dataclass(frozen=True)
+class LmiOutcome:
+    """What a conic solver said, in words, and whether its numbers may be looked at (they are re-checked anyway)."""
+
+    usable: bool
+    text: str
+
+
+def solve_conic(problem: Any, budget: Budget, work: float = 0.0) -> LmiOutcome:
+    """Solve a cvxpy problem with Clarabel, counted as ``work``, and map every way in which it can end.
+
+    Clarabel is Rust: where it panics, a ``PanicException`` comes up that is no ``Exception``.
+    """
+    import warnings
+
+    import cvxpy as cp
+
+    if budget.over:
+        return LmiOutcome(False, "no work was left for the LMI")
+    budget.spend(work)
+    # Its iterations end it; the clock is a guard that the user may have set.
+    limits: dict[str, Any] = {"max_iter": ITERATIONS}
+    if np.isfinite(budget.seconds_left):
+        limits["time_limit"] = max(budget.seconds_left, 1e-3)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "optimal_inaccurate" is a warning there and a status here
+            problem.solve(solver=cp.CLARABEL, **limits)
+    except cp.SolverError as error:
+        return LmiOutcome(False, f"the LMI solver gave up ({str(error).splitlines()[0][:120]})")
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return LmiOutcome(False, f"the LMI could not be posed ({error})")
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":
+            raise
+        return LmiOutcome(False, f"the LMI solver panicked ({str(error)[:120]})")
+    late = problem.status == cp.USER_LIMIT and budget.over and budget.struck
+    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {ITERATIONS} steps"
+    known = {
+        cp.OPTIMAL: (True, "solved"),
+        cp.OPTIMAL_INACCURATE: (True, "solved, not to full accuracy"),
+        cp.USER_LIMIT: (False, limit),
+        cp.INFEASIBLE: (False, "the LMI solver says infeasible"),
+        cp.INFEASIBLE_INACCURATE: (False, "the LMI solver says infeasible, not to full accuracy"),
+        cp.UNBOUNDED: (False, "the LMI solver says unbounded"),
+        cp.UNBOUNDED_INACCURATE: (False, "the LMI solver says unbounded, not to full accuracy"),
+    }
+    return LmiOutcome(*known.get(problem.status, (False, f"the LMI solver ended with {problem.status!r}")))
+
+
+def lmi_controllers(p: PlantMatrices, scaling: Scaling, budget: Budget) -> tuple[list[Realisation], str]:
+    """Controllers from the projection LMIs, unverified, in the units of the plant; and how it went in words.
+
+    Parameters
+    ----------
+    p
+        Continuous plant without D22.
+    scaling
+        Scaling in which the LMIs are solved.
+    budget
+        Every solve is counted there, and none is begun once it is over.
+    """
+    n = p.sizes[0]
+    if n > MOST_STATES:
+        return [], f"the LMI was not tried: {n} states, at most {MOST_STATES}"
+    scaled = scaling.apply(p)
+    gamma, _, _, outcome = _projection(scaled, None, 1.0, budget)
+    if gamma is None:
+        return [], outcome.text
+    found: list[Realisation] = []
+    for backoff in BACKOFFS:
+        for coupling in COUPLINGS:
+            level = gamma * (1 + backoff) + 1e-9
+            _, R, S, outcome = _projection(scaled, level, coupling, budget)
+            if R is None or S is None:
+                continue
+            K = _reconstructed(scaled, R, S, level * (1 + 0.5 * backoff), budget)
+            if K is not None:
+                found.append(scaling.controller_to_plant(K))
+                break
+    return found, f"LMI optimum {gamma / scaling.gain:.6g} ({outcome.text}), {len(found)} controllers from it"
+
+
+def _work(n: int) -> float:
+    """Of one solve, as measured: 0.3 s at 10 states, 4 s at 20, 27 s at 30."""
+    return 5000 + 30 * n**4
+
+
+def _projection(
+    p: PlantMatrices, level: float | None, coupling: float, budget: Budget
+) -> tuple[float | None, Array | None, Array | None, LmiOutcome]:
+    """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``."""
+    import cvxpy as cp
+
+    n, m, _, q, _ = p.sizes
+    R, S = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
+    gamma: Any = cp.Variable() if level is None else level
+    N_R, N_S = _outer_factors(p)
+    left = cp.bmat([[p.A @ R + R @ p.A.T, R @ p.C1.T, p.B1], [p.C1 @ R, -gamma * np.eye(q), p.D11],
+                    [p.B1.T, p.D11.T, -gamma * np.eye(m)]])  # fmt: skip
+    right = cp.bmat([[p.A.T @ S + S @ p.A, S @ p.B1, p.C1.T], [p.B1.T @ S, -gamma * np.eye(m), p.D11.T],
+                     [p.C1, p.D11, -gamma * np.eye(q)]])  # fmt: skip
+    parts = [N.T @ M @ N for N, M in ((N_R, left), (N_S, right))]
+    constraints: list[Any] = [0.5 * (part + part.T) << 0 for part in parts]
+    constraints.append(cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0)
+    goal = gamma if level is None else cp.trace(R) + cp.trace(S)
+    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), budget, _work(n))
+    if not outcome.usable or R.value is None or S.value is None:
+        return None, None, None, outcome
+    value = float(gamma.value) if level is None else level
+    return value, np.asarray(R.value), np.asarray(S.value), outcome
+
+
+def _outer_factors(p: PlantMatrices) -> tuple[Array, Array]:
+    """``N_R`` and ``N_S``: null spaces of ``[B2' D12']`` and ``[C2 D21]``, with identities for w and z."""
+    from scipy.linalg import block_diag, null_space
+
+    _, m, _, q, _ = p.sizes
+    by_control = null_space(np.hstack([p.B2.T, p.D12.T]), NULL)
+    by_measurement = null_space(np.hstack([p.C2, p.D21]), NULL)
+    return np.asarray(block_diag(by_control, np.eye(m))), np.asarray(block_diag(by_measurement, np.eye(q)))
+
+
+def _reconstructed(p: PlantMatrices, R: Array, S: Array, gamma: float, budget: Budget) -> Realisation | None:
+    """Controller of full order for given R and S: the bounded real LMI, linear in it, at the largest margin."""
+    import cvxpy as cp
+    from scipy.linalg import block_diag
+
+    n, m, n_u, q, n_y = p.sizes
+    U, s, Vt = np.linalg.svd(np.eye(n) - R @ S)
+    M, N = U * np.sqrt(s), Vt.T * np.sqrt(s)
+    zero, eye = np.zeros((n, n)), np.eye(n)
+    try:
+        X = np.linalg.solve(np.block([[R, eye], [M.T, zero]]).T, np.block([[eye, S], [zero, N.T]]).T)
+    except np.linalg.LinAlgError:
+        return None
+    values, vectors = np.linalg.eigh(0.5 * (X + X.T))
+    if values[0] <= 1e-12 * values[-1]:
+        return None
+    T, T_inv = vectors / np.sqrt(values), (vectors * np.sqrt(values)).T  # in these coordinates X is the identity
+    into = T_inv @ np.block([[zero, p.B2], [eye, np.zeros((n, n_u))]])
+    out = np.block([[zero, eye], [p.C2, np.zeros((n_y, n))]]) @ T
+    z_u, y_w = np.hstack([np.zeros((q, n)), p.D12]), np.vstack([np.zeros((n, m)), p.D21])
+    K, margin = cp.Variable((n + n_u, n + n_y)), cp.Variable()
+    A = T_inv @ block_diag(p.A, zero) @ T + into @ K @ out
+    B = T_inv @ np.vstack([p.B1, np.zeros((n, m))]) + into @ K @ y_w
+    C = np.hstack([p.C1, np.zeros((q, n))]) @ T + z_u @ K @ out
+    D = p.D11 + z_u @ K @ y_w
+    real = cp.bmat([[A + A.T, B, C.T], [B.T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
+    shift = block_diag(np.eye(2 * n), np.zeros((m + q, m + q)))
+    constraints: list[Any] = [0.5 * (real + real.T) + margin * shift << 0, margin <= 1e3]
+    outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), budget, _work(n))
+    value = K.value
+    if not outcome.usable or value is None or not np.isfinite(value).all():
+        return None
+    return Realisation(value[:n, :n], value[:n, n:], value[n:, :n], value[n:, n:])

@@ -1,0 +1,312 @@
+r"""H-infinity loop shaping (Glover, McFarlane): the most robust controller of a plant whose loop was shaped by weights.
+
+.. math:: G_s = W_2 G W_1, \qquad \gamma_{min} = \sqrt{1 + \lambda_{max}(X Z)}
+
+with the solutions X, Z of the two Riccati equations of G_s's normalised coprime factors. 1/gamma is the radius of the
+ball of coprime-factor perturbations that the loop survives, and with it a distance in the gap and nu-gap metric: K
+stabilises every plant closer to G_s than 1/gamma (`robustlab.nu_gap`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import one_thread
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.norms import bilinear_to_discrete
+from robustlab.result import Status
+from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
+from robustlab.synthesis.problem.design import Synthesis, limiting_channels
+from robustlab.synthesis.problem.independent_check import hinf_voice
+from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
+from robustlab.synthesis.problem.verified_loop import named_controller, surely_stable
+from robustlab.uncertainty.distances.coprime import (
+    CoprimeMargin,
+    CoprimeRiccati,
+    continuous_models,
+    coprime_margin,
+    coprime_riccati,
+    four_block,
+)
+
+__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_performance"]
+
+Array = NDArray[Any]
+
+# How much the verified gamma may exceed the one asked for.
+KEPT = 1.001
+
+
+@dataclass(frozen=True, eq=False)
+class ObserverForm:
+    r"""The controller of a strictly proper continuous shaped plant as an observer with state feedback.
+
+    .. math:: \dot{\hat x} = A \hat x + B u_s + H (C \hat x - y_s), \qquad u_s = F \hat x
+
+    Attributes
+    ----------
+    F, H
+        Shapes (n_u, n) and (n, n_y), in the states of ``NcfSynthesis.shaped_plant``.
+
+    References
+    ----------
+    Sefton, Glover 1990; Skogestad, Postlethwaite 2005, eqs 9.95 to 9.97.
+    """
+
+    F: Array
+    H: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NcfSynthesis(Synthesis):
+    r"""A loop-shaping design.
+
+    ``K = W1 K_shaped W2`` is for the plant as given, ``u = K y`` with positive feedback; ``closed_loop`` is the loop of
+    that plant with noise on y and a disturbance on u, and its norm is not what was made small. ``gamma`` bounds
+
+    .. math:: \left\| \begin{bmatrix} G_s \\ I \end{bmatrix} (I - K_s G_s)^{-1}
+        \begin{bmatrix} K_s & I \end{bmatrix} \right\|_\infty
+
+    Attributes
+    ----------
+    gamma_min
+        The smallest gamma of any controller, exact.
+    factor
+        What was asked for: ``gamma <= factor gamma_min``.
+    margin
+        Verified coprime stability margin of the shaped loop, ``1/gamma``; above about 0.25 the shape of the loop is
+        kept.
+    K_shaped, shaped_plant
+        Controller of the shaped plant and that plant, ``W2 G W1``.
+    observer
+        K_shaped in observer form, where the shaped plant is continuous and strictly proper; else None.
+    """
+
+    gamma_min: float
+    factor: float
+    margin: CoprimeMargin
+    K_shaped: StateSpaceModel
+    shaped_plant: StateSpaceModel
+    observer: ObserverForm | None
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (verified upper bound; margin {self.margin.lower:.4g})"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        verdict = "the loop's shape is kept" if self.margin.lower >= 0.25 else "shape the loop differently"
+        best = f"{self.gamma_min:.6g} (margin {1 / self.gamma_min:.4g}): {verdict}"
+        return [*rows[:2], ("smallest gamma possible", best), *rows[2:]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant, with arrays."""
+        return super().to_json() | {
+            "gamma_min": self.gamma_min,
+            "factor": self.factor,
+            "margin": self.margin.to_json(),
+            "K_shaped": self.K_shaped.to_json(),
+            "shaped_plant": self.shaped_plant.to_json(),
+            "observer": None if self.observer is None else vars(self.observer),
+        }
+
+
+@told_as("synth ncf")
+def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
+    r"""Loop-shaping controller of largest, or nearly largest, coprime stability margin.
+
+    Sign of K: ``u = K y`` with *positive* feedback, as everywhere in this package and in the literature on this method.
+    For negative feedback, ``u = K_n (r - y)``, take ``K_n = -K``.
+
+    Parameters
+    ----------
+    G
+        Plant: StateSpaceModel, UncertainModel (its nominal model) or python-control object; stable or not, continuous
+        or discrete, any numbers of inputs and outputs.
+    W1, W2
+        Weights before and behind the plant, chosen so that the singular values of ``W2 G W1`` have the wanted shape:
+        large at low, small at high frequencies. None is no weight; a number or a model with one input and one output is
+        used on every channel; else a model with as many outputs (W1: inputs of G) or inputs (W2: outputs of G) as fit.
+        Integrators and other unstable weights are welcome: they become part of K.
+    factor
+        Back-off (> 1): at ``factor * gamma_min`` the controller is well conditioned, at gamma_min itself it is not.
+
+    Returns
+    -------
+    NcfSynthesis
+        Both the loop of the shaped plant and that of the plant as given were rebuilt and verified. A discrete plant is
+        solved through the bilinear map, which keeps the margin exactly, and verified in discrete time.
+
+    Raises
+    ------
+    InputError
+        ``factor`` not above 1, weights whose sizes or sample times do not fit.
+    NoTrustworthyNumber
+        A mode of the shaped plant that cannot be stabilised (a weight may have cancelled it), or a loop that was not
+        verified.
+
+    References
+    ----------
+    McFarlane, Glover 1992; Skogestad, Postlethwaite 2005, section 9.4.1, eqs 9.74 to 9.78 (general D there too).
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> design = ncf(lag, factor=1.05)
+    >>> round(design.gamma_min, 6), design.gamma <= 1.05 * design.gamma_min, design.status.value
+    (1.414214, True, 'certified')
+    """
+    where = "synth ncf"
+    if not np.isfinite(factor) or factor <= 1:
+        raise InputError(where, f"factor is {factor}", "a number above 1, such as 1.1")
+    g = as_model(G, f"{where}: G")
+    if not g.n_inputs or not g.n_outputs:
+        raise InputError(f"{where}: G", f"{g.n_outputs} outputs and {g.n_inputs} inputs", "at least one of each")
+    before, behind = _weight(W1, g, "W1"), _weight(W2, g, "W2")
+    with one_thread():
+        return _designed(g, before, behind, factor)
+
+
+def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceModel, factor: float) -> NcfSynthesis:
+    shaped = series(series(before, _bare(g)), behind)
+    mapped = continuous_models(shaped)
+    try:
+        equations = coprime_riccati(mapped.models[0])
+    except NoTrustworthyNumber as error:
+        hint = "a zero of the plant or of a weight may cancel an unstable or integrating pole of the other"
+        raise NoTrustworthyNumber("synth ncf", f"W2 G W1: {error.found}", error.expected, hint) from None
+    gamma_min = 1 / equations.best_margin
+    inner, observer = _central(equations, factor * gamma_min)
+    if mapped.dt:
+        inner, observer = bilinear_to_discrete(inner, mapped.dt), None
+        if mapped.mirrored:  # the map was taken of -z
+            inner = StateSpaceModel(-inner.A, -inner.B, inner.C, inner.D, inner.dt)
+    inner = named_controller(inner, shaped.outputs, shaped.inputs, shaped.dt)
+    margin = coprime_margin(shaped, inner, sign=1)
+    if margin.frequency is None:
+        raise NoTrustworthyNumber("synth ncf", f"the rebuilt loop was not verified: {margin.reason}")
+    full = series(series(behind, _bare(inner)), before)
+    K = named_controller(full, g.outputs, g.inputs, g.dt)
+    plant = four_block_plant(g)
+    loop = plant.close(K)
+    if not surely_stable(loop):
+        raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
+    gamma = 1 / margin.lower
+    status, reason = margin.status, "loops of the shaped plant and of the plant as given were rebuilt and are stable"
+    if status is not Status.CERTIFIED:
+        reason = margin.reason
+    elif gamma > factor * gamma_min * KEPT:
+        status, reason = Status.INACCURATE, f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
+    shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
+    shaped_loop = shaped_plant.close(inner)
+    voice = hinf_voice(shaped_plant, inner, shaped_loop, [margin.frequency])
+    doubt = voice.doubt(1 / margin.upper, gamma) or hinf_voice(plant, K, loop).doubt(0.0, np.inf)
+    if doubt and status is Status.CERTIFIED:
+        status, reason = Status.INACCURATE, doubt
+    return NcfSynthesis(
+        K=K,
+        gamma=voice.larger(gamma),
+        closed_loop=loop,
+        status=status,
+        reason=reason,
+        limit=limiting_channels(_named_channels(shaped_loop, shaped), margin.frequency),
+        plant=plant,
+        method="ncf",
+        gamma_min=gamma_min,
+        factor=factor,
+        margin=margin,
+        K_shaped=inner,
+        shaped_plant=shaped,
+        observer=observer,
+    )
+
+
+def _central(equations: CoprimeRiccati, gamma: float) -> tuple[StateSpaceModel, ObserverForm | None]:
+    """The central controller at gamma in the model's own time unit, and its observer form where D = 0."""
+    m, X, Z, F = equations.model, equations.control.X, equations.filtering.X, equations.control.gain
+    n, g2 = m.n_states, gamma**2
+    L = (1 - g2) * np.eye(n) + X @ Z
+    Q = g2 * np.linalg.solve(L.T, Z @ m.C.T)
+    root = np.sqrt(equations.rate)
+    A = m.A + m.B @ F + Q @ (m.C + m.D @ F)
+    K = StateSpaceModel(equations.rate * A, root * Q, root * m.B.T @ X, -m.D.T)
+    if m.D.any():
+        return K, None
+    # The balanced states carry the time unit too: its root is split between inputs and outputs.
+    gain = -m.B.T @ np.linalg.solve((1 - 1 / g2) * np.eye(n) - X @ Z / g2, X)
+    states = equations.states
+    return K, ObserverForm(gain / states, -equations.rate * states[:, None] * (Z @ m.C.T))
+
+
+def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
+    """The plant with noise on y and a disturbance on u, as a generalised plant from (n, d, u) to (y, u + d, y + n)."""
+    m = four_block(g)
+    inputs = [Signal(f"noise {s.name}", s.unit) for s in g.outputs]
+    inputs += [Signal(f"disturbance {s.name}", s.unit) for s in g.inputs]
+    outputs = [*g.outputs, *(Signal(f"{s.name} total", s.unit) for s in g.inputs)]
+    outputs += [Signal(f"{s.name} measured", s.unit) for s in g.outputs]
+    model = StateSpaceModel(m.A, m.B, m.C, m.D, m.dt, [*inputs, *g.inputs], outputs, g.states, where="synth ncf")
+    return GeneralizedPlant(model, g.n_outputs, g.n_inputs)
+
+
+def with_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
+    """The plant itself, or, where all of its inputs are controls and all of its outputs measurements, with noise on y
+    and a disturbance on u as w, and y and the total u as z: a loop without w and z has no gain to judge it by.
+
+    Raises
+    ------
+    InputError
+        Disturbances without performance outputs, or the other way round.
+    """
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    if not n_w and not n_z:
+        return four_block_plant(plant.model)
+    require_performance(plant, where, "or a bare plant, to judge its loop by the four-block gain")
+    return plant
+
+
+def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpaceModel:
+    ys, us = [s.name for s in shaped.outputs], [s.name for s in shaped.inputs]
+    return loop.renamed(
+        [*(f"noise on shaped {y}" for y in ys), *(f"disturbance on shaped {u}" for u in us)],
+        [*(f"shaped {y}" for y in ys), *(f"shaped {u}" for u in us)],
+    )
+
+
+def _bare(model: StateSpaceModel) -> StateSpaceModel:
+    """Without units, which weights change."""
+    return model.renamed(list(model.input_names), list(model.output_names))
+
+
+def _weight(given: Any, g: StateSpaceModel, name: str) -> StateSpaceModel:
+    """The weight on all channels, in the plant's time and with the plant's names where it meets the plant."""
+    where, first = f"synth ncf: {name}", name == "W1"
+    names = list(g.input_names if first else g.output_names)
+    n = len(names)
+    if given is None:
+        given = np.eye(n)
+    if isinstance(given, (int, float, list, tuple, np.ndarray, np.number)):
+        try:
+            given = StateSpaceModel([], [], [], np.atleast_2d(np.asarray(given, dtype=float)), where=where)
+        except (TypeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(where, f"a {type(given).__name__} that is no matrix", "a model or numbers") from None
+    w = as_model(given, where)
+    if not w.n_states:
+        w = StateSpaceModel(w.A, w.B, w.C, w.D, g.dt)
+    if w.dt != g.dt:
+        raise InputError(where, f"dt is {w.dt:g} s", f"{g.dt:g} s, as the plant")
+    if n > 1 and (w.n_inputs, w.n_outputs) == (1, 1):
+        w = append(*(w.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
+    meets = w.n_outputs if first else w.n_inputs
+    if meets != n:
+        side = "outputs" if first else "inputs"
+        raise InputError(where, f"{meets} {side}", f"{n}, or one input and one output")
+    far = w.n_inputs if first else w.n_outputs
+    free = names if far == n else [f"{name} {i + 1}" for i in range(far)]
+    return w.renamed(free if first else names, names if first else free)

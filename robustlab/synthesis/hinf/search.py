@@ -1,0 +1,475 @@
+"""Search for a controller of small gamma over regularisations of one scaled generalised plant.
+
+Most practical plants are singular for the two Riccati equations: D12 or D21 has no full rank, or there are zeros on
+the imaginary axis. Each trial adds small penalties on u and x and small noises on y and x, solves that regular
+problem, and judges its controller by the gain of the loop on the plant without them.
+
+Two scalings of one plant searched side by side: each alone fails somewhere, and where they agree trust grows.
+
+Saner controllers near the smallest gamma: slower poles, and no needlessly slow modes of the loop.
+
+The controller of the smallest gamma itself is often absurdly fast. A few per cent more allow large penalties on u and x
+and large noises on y and x, and with them poles that are slower by orders of magnitude.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import Budget, dense
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
+from robustlab.synthesis.nonsmooth.loop_gain import closed, loop_gain, responses, trial_frequencies
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.scaling import Scaling, by_magnitude
+from robustlab.synthesis.problem.verified_loop import well_posed_neighbours
+
+__all__ = [
+    "Candidate",
+    "Regularisation",
+    "Search",
+    "smallest",
+    "Portfolio",
+    "portfolio",
+    "soften",
+]
+
+
+Array = NDArray[Any]
+
+LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+# A central controller at gamma itself is ill-conditioned: gamma is backed off until the gain of the loop agrees.
+COARSE, FINE = (1e-2, 0.1), (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
+# Shares of the closed loop's gain that the self-scaled regularisation may cost; the optimum rises by their squares.
+SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
+SELF_SCALED_STEPS = 14
+IMPROVEMENT = 5e-4
+PROVED = 3e-4
+REGULAR = 1e-6
+# In a plant scaled to order one, a gain below this is zero for every purpose.
+NEGLIGIBLE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Regularisation:
+    """Weights of the added channels in scaled units: on u (per control), noise on y (per measurement), on x, into x."""
+
+    u: Array | float = 0.0
+    y: Array | float = 0.0
+    x_out: float = 0.0
+    x_in: float = 0.0
+
+    def apply(self, plant: PlantMatrices) -> PlantMatrices:
+        """The regularised plant."""
+        if not any(np.any(part) for part in (self.u, self.y, self.x_out, self.x_in)):
+            return plant
+        return plant.with_channels(self.u, self.y, self.x_out, self.x_in)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A controller whose loop is stable, as far as the search can tell.
+
+    Attributes
+    ----------
+    K
+        For the continuous plant without D22, in its units.
+    gamma
+        Gain of its loop, attained at a frequency.
+    pace
+        Largest modulus of its poles in rad/s: what makes it hard to build.
+    decay
+        Decay rate of the loop's slowest mode in 1/s.
+    """
+
+    K: Realisation
+    gamma: float
+    pace: float
+    decay: float
+
+    @property
+    def stiffness(self) -> float:
+        """Fastest controller pole over slowest mode of the loop: the span of time scales that K brings in."""
+        return self.pace / max(self.decay, 1e-300)
+
+
+class Search:
+    """Trials on one scaled plant; every controller that stabilises is kept.
+
+    Parameters
+    ----------
+    plant
+        Continuous plant without D22.
+    scaling
+        Its scaling.
+    budget
+        Trials and gamma tests are counted there, and it is asked between them.
+    floor
+        Proved lower bound of gamma in the plant's units: a candidate close to it ends the search.
+    D22
+        The direct term that was left out of the plant: what is found must be able to take it back in.
+    """
+
+    def __init__(
+        self,
+        plant: PlantMatrices,
+        scaling: Scaling,
+        budget: Budget,
+        floor: float = 0.0,
+        D22: Array | None = None,
+    ) -> None:
+        self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
+        self.scaling, self.plant = scaling, scaling.apply(plant)
+        self.budget, self.floor, self.careful, self.probes = budget, floor, False, PROBES[:1]
+        self.candidates: list[Candidate] = []
+        # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
+        self.regular_gamma: float | None = None
+        # Optima of the regularised problems scaled by the best loop, as (share, gamma).
+        self.optima: list[tuple[float, float]] = []
+        # Channel gains of the loop they were last asked for.
+        self._gains: tuple[Candidate, tuple[Array, Array, Array, Array] | None] | None = None
+
+    @property
+    def best(self) -> Candidate | None:
+        """The candidate of smallest gamma."""
+        return smallest(self.candidates)
+
+    @property
+    def settled(self) -> bool:
+        """True where the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
+        best = self.best
+        if best is None:
+            return False
+        return best.gamma <= 1.0005 * (self.regular_gamma or 0.0) or self.proved(best)
+
+    def proved(self, candidate: Candidate) -> bool:
+        """True where no controller can be better by more than a few parts in ten thousand."""
+        return candidate.gamma <= (1 + PROVED) * self.floor
+
+    def take_care(self) -> None:
+        """From now on solve in two ways, and probe far below every gamma found."""
+        self.careful, self.probes = True, PROBES
+
+    def negligible(self, candidate: Candidate) -> bool:
+        """True for a gain that is zero for every purpose, in the plant scaled to order one."""
+        return candidate.gamma * self.scaling.gain <= NEGLIGIBLE
+
+    def ladder(self) -> None:
+        """Regularisations of fixed size, from large to small, until gamma falls no more."""
+        s_u = np.linalg.svd(self.plant.D12, compute_uv=False)
+        s_y = np.linalg.svd(self.plant.D21, compute_uv=False)
+        _, n_w, n_u, n_z, n_y = self.plant.sizes
+        size_u = float(s_u.min()) if n_z >= n_u else 0.0
+        size_y = float(s_y.min()) if n_w >= n_y else 0.0
+        if size_u > REGULAR and size_y > REGULAR:
+            self.regular_gamma, _ = self._trial(Regularisation(), 1.0, 1e-4, FINE)
+            if self.settled:
+                return
+        worse, best, start = 0, np.inf, 1.0
+        for eps in LADDER:
+            if self.budget.over:
+                return
+            u = 0.0 if size_u > max(REGULAR, eps) else eps
+            y = 0.0 if size_y > max(REGULAR, eps) else eps
+            gamma, found = self._trial(Regularisation(u, y, eps / 10, eps / 10), start, 2e-2, COARSE)
+            if gamma is not None:
+                start = gamma * self.scaling.gain
+            if found is None:
+                continue
+            worse = worse + 1 if found.gamma > 0.9 * best else 0
+            best = min(best, found.gamma)
+            if worse == 2:
+                return
+
+    def polish(self, best: Candidate | None, shares: tuple[float, ...] = SHARES) -> None:
+        """Regularisations scaled by the best loop so far, smaller and smaller, until gamma falls no more."""
+        k = 0
+        for _ in range(SELF_SCALED_STEPS):
+            if best is None or k == len(shares) or self.budget.over:
+                return
+            if self.negligible(best) or self.proved(best):
+                return
+            regularisation = self.relative(best, shares[k], 0.3)
+            if regularisation is None:
+                return
+            rtol = float(np.clip(0.2 * shares[k] ** 2, 5e-5, 5e-3))
+            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE)
+            if gamma is not None:
+                self.optima.append((shares[k], gamma))
+            if found is None or found.gamma >= best.gamma * (1 - max(IMPROVEMENT, rtol)):
+                k += 1
+            if found is not None and found.gamma < best.gamma:
+                best = found
+
+    def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
+        """The central controller of this regularisation at gamma, where it exists and its loop stays below gamma."""
+        try:
+            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful, self.budget)
+        except NoTrustworthyNumber:
+            return None
+        return self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
+
+    def relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
+        """Added channels that each carry about ``share`` of the gain of this loop."""
+        if self._gains is None or self._gains[0] is not loop:
+            self._gains = (loop, self._channel_gains(loop))
+        gains, gamma = self._gains[1], loop.gamma * self.scaling.gain
+        if gains is None or gamma <= 0:  # a loop without gain (T with K = 0) sets no scale
+            return None
+        u, y, x_out, x_in = (gamma / np.maximum(g, gamma * share / cap) for g in gains)
+        return Regularisation(
+            share * u / np.sqrt(len(u)),
+            share * y / np.sqrt(len(y)),
+            float(state_share * share * x_out),
+            float(state_share * share * x_in),
+        )
+
+    def _channel_gains(self, candidate: Candidate) -> tuple[Array, Array, Array, Array] | None:
+        """Peak gains in scaled units on a grid: w to each u, noise on each y to z, w to x, x disturbance to z."""
+        n, n_w, n_u, n_z, n_y = self.plant.sizes
+        self.budget.spend(dense(n + len(candidate.K.A), 2))
+        loop = closed(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
+        if not all(np.isfinite(part).all() for part in loop):
+            return None
+        omega = trial_frequencies(np.linalg.eigvals(loop.A) if loop.A.size else np.zeros(0))
+        response = responses(loop, omega)
+        if not np.isfinite(response).all():
+            return None
+        size_of = np.linalg.norm
+        u = size_of(response[:, n_z : n_z + n_u, :n_w], axis=2).max(axis=0)
+        y = size_of(response[:, :n_z, n_w : n_w + n_y], axis=1).max(axis=0)
+        x_out = size_of(response[:, n_z + n_u :, :n_w], 2, axis=(1, 2)).max(initial=0.0) if n and n_w else 0.0
+        x_in = size_of(response[:, :n_z, n_w + n_y :], 2, axis=(1, 2)).max(initial=0.0) if n and n_z else 0.0
+        return u, y, np.asarray(x_out), np.asarray(x_in)
+
+    def _trial(
+        self, regularisation: Regularisation, start: float, rtol: float, backoffs: tuple[float, ...]
+    ) -> tuple[float | None, Candidate | None]:
+        """Smallest gamma of the regularised problem in the plant's units, and the best controller found for it."""
+        try:
+            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful, self.budget)
+        except NoTrustworthyNumber:
+            return None, None
+        gamma = problem.smallest_gamma(start, rtol, self.probes)
+        if gamma is None:
+            return None, None
+        found: list[Candidate] = []
+        for backoff in backoffs:
+            candidate = self._central(problem, gamma * (1 + backoff))
+            if candidate is None:
+                continue
+            found.append(candidate)
+            if candidate.gamma <= gamma / self.scaling.gain * (1 + backoff) * 1.001:
+                break
+        return gamma / self.scaling.gain, smallest(found)
+
+    def _central(self, problem: TwoRiccatiProblem, gamma: float, limit: float = np.inf) -> Candidate | None:
+        """The central controller at gamma (scaled units), where its loop's gain is at most limit (plant's units)."""
+        pair = problem.solve(gamma)
+        if pair is None:
+            return None
+        try:
+            K = problem.central_controller(pair)
+        except NoTrustworthyNumber:
+            return None
+        return self._kept(K, limit)
+
+    def adopt(self, K: Realisation) -> Candidate | None:
+        """A controller from elsewhere, in the plant's units, as a candidate; None where its loop is not stable."""
+        return self._kept(self.scaling.controller_from_plant(K), np.inf)
+
+    def _kept(self, K: Realisation, limit: float) -> Candidate | None:
+        """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units).
+
+        One that cannot take D22 back in gives way to the best of its neighbours that can.
+        """
+        if self.D22 is None:
+            return self._entered(K, limit)
+        found = [self._entered(near, limit) for near in well_posed_neighbours(K, self.D22)]
+        return smallest([candidate for candidate in found if candidate is not None])
+
+    def _entered(self, K: Realisation, limit: float) -> Candidate | None:
+        """The same for a controller that can take D22 back in."""
+        scale = self.scaling
+        loop = closed(self.plant, K)
+        self.budget.spend(dense(len(loop.A), 3))  # its poles, responses on a grid, a few Hamiltonians of twice its size
+        gain = loop_gain(loop, limit * scale.gain)
+        if not np.isfinite(gain):
+            return None
+        poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))
+        candidate = Candidate(
+            scale.controller_to_plant(K),
+            gain / scale.gain,
+            scale.rate * float(np.abs(poles).max(initial=0.0)),
+            -scale.rate * float(modes.real.max(initial=-1e300)),
+        )
+        if not all(np.isfinite(part).all() for part in candidate.K):
+            return None
+        self.candidates.append(candidate)
+        return candidate
+
+
+def smallest(candidates: list[Candidate]) -> Candidate | None:
+    """The candidate of smallest gamma."""
+    return min(candidates, key=lambda c: c.gamma, default=None)
+
+
+# The other scaling confirms the leader's gamma with the regularisation of this size.
+CONFIRMATION = SHARES[3:4]
+DISAGREEMENT = 5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Portfolio:
+    """The searches over two scalings.
+
+    Attributes
+    ----------
+    leader
+        The search that found the smallest gamma.
+    other
+        The other one.
+    disagree
+        Relative difference of the gammas they reached; NaN where one found none or was not asked.
+    """
+
+    leader: Search
+    other: Search
+    disagree: float
+
+    def estimated_optimum(self) -> float:
+        """The infimum of gamma over all controllers as the search sees it; NaN where it cannot tell.
+
+        Of a regular plant the smallest gamma that passes its own Riccati test; else extrapolated over the size of the
+        regularisation, with whose square the regularised optimum rises.
+        """
+        best, regular = self.leader.best, self.leader.regular_gamma
+        if best is not None and regular is not None and regular <= best.gamma * (1 + 1e-9) <= 1.0006 * regular:
+            return regular
+        by_share = dict(self.leader.optima[-2:])
+        if len(by_share) < 2:
+            return float("nan")
+        (small, low), (large, high) = sorted(by_share.items())
+        return max(low - max(high - low, 0.0) * small**2 / (large**2 - small**2), self.leader.floor)
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """Of both."""
+        return self.leader.candidates + self.other.candidates
+
+
+def portfolio(
+    matrices: PlantMatrices,
+    scalings: tuple[Scaling, Scaling],
+    budget: Budget,
+    floor: float = 0.0,
+    D22: NDArray[np.float64] | None = None,
+) -> Portfolio:
+    """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
+
+    ``floor`` is a proved lower bound of gamma: a search that meets it is done. ``D22`` is the direct term that was left
+    out of the plant.
+    """
+    one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
+    for search in (one, two):
+        search.ladder()
+        if search.best is not None and search.proved(search.best):
+            return Portfolio(search, two if search is one else one, float("nan"))
+    if one.best is None and two.best is None:
+        for search in (one, two):
+            search.take_care()
+            search.ladder()
+    if one.best is None and two.best is None:  # a control or a measurement of quite another size than its cost
+        one = Search(matrices, by_magnitude(matrices), budget, floor, D22)
+        one.ladder()
+    leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
+    if not leader.settled:
+        leader.polish(leader.best)
+    if leader.best is not None and leader.proved(leader.best):
+        return Portfolio(leader, other, _difference(leader, _gamma(other.best)))
+    # Settled or not: the Riccati test may have failed by rounding alone.
+    reached = min(_gamma(other.best), _confirmed(leader, other, CONFIRMATION))
+    if leader.best is not None and not _agree(leader.best, leader, reached):
+        # One of them is stuck: go over both once more from the better loop, with every solver and all probes.
+        for search in (leader, other):
+            search.take_care()
+        leader.polish(leader.best)
+        reached = min(reached, _confirmed(leader, other, SHARES[1:]))
+        if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
+            leader, other = other, leader
+            reached = _gamma(other.best)
+    return Portfolio(leader, other, _difference(leader, reached))
+
+
+def _difference(leader: Search, reached: float) -> float:
+    smaller, larger = sorted((_gamma(leader.best), reached))
+    return larger / smaller - 1 if smaller > 0 and larger < float("inf") else float("nan")
+
+
+def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> float:
+    """What the other search reaches from the leader's best loop."""
+    before = len(other.candidates)
+    other.polish(leader.best, shares)
+    return _gamma(smallest(other.candidates[before:]))
+
+
+def _agree(best: Candidate, leader: Search, reached: float) -> bool:
+    return leader.negligible(best) or abs(reached - best.gamma) <= DISAGREEMENT * best.gamma
+
+
+def _gamma(candidate: Candidate | None) -> float:
+    return float("inf") if candidate is None else candidate.gamma
+
+
+ROUNDS, STEPS, LATER_STEPS = 3, 5, 3
+BASE_SHARE = 0.05
+
+
+def soften(search: Search, start: Candidate, gamma: float) -> None:
+    """Add saner candidates up to this gamma to the search.
+
+    The added channels are made as large as the test at this gamma allows. Once with all of them relative to the gains
+    of the loop; and once after half of the slack has gone into an x disturbance and penalty of fixed size, because a
+    mode that w does not excite (an integrator of the plant, behind a reference) otherwise stays in the loop as slow as
+    it is.
+    """
+    _slowest_poles(search, start, gamma, 0.0)
+    half = 0.5 * (start.gamma + gamma)
+    base = search.relative(start, BASE_SHARE, 0.0)
+    low, high, size = 1e-4, 1e2, 0.0
+    for _ in range(STEPS):
+        if base is None or search.budget.over:
+            return
+        middle = float(np.sqrt(low * high))
+        if search.found_within(replace(base, x_out=middle, x_in=middle), half) is not None:
+            low = size = middle
+        else:
+            high = middle
+    if size > 0:
+        _slowest_poles(search, start, gamma, size)
+
+
+def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> None:
+    """Largest relative weights by bisection, repeated because their scale follows the loop found last."""
+    low, high, steps = 1e-2, 10.0, STEPS
+    for _ in range(ROUNDS):
+        softest: Candidate | None = None
+        for _ in range(steps):
+            if search.budget.over:
+                return
+            middle = float(np.sqrt(low * high))
+            weights = search.relative(start, middle, 0.0 if x else 0.1, 3.0)
+            if weights is not None and x:
+                weights = replace(weights, x_out=x, x_in=x)
+            found = None if weights is None else search.found_within(weights, gamma)
+            if found is not None:
+                low, softest = middle, found
+            else:
+                high = middle
+        if softest is None or softest.pace > 0.7 * start.pace:
+            return
+        start, low, high, steps = softest, low / 2, 3 * low, LATER_STEPS

@@ -1,0 +1,234 @@
+"""The two Riccati equations of H-infinity synthesis with a general D11 (Glover and Doyle), for one gamma.
+
+Best read with Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 17.1, at hand; names are theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import Budget, dense
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.matrix_equations import care, hamiltonian_riccati
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+
+__all__ = ["RiccatiPair", "TwoRiccatiProblem"]
+
+Array = NDArray[Any]
+
+# An exact X = 0 comes out as noise of this size in a plant scaled to order one; it must not count as indefinite.
+PSD_TOLERANCE = 1e-6
+# The controller is verified on the plant afterwards, so a poor residual here only costs a try.
+RESIDUAL = 1e-3
+RANK = 1e-13
+# Range of gamma that is searched, in a plant scaled to order one.
+SMALLEST, LARGEST = 1e-9, 1e9
+# Shares of the smallest gamma found that are tried once more: the test in floating point is not monotone in gamma.
+PROBES = (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02)
+
+
+@dataclass(frozen=True, eq=False)
+class RiccatiPair:
+    """Solutions X, Y >= 0 at gamma, and ``coupling = rho(X Y) / gamma^2``: the test is passed where it is below 1."""
+
+    gamma: float
+    X: Array
+    Y: Array
+    coupling: float
+
+
+class TwoRiccatiProblem:
+    """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it.
+
+    Parameters
+    ----------
+    plant
+        The plant, D12 of full column rank and D21 of full row rank.
+    careful
+        Solve each equation in two ways where the quick one fails: slower, for plants on which rounding decides.
+    budget
+        Every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        D12 has no full column rank or D21 no full row rank.
+    """
+
+    def __init__(self, plant: PlantMatrices, careful: bool = False, budget: Budget | None = None) -> None:
+        _, n_w, n_u, n_z, n_y = plant.sizes
+        if n_z < n_u or n_w < n_y:
+            raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
+        U, s12, Vt = np.linalg.svd(plant.D12)
+        W, s21, Rt = np.linalg.svd(plant.D21)
+        if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
+            raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
+        self.careful, self.budget = careful, Budget() if budget is None else budget
+        self.u_back = Vt.T / s12  # u = u_back @ u_normalised
+        self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
+        z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
+        w_turn = np.vstack([Rt[n_y:], Rt[:n_y]]).T
+        self.a, self.b = n_z - n_u, n_w - n_y
+        self.n_w, self.n_z, self.n_u, self.n_y = n_w, n_z, n_u, n_y
+        self.A, self.B1, self.B2 = plant.A, plant.B1 @ w_turn, plant.B2 @ self.u_back
+        self.C1, self.C2 = z_turn.T @ plant.C1, self.y_into @ plant.C2
+        self.D11 = z_turn.T @ plant.D11 @ w_turn
+        D12 = np.vstack([np.zeros((self.a, n_u)), np.eye(n_u)])
+        D21 = np.hstack([np.zeros((n_y, self.b)), np.eye(n_y)])
+        parts = (self.D11[: self.a], self.D11[:, : self.b])
+        self.floor = max((float(np.linalg.norm(part, 2)) if part.size else 0.0) for part in parts)
+        row, column = np.hstack([self.D11, D12]), np.vstack([self.D11, D21])
+        self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w)
+        self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z)
+
+    def solve(self, gamma: float) -> RiccatiPair | None:
+        """The pair at this gamma, or None where the test fails (gamma too small, or lost to rounding)."""
+        pair = self.pair(gamma)
+        return pair if pair is not None and pair.coupling < 1 else None
+
+    def pair(self, gamma: float) -> RiccatiPair | None:
+        """Both solutions, whatever their coupling; None where one does not exist or is not positive semidefinite."""
+        self.budget.spend(dense(len(self.A), 3))
+        if gamma <= self.floor * (1 + 1e-12):
+            return None
+        X = self._control.solution(gamma, self.careful)
+        if X is None:
+            return None
+        Y = self._filter.solution(gamma, self.careful)
+        if Y is None:
+            return None
+        return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
+
+    def smallest_gamma(self, start: float, rtol: float = 1e-4, probes: tuple[float, ...] = PROBES) -> float | None:
+        """Smallest gamma that passes the test; None where none up to ``LARGEST`` does.
+
+        Brackets from ``start`` by growing steps and closes the bracket: by a secant in log gamma where the coupling
+        fails, which is a smooth function, and by bisection where a solution ceases to exist. Then it probes below the
+        result, because the test in floating point is not monotone in gamma. Where the budget is over between tests the
+        smallest gamma so far is returned.
+        """
+        high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
+        while (at_high := self.solve(high)) is None:
+            low, high = high, 4 * high
+            if high > LARGEST or self.budget.over:
+                return None
+        while True:
+            high = self._closed(low, at_high, rtol)
+            if high < SMALLEST:
+                return high
+            for share in probes:
+                if self.budget.over:
+                    return high
+                at_high = self.solve(high * share)
+                if at_high is not None:
+                    high, low = high * share, self.floor
+                    break
+            else:
+                return high
+
+    def _closed(self, low: float, at_high: RiccatiPair, rtol: float) -> float:
+        """The upper end of a bracket of relative width ``rtol``, from a passing pair and a gamma below it."""
+        at_low: RiccatiPair | None = None
+        step = 0.03
+        while not self.budget.over:
+            high = at_high.gamma
+            # rho(X Y) falls with gamma: below this one the coupling is 1 or more.
+            low = max(low, high * float(np.sqrt(at_high.coupling)) * (1 - 1e-9), 1e-3 * high)
+            if high - low <= rtol * high or high < SMALLEST:
+                return high
+            if at_low is not None and at_high.coupling > 0:
+                slope = float(np.log(at_low.coupling / at_high.coupling))
+                share = -float(np.log(at_high.coupling)) / slope if slope > 0 else 0.5
+                # Aim half a tolerance to the passing side: then the bracket closes from both ends.
+                trial = high * (at_low.gamma / high) ** share * (1 + 0.4 * rtol)
+                if at_low.coupling < 1 + rtol:
+                    trial = max(trial, low * (1 + 0.9 * rtol))
+                trial = min(max(trial, low * (low / high) ** -0.02), high * (low / high) ** 0.02)
+            elif low < high * (1 - 3 * step):  # nothing is known near: small steps down first, growing
+                trial, step = high * (1 - step), min(3 * step, 0.9)
+            else:
+                trial = float(np.sqrt(low * high))
+            found = self.pair(trial)
+            if found is not None and found.coupling < 1:
+                at_high = found
+            else:
+                low, at_low = trial, found
+                step = np.inf  # the bracket has a lower end: bisect from now on
+        return at_high.gamma
+
+    def central_controller(self, pair: RiccatiPair) -> Realisation:
+        """The central controller of a pair, from y to u of the plant given.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            A factor of it is singular: gamma is too close to its limit.
+        """
+        a, b, g2 = self.a, self.b, pair.gamma**2
+        D1111, D1112 = self.D11[:a, :b], self.D11[:a, b:]
+        D1121, D1122 = self.D11[a:, :b], self.D11[a:, b:]
+        try:
+            F, L = self._control.gain(pair.gamma, pair.X), self._filter.gain(pair.gamma, pair.Y).T
+            F12, F2 = F[b : self.n_w], F[self.n_w :]
+            L12, L2 = L[:, a : self.n_z], L[:, self.n_z :]
+            left = np.linalg.solve(g2 * np.eye(a) - D1111 @ D1111.T, D1112)
+            right = np.linalg.solve(g2 * np.eye(b) - D1111.T @ D1111, D1121.T)
+            D11 = -D1121 @ D1111.T @ left - D1122
+            D12 = np.linalg.cholesky(np.eye(self.n_u) - D1121 @ right)
+            D21 = np.linalg.cholesky(np.eye(self.n_y) - D1112.T @ left).T
+            Z = np.eye(self.A.shape[0]) - pair.Y @ pair.X / g2
+            B2 = np.linalg.solve(Z, (self.B2 + L12) @ D12)
+            C2 = -D21 @ (self.C2 + F12)
+            B1 = -np.linalg.solve(Z, L2) + B2 @ np.linalg.solve(D12, D11)
+            to_state = np.linalg.solve(D21, C2)
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber("central controller", "gamma is too close to its limit") from None
+        C1 = F2 + D11 @ to_state
+        A = self.A + np.hstack([self.B1, self.B2]) @ F + B1 @ to_state
+        found = Realisation(A, B1 @ self.y_into, self.u_back @ C1, self.u_back @ D11 @ self.y_into)
+        if not all(np.isfinite(part).all() for part in found):
+            raise NoTrustworthyNumber("central controller", "the controller is not finite")
+        return found
+
+
+class _Equation:
+    """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``."""
+
+    def __init__(self, A: Array, B: Array, C: Array, D: Array, n_disturbances: int) -> None:
+        self.A, self.B, self.Q, self.S, self.R = A, B, C.T @ C, C.T @ D, D.T @ D
+        self.disturbance = np.zeros(D.shape[1])
+        self.disturbance[:n_disturbances] = 1.0
+
+    def _weight(self, gamma: float) -> Array:
+        return self.R - gamma**2 * np.diag(self.disturbance)
+
+    def solution(self, gamma: float, careful: bool) -> Array | None:
+        """Stabilising positive semidefinite solution, or None."""
+        R = self._weight(gamma)
+        try:
+            solved = np.linalg.solve(R, np.vstack([self.B, self.S]).T)
+        except np.linalg.LinAlgError:
+            return None
+        n = self.A.shape[0]
+        by_B, by_S = solved[:, :n], solved[:, n:]
+        G, Q = self.B @ by_B, self.Q - self.S @ by_S
+        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=RESIDUAL)
+        if X is None and careful:
+            try:
+                X = care(self.A, self.B, self.Q, R, self.S, tolerance=RESIDUAL).X
+            except NoTrustworthyNumber:
+                return None
+        if X is None:
+            return None
+        values, vectors = np.linalg.eigh(X)
+        if n and values[0] < -PSD_TOLERANCE * max(1.0, values[-1]):
+            return None
+        return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+    def gain(self, gamma: float, X: Array) -> Array:
+        """``-R^-1 (B' X + S')``."""
+        return -np.linalg.solve(self._weight(gamma), self.B.T @ X + self.S.T)

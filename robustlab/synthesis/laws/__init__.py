@@ -1,0 +1,1 @@
+"""What a controller may look like: structures that combine, and packed matrices as functions of their parameters."""

@@ -1,0 +1,568 @@
+"""Structures of controllers: small objects that say what a controller may look like, and combine.
+
+Structures of controllers in words, for commands and recipes: ``pid``, ``order:3``, ``ipd:full``, ...
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.statespace import Signal
+from robustlab.synthesis.laws.controller_laws import (
+    AffineBuilder,
+    DiagonalLaw,
+    FilteredLaw,
+    Law,
+    Parameter,
+    SeriesLaw,
+    SumLaw,
+)
+from robustlab.synthesis.nonsmooth.design_problem import common_scaling
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+__all__ = [
+    "PID",
+    "Decentralised",
+    "FixedOrder",
+    "FixedPoles",
+    "MultichannelPID",
+    "Part",
+    "Series",
+    "StaticGain",
+    "Structure",
+    "Sum",
+    "as_structure",
+    "WORDS",
+    "structure_in_words",
+]
+
+
+Array = NDArray[Any]
+Signals = tuple[Signal, ...]
+WHERE = "fixed structure"
+
+
+class Structure(ABC):
+    """What a controller from measurements to controls may look like."""
+
+    @abstractmethod
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """The controller as a function of parameters, for these signals and this sample time (s; 0: continuous)."""
+
+    def __add__(self, other: Structure) -> Structure:
+        return Sum(self, other)
+
+
+def _unit(out: Signal, into: Signal, suffix: str = "") -> str:
+    """Unit of a gain from ``into`` to ``out``; empty where neither is stated."""
+    if not out.unit and not into.unit:
+        return f"1{suffix}" if suffix else ""
+    below = f"({into.unit or '1'}{suffix.replace('/', ' ')})" if suffix else into.unit or "1"
+    return f"{out.unit or '1'}/{below}"
+
+
+@dataclass(frozen=True, eq=False)
+class StaticGain(Structure):
+    """``u = K y`` with a constant gain.
+
+    Attributes
+    ----------
+    mask
+        Which entries of K are free, shape (n_con, n_meas); the others are zero. All where left out.
+    """
+
+    mask: Any = None
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """See `Structure`."""
+        free = _mask(self.mask, len(controls), len(measurements))
+        builder = AffineBuilder(0, len(controls), len(measurements))
+        for i, j in np.argwhere(free):
+            u, y = controls[i], measurements[j]
+            builder.parameter(Parameter(f"K[{u.name},{y.name}]", _unit(u, y)), (int(i), int(j), 1.0))
+        return builder.law()
+
+
+def _mask(mask: Any, n_u: int, n_y: int) -> NDArray[np.bool_]:
+    if mask is None:
+        return np.ones((n_u, n_y), dtype=bool)
+    free = np.asarray(mask)
+    if free.shape != (n_u, n_y):
+        raise InputError(f"{WHERE}: mask", f"shape {free.shape}", f"{(n_u, n_y)}: controls x measurements")
+    if not np.isin(free, (0, 1)).all() or not free.any():
+        raise InputError(f"{WHERE}: mask", "no mask", "zeros and ones, at least one of them 1")
+    return free.astype(bool)
+
+
+@dataclass(frozen=True)
+class FixedOrder(Structure):
+    """A controller of a given number of states.
+
+    Attributes
+    ----------
+    order
+        Number of states.
+    strictly_proper
+        True for D_K = 0: the gain falls off at high frequencies.
+    form
+        ``"tridiagonal"`` (any A_K with simple poles has this form; few parameters) or ``"full"``.
+    """
+
+    order: int
+    strictly_proper: bool = False
+    form: str = "tridiagonal"
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """See `Structure`."""
+        k, n_u, n_y = self.order, len(controls), len(measurements)
+        if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 0 <= k <= 500:
+            raise InputError(f"{WHERE}: order", f"{k!r}", "a whole number from 0 to 500")
+        if self.form not in ("tridiagonal", "full"):
+            raise InputError(f"{WHERE}: form", f"{self.form!r}", '"tridiagonal" or "full"')
+        if k == 0 and self.strictly_proper:
+            raise InputError(WHERE, "a strictly proper controller without states", "an order of at least 1")
+        builder = AffineBuilder(k, n_u, n_y)
+        rate = "" if dt else "1/s"
+        for i in range(k):
+            near = range(k) if self.form == "full" else range(max(i - 1, 0), min(i + 2, k))
+            for j in near:
+                centre = -1.0 if i == j and not dt else 0.0
+                builder.parameter(Parameter(f"A[{i + 1},{j + 1}]", rate, centre=centre), (i, j, 1.0))
+        for i in range(k):
+            for j, y in enumerate(measurements):
+                builder.parameter(Parameter(f"B[{i + 1},{y.name}]"), (i, k + j, 1.0))
+        for i, u in enumerate(controls):
+            for j in range(k):
+                builder.parameter(Parameter(f"C[{u.name},{j + 1}]"), (k + i, j, 1.0))
+        if not self.strictly_proper:
+            for i, u in enumerate(controls):
+                for j, y in enumerate(measurements):
+                    builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
+        return builder.law()
+
+
+@dataclass(frozen=True, eq=False)
+class MultichannelPID(Structure):
+    r"""PID with matrices of gains, or the I-PD and two-layer laws of a machine with several axes.
+
+    ``layout="pid"``: :math:`u = K_p y + K_i \int y\,dt + K_d \dot y_f` where
+    :math:`\tau \dot y_f + y_f = y` filters the derivative; from any measurements to any controls.
+
+    ``layout="ipd"``: n controls m, measurements r, phi, phidot (n each):
+    :math:`m = K_i \int (r - \varphi)\,dt - K_p \varphi - K_d \dot\varphi`.
+
+    ``layout="two-layer"``: the I-PD gives reference torques, and below it one torque loop per axis gives the controls;
+    measurements r, phi, phidot, torque: :math:`u = \sigma - k_d m,\ \dot\sigma = k_i \xi - k_p m,\ \dot\xi = m_{ref} -
+    m`. Exactly `robustlab.dynamics.control.controllers.TwoLayerController`; continuous time.
+
+    Attributes
+    ----------
+    layout
+        See above.
+    gains
+        Form of Kp, Ki, Kd: ``"full"``, ``"diagonal"``, or ``"scalar"`` (the same for all channels). A boolean mask
+        (n_con, n_meas of one group) is possible too.
+    terms
+        Of ``layout="pid"``: which of P, I, D there are.
+    tau
+        Time constant of the derivative filters in s: a number, or ``(low, high)`` to have it found; needed with D.
+    limit
+        Largest modulus of every gain.
+    start
+        Gains to start from by name of the matrix: ``{"Kp": ..., "Ki": ..., "Kd": ..., "kp": .., "ki": .., "kd": ..}``.
+
+    References
+    ----------
+    Brezina 2010, eqs 9.1-9.4.
+    """
+
+    layout: str = "pid"
+    gains: Any = "full"
+    terms: str = "PID"
+    tau: Any = None
+    limit: float = np.inf
+    start: Any = None
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """See `Structure`."""
+        if self.layout == "pid":
+            return self._pid(measurements, controls, dt)
+        if self.layout not in ("ipd", "two-layer"):
+            raise InputError(f"{WHERE}: layout", f"{self.layout!r}", '"pid", "ipd" or "two-layer"')
+        if dt and self.layout == "two-layer":
+            raise InputError(f"{WHERE}: two-layer", f"a plant with dt = {dt:g} s", "a continuous plant")
+        return self._layers(measurements, controls, dt)
+
+    # --- u = Kp y + Ki int y + Kd dy/dt -------------------------------------------------------------------------------
+
+    def _pid(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        n_u, n_y = len(controls), len(measurements)
+        if not self.terms or set(self.terms) - set("PID"):
+            raise InputError(f"{WHERE}: terms", f"{self.terms!r}", 'letters of "PID"')
+        groups = self._groups(n_u, n_y)
+        n_i, n_d = n_y * ("I" in self.terms), n_y * ("D" in self.terms)
+        k = n_i + n_d
+        builder = AffineBuilder(k, n_u, n_y)
+        for j in range(n_i):
+            builder.base[j, j] = 1.0 if dt else 0.0
+            builder.base[j, k + j] = dt or 1.0
+        derivative: list[bool] = []
+        for term in (t for t in "PID" if t in self.terms):
+            for name, places in groups:
+                u, y = controls[places[0][0]], measurements[places[0][1]]
+                if term == "P":
+                    entries = [(k + i, k + j, 1.0) for i, j in places]
+                elif term == "I":
+                    entries = [(k + i, j, 1.0) for i, j in places]
+                else:
+                    entries = [e for i, j in places for e in ((k + i, k + j, 1.0), (k + i, n_i + j, -1.0))]
+                unit = _unit(u, y, "/s") if term == "I" else _unit(u, y)
+                if term == "D":
+                    unit = unit.replace("/", " s/", 1) or "s"
+                builder.parameter(self._gain(f"K{term.lower()}", name, unit, *places[0]), *entries)
+                derivative.append(term == "D")
+        return self._filtered(builder, n_i, np.array(derivative), dt) if n_d else builder.law()
+
+    def _filtered(self, builder: AffineBuilder, first: int, derivative: Array, dt: float) -> Law:
+        if self.tau is None:
+            raise InputError(
+                f"{WHERE}: tau",
+                "missing",
+                "the derivative filter's time constant in s, or (low, high) for one to be found",
+            )
+        pair = (self.tau, self.tau) if np.ndim(self.tau) == 0 else tuple(self.tau)
+        low, high = (float(x) for x in pair)
+        if not 0 < low <= high < np.inf:
+            raise InputError(f"{WHERE}: tau", f"{self.tau}", "a positive time in s, or a pair (low, high) of them")
+        tau = Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
+        return FilteredLaw(builder.law(), tau, first, dt, derivative)
+
+    def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
+        """Every free gain's index text and the entries of the gain matrix that it fills."""
+        if isinstance(self.gains, str):
+            if self.gains == "full":
+                return [(f"[{i + 1},{j + 1}]", [(i, j)]) for i in range(n_u) for j in range(n_y)]
+            if self.gains not in ("diagonal", "scalar"):
+                raise InputError(f"{WHERE}: gains", f"{self.gains!r}", '"full", "diagonal", "scalar" or a mask')
+            if n_u != n_y:
+                raise InputError(f"{WHERE}: gains", f"{n_u} controls for {n_y} measurements", "as many of both")
+            if self.gains == "diagonal":
+                return [(f"[{i + 1}]", [(i, i)]) for i in range(n_u)]
+            return [("", [(i, i) for i in range(n_u)])]
+        free = _mask(self.gains, n_u, n_y)
+        return [(f"[{i + 1},{j + 1}]", [(int(i), int(j))]) for i, j in np.argwhere(free)]
+
+    def _gain(self, matrix: str, index: str, unit: str, i: int, j: int) -> Parameter:
+        given = None if self.start is None else self.start.get(matrix)
+        value = 0.0 if given is None else float(np.asarray(given) if np.ndim(given) == 0 else np.asarray(given)[i, j])
+        bound = float(self.limit)
+        if not bound > 0:
+            raise InputError(f"{WHERE}: limit", f"{bound:g}", "a positive number")
+        return Parameter(matrix + index, unit, -bound, bound, float(np.clip(value, -bound, bound)), abs(value))
+
+    # --- the thesis' layers ------------------------------------------------------------------------------------------
+
+    def _layers(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        n, two = len(controls), self.layout == "two-layer"
+        wanted = (4 if two else 3) * n
+        if len(measurements) != wanted:
+            order = "r, phi, phidot, torque" if two else "r, phi, phidot"
+            raise InputError(
+                f"{WHERE}: {self.layout}", f"{len(measurements)} measurements for {n} controls", f"{wanted}: {order}"
+            )
+        k = 3 * n if two else n
+        builder = AffineBuilder(k, n, wanted)
+        r, phi, rate, torque = (k + g * n for g in range(4))
+        for j in range(n):  # the integral of r - phi
+            builder.base[j, j] = 1.0 if dt else 0.0
+            builder.base[j, r + j], builder.base[j, phi + j] = dt or 1.0, -(dt or 1.0)
+            if two:  # xi' = m_ref - m, u = sigma - kd m
+                builder.base[n + j, torque + j] = -1.0
+                builder.base[k + j, 2 * n + j] = 1.0
+        row = n if two else k  # where m_ref enters
+        out = Signal("torque", measurements[3 * n].unit) if two else controls[0]
+        groups = self._groups(n, n)
+        for matrix, column, sign, signal, power in (
+            ("Kp", phi, -1.0, measurements[n], ""),
+            ("Kd", rate, -1.0, measurements[2 * n], ""),
+            ("Ki", 0, 1.0, measurements[0], "/s"),
+        ):
+            for name, places in groups:
+                entries = [(row + i, column + j, sign) for i, j in places]
+                builder.parameter(self._gain(matrix, name, _unit(out, signal, power), *places[0]), *entries)
+        if two:
+            self._torque_loops(builder, n, k, torque, measurements[3 * n], controls[0])
+        return builder.law()
+
+    def _torque_loops(self, builder: AffineBuilder, n: int, k: int, torque: int, m: Signal, u: Signal) -> None:
+        """One kp, ki, kd for the loops of all axes."""
+        for name, entries, unit in (
+            ("kp", [(2 * n + j, torque + j, -1.0) for j in range(n)], _unit(u, m, "/s")),
+            ("kd", [(k + j, torque + j, -1.0) for j in range(n)], _unit(u, m)),
+            ("ki", [(2 * n + j, n + j, 1.0) for j in range(n)], _unit(u, m, "/s2")),
+        ):
+            builder.parameter(self._gain(name, "", unit, 0, 0), *entries)
+
+
+def PID(terms: str = "PID", tau: Any = None, limit: float = np.inf, start: Any = None) -> MultichannelPID:
+    """One PID per channel: channel i of the measurements to control i; see `MultichannelPID`."""
+    return MultichannelPID("pid", "diagonal", terms, tau, limit, start)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoles(Structure):
+    r"""Given poles, free residues and free direct term: :math:`K = D + \sum_i R_i/(s - p_i)`.
+
+    Attributes
+    ----------
+    poles
+        Poles in rad/s (of a sampled controller: in the z-plane); complex ones in conjugate pairs. Each is used once
+        per measurement, so that the residues have full rank.
+    strictly_proper
+        True for no direct term.
+    """
+
+    poles: Sequence[complex]
+    strictly_proper: bool = False
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """See `Structure`."""
+        poles = np.asarray(self.poles, dtype=complex).ravel()
+        if not len(poles) or not np.isfinite(poles).all():
+            raise InputError(f"{WHERE}: poles", f"{list(poles)}", "at least one finite pole")
+        upper = [p for p in poles if p.imag > 0]
+        lower = sorted((p.conjugate() for p in poles if p.imag < 0), key=lambda p: (p.real, p.imag))
+        if len(upper) != len(lower) or not np.allclose(sorted(upper, key=lambda p: (p.real, p.imag)), lower):
+            raise InputError(f"{WHERE}: poles", "a complex pole without its conjugate", "conjugate pairs")
+        n_u, n_y = len(controls), len(measurements)
+        blocks = [np.array([[p.real]]) for p in poles if p.imag == 0]
+        blocks += [np.array([[p.real, p.imag], [-p.imag, p.real]]) for p in upper]
+        k = n_y * sum(len(b) for b in blocks)
+        builder = AffineBuilder(k, n_u, n_y)
+        at = 0
+        for number, block in enumerate(blocks):
+            for j in range(n_y):
+                size = len(block)
+                builder.base[at : at + size, at : at + size] = block
+                builder.base[at, k + j] = 1.0
+                for part, i in ((part, i) for part in range(size) for i in range(n_u)):
+                    text = f"R{number + 1}{'ab'[part] if size > 1 else ''}[{controls[i].name},{measurements[j].name}]"
+                    unit = _unit(controls[i], measurements[j], "" if dt else "/s")
+                    builder.parameter(Parameter(text, unit), (k + i, at + part, 1.0))
+                at += size
+        if not self.strictly_proper:
+            for i, u in enumerate(controls):
+                for j, y in enumerate(measurements):
+                    builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
+        return builder.law()
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A structure on named channels, as a part of `Decentralised`."""
+
+    structure: Structure
+    measurements: Sequence[str]
+    controls: Sequence[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Decentralised(Structure):
+    """Controllers side by side, each on its own channels.
+
+    Attributes
+    ----------
+    parts
+        `Part` objects with the names of their channels; or structures alone, one per channel in order.
+    """
+
+    parts: Sequence[Part | Structure]
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """See `Structure`."""
+        laws: list[Law] = []
+        rows: list[tuple[int, ...]] = []
+        columns: list[tuple[int, ...]] = []
+        plain = all(isinstance(part, Structure) for part in self.parts)
+        if not self.parts or (plain and not len(self.parts) == len(measurements) == len(controls)):
+            found = f"{len(self.parts)} parts for {len(measurements)} measurements and {len(controls)} controls"
+            raise InputError(f"{WHERE}: decentralised", found, "one for each channel, or Part(structure, names, names)")
+        for i, part in enumerate(self.parts):
+            if isinstance(part, Structure):
+                part = Part(part, [measurements[i].name], [controls[i].name])
+            y, u = _named(part.measurements, measurements, "measurement"), _named(part.controls, controls, "control")
+            law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
+            laws.append(_prefixed(law, f"{i + 1}."))
+            rows.append(u)
+            columns.append(y)
+        return DiagonalLaw(tuple(laws), tuple(rows), tuple(columns), len(controls), len(measurements))
+
+
+@dataclass(frozen=True, eq=False)
+class Sum(Structure):
+    """Two structures in parallel; ``a + b`` makes one."""
+
+    first: Structure
+    second: Structure
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """See `Structure`."""
+        one, two = (s.law(measurements, controls, dt) for s in (self.first, self.second))
+        return SumLaw(_prefixed(one, "1."), _prefixed(two, "2."))
+
+
+@dataclass(frozen=True, eq=False)
+class Series(Structure):
+    """``second * first``: the first sees the measurements, the second drives the controls.
+
+    Attributes
+    ----------
+    first, second
+        The structures.
+    signals
+        Names, or (name, unit) pairs, of the signals between them.
+    """
+
+    first: Structure
+    second: Structure
+    signals: Sequence[Any]
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        """See `Structure`."""
+        between = tuple(Signal(s) if isinstance(s, str) else Signal(*s) for s in self.signals)
+        if not between:
+            raise InputError(f"{WHERE}: series", "no signal between the two", "at least one name")
+        one, two = self.first.law(measurements, between, dt), self.second.law(between, controls, dt)
+        return SeriesLaw(_prefixed(one, "1."), _prefixed(two, "2."))
+
+
+@dataclass(frozen=True, eq=False)
+class _Prefixed:
+    """A law whose parameters carry a prefix, so that names stay unique."""
+
+    inner: Law
+    prefix: str
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(replace(p, name=self.prefix + p.name) for p in self.inner.parameters)
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        return self.inner.sizes
+
+    def packed(self, p: Array) -> Array:
+        return self.inner.packed(p)
+
+    def pullback(self, p: Array, G: Array) -> Array:
+        return self.inner.pullback(p, G)
+
+
+def _prefixed(law: Law, prefix: str) -> Law:
+    return _Prefixed(law, prefix)
+
+
+def _named(names: Sequence[str], known: Signals, kind: str) -> tuple[int, ...]:
+    names = [names] if isinstance(names, str) else list(names)
+    places = [s.name for s in known]
+    for name in names:
+        if name not in places:
+            raise InputError(
+                f"{WHERE}: {kind} {name!r}", "no such signal", f"one of {', '.join(places)}", did_you_mean(name, places)
+            )
+    return tuple(places.index(name) for name in names)
+
+
+def as_structure(structure: Any, rate: float) -> Structure:
+    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised).
+
+    The derivative filters of ``"pid"`` and ``"pd"`` get a time constant between 0.01 and 10 times ``1 / rate``, the
+    plant's own time.
+    """
+    if isinstance(structure, Structure):
+        return structure
+    if isinstance(structure, str):
+        if structure.lower() == "static":
+            return StaticGain()
+        if structure.lower() in ("p", "i", "pi", "pd", "pid"):
+            return PID(structure.upper(), (0.01 / rate, 10 / rate))
+        raise InputError(
+            f"{WHERE}: structure", f"{structure!r}", '"static", "p", "i", "pi", "pd", "pid", an order, a mask'
+        )
+    if isinstance(structure, (int, np.integer)) and not isinstance(structure, bool):
+        return StaticGain() if structure == 0 else FixedOrder(int(structure))
+    if isinstance(structure, (list, tuple)) and structure and all(isinstance(s, (Structure, Part)) for s in structure):
+        return Decentralised(structure)
+    if isinstance(structure, (list, tuple, np.ndarray)):
+        return StaticGain(np.asarray(structure))
+    raise InputError(f"{WHERE}: structure", f"{type(structure).__name__}", "a Structure, a name, an order or a mask")
+
+
+WORDS = ("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer", "order", "poles", "decentralised")
+GAINS = ("full", "diagonal", "scalar")
+
+
+def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
+    """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it.
+
+    Parameters
+    ----------
+    text
+        ``static``; ``p``, ``i``, ``pi``, ``pd``, ``pid`` (one per channel); ``order:N``; ``poles:-1,-20`` (rad/s);
+        ``ipd`` and ``two-layer``, the thesis' laws, with ``:full``, ``:diagonal`` or ``:scalar`` gains;
+        ``decentralised:WORD``, the same structure for every channel by itself.
+    plant
+        Its channels, and its time scale for the filters of derivatives.
+
+    Raises
+    ------
+    InputError
+        An unknown word, a number that is none.
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> plant = GeneralizedPlant(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1, 1)
+    >>> structure_in_words("order:2", plant)
+    2
+    """
+    where = f"structure {text!r}"
+    word, _, rest = text.strip().lower().partition(":")
+    if word not in WORDS:
+        raise InputError(where, "unknown", f"one of {', '.join(WORDS)}", did_you_mean(word, WORDS))
+    if word == "order":
+        return _order(where, rest)
+    if word == "poles":
+        return FixedPoles(_poles(where, rest))
+    if word in ("ipd", "two-layer"):
+        gains = rest or "full"
+        if gains not in GAINS:
+            raise InputError(where, f"gains {gains!r}", f"one of {', '.join(GAINS)}", did_you_mean(gains, GAINS))
+        return MultichannelPID(word, gains)
+    if word == "decentralised":
+        rate = common_scaling([plant])[0].rate
+        part = as_structure(structure_in_words(rest, plant), rate)
+        return Decentralised([part] * len(plant.controls))
+    if rest:
+        raise InputError(where, f"{rest!r} after {word}", "nothing")
+    return word
+
+
+def _order(where: str, text: str) -> int:
+    if not text.isdigit() or int(text) > 1000:
+        raise InputError(where, f"{text!r}", "a whole number from 0 to 1000: order:3")
+    return int(text)
+
+
+def _poles(where: str, text: str) -> list[complex]:
+    try:
+        return [complex(part.strip()) for part in text.split(",")]
+    except ValueError:
+        raise InputError(where, f"{text!r}", "numbers: poles:-1,-20 or poles:-1+2j,-1-2j") from None

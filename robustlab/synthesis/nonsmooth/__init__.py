@@ -1,0 +1,1 @@
+"""Nonsmooth optimisation of loops: families of closed loops, objectives with their gradients, descent."""

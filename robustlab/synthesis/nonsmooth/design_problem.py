@@ -1,0 +1,299 @@
+"""A controller law on one plant or several, as functions of a vector without units: what the search makes small."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import Budget, dense
+from robustlab.synthesis.laws.controller_laws import Law, Parameter
+from robustlab.synthesis.nonsmooth.active_peaks import Piece
+from robustlab.synthesis.nonsmooth.design_limits import Limit, RollOff, StableController
+from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated
+
+__all__ = ["DesignProblem", "common_scaling"]
+
+Array = NDArray[Any]
+
+# Share of the range between two bounds that a start keeps away from them.
+INSIDE = 1e-3
+
+
+def common_scaling(plants: Sequence[GeneralizedPlant]) -> list[Scaling]:
+    """A scaling for every plant that differs only in the states: signals and time unit are those of the first."""
+    matrices = [plant.matrices() for plant in plants]
+    first = equilibrated(matrices[0])
+    if plants[0].model.dt:
+        first = replace(first, rate=1.0)
+    return [first, *(replace(first, states=equilibrated(other).states) for other in matrices[1:])]
+
+
+@dataclass(frozen=True)
+class _Coordinate:
+    """How a free parameter follows from a search variable: linearly, or so that it stays within its bounds."""
+
+    parameter: Parameter
+    size: float
+    logarithmic: bool
+
+    def value(self, v: float) -> tuple[float, float]:
+        """The parameter and its derivative."""
+        q = self.parameter
+        if np.isfinite(q.low) and np.isfinite(q.high):
+            low, high = (np.log(q.low), np.log(q.high)) if self.logarithmic else (q.low, q.high)
+            half = 0.5 * (high - low)
+            t = v * min(self.size / half, 1.0) if not self.logarithmic else v
+            scale = min(self.size / half, 1.0) if not self.logarithmic else 1.0
+            p, slope = low + half * (1 + np.sin(t)), half * np.cos(t) * scale
+            return (float(np.exp(p)), float(np.exp(p) * slope)) if self.logarithmic else (float(p), float(slope))
+        if np.isfinite(q.low) or np.isfinite(q.high):
+            root = np.sqrt(1 + v * v)
+            p, slope = self.size * (root - 1), self.size * v / root
+            return (q.low + p, slope) if np.isfinite(q.low) else (q.high - p, -slope)
+        return self.size * v, self.size
+
+    def variable(self, p: float) -> float:
+        """The search variable of a parameter value."""
+        q = self.parameter
+        if np.isfinite(q.low) and np.isfinite(q.high):
+            low, high = (np.log(q.low), np.log(q.high)) if self.logarithmic else (q.low, q.high)
+            share = ((np.log(p) if self.logarithmic else p) - low) / (high - low)
+            t = float(np.arcsin(2 * np.clip(share, INSIDE, 1 - INSIDE) - 1))
+            return t if self.logarithmic else t / min(self.size / (0.5 * (high - low)), 1.0)
+        if np.isfinite(q.low) or np.isfinite(q.high):
+            away = max((p - q.low) if np.isfinite(q.low) else (q.high - p), INSIDE * self.size) / self.size
+            return float(np.sqrt((1 + away) ** 2 - 1))
+        return p / self.size
+
+
+class DesignProblem:
+    """The closed loops of all plants as functions of the search variables v of a law.
+
+    Parameters
+    ----------
+    plants
+        Generalised plants with the same measurements, controls and sample time.
+    law
+        The controller.
+    objective
+        ``"hinf"`` or ``"h2"``: the largest norm over the plants.
+    limits
+        What the design must keep, strictly.
+    budget
+        Every evaluation is counted there. None: no limit.
+    """
+
+    def __init__(
+        self,
+        plants: Sequence[GeneralizedPlant],
+        law: Law,
+        objective: str,
+        limits: Sequence[Limit],
+        budget: Budget | None = None,
+    ) -> None:
+        self.budget = Budget() if budget is None else budget
+        self.plants, self.law, self.objective, self.limits = tuple(plants), law, objective, tuple(limits)
+        self.dt = plants[0].model.dt
+        scalings = common_scaling(plants)
+        self.scaling = scalings[0]
+        k = law.sizes[0]
+        rate, u, y = self.scaling.rate, self.scaling.u, self.scaling.y
+        # Theta of the scaled plant is left * Theta * right, entry by entry.
+        self._rows = np.concatenate([np.full(k, 1 / rate), 1 / u])[:, None]
+        self._columns = np.concatenate([np.ones(k), 1 / y])[None, :]
+        self.families = [
+            LoopFamily(s.apply(plant.matrices()), plant.D22 * y[:, None] * u, k, self.dt > 0)
+            for s, plant in zip(scalings, plants, strict=True)
+        ]
+        self._set_coordinates()
+        # Of one evaluation, as measured: of the law, and of every loop its poles and a norm with its gradient.
+        self._work = 300 + sum(dense(len(family.A), 2) for family in self.families)
+
+    def late(self) -> bool:
+        """Whether the budget is over."""
+        return self.budget.over
+
+    @property
+    def gain(self) -> float:
+        """Factor from a norm of the plants to that of the scaled plants."""
+        factor = self.scaling.gain
+        return factor / np.sqrt(self.scaling.rate) if self.objective == "h2" else factor
+
+    def _set_coordinates(self) -> None:
+        everything = self.law.parameters
+        start = np.array([np.clip(q.start, q.low, q.high) for q in everything], dtype=float)
+        self.fixed = start
+        self.free = np.array([j for j, q in enumerate(everything) if q.low < q.high], dtype=int)
+        sizes = self._natural_sizes(start)
+        self.coordinates: list[_Coordinate] = []
+        for j in self.free:
+            q = everything[j]
+            logarithmic = bool(np.isfinite(q.high) and q.low > 0 and q.high > 10 * q.low)
+            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic))
+        self.start = np.array([c.variable(float(start[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
+        self.centre = self.start + np.array([everything[j].centre for j in self.free])
+
+    def _natural_sizes(self, p: Array) -> Array:
+        """Changes of the parameters that change the scaled controller by one."""
+        base = self.law.packed(p)
+        sizes = np.ones(len(p))
+        for j in self.free:
+            moved = p.copy()
+            moved[j] += (step := max(abs(p[j]), 1.0))
+            change = np.linalg.norm((self.law.packed(moved) - base) * self._rows * self._columns) / step
+            sizes[j] = 1 / change if np.isfinite(change) and change > 0 else 1.0
+        return sizes
+
+    # --- variables, parameters, controllers --------------------------------------------------------------------------
+
+    def parameters(self, v: Array) -> tuple[Array, Array]:
+        """All parameters, and the derivatives of the free ones with respect to v."""
+        pairs = np.array([c.value(x) for c, x in zip(self.coordinates, v, strict=True)]).reshape(-1, 2)
+        p = self.fixed.copy()
+        p[self.free] = pairs[:, 0]
+        return p, pairs[:, 1]
+
+    def variables(self, p: Array) -> Array:
+        """Search variables of given parameters."""
+        return np.array([c.variable(float(p[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
+
+    def theta(self, p: Array) -> Array:
+        """The packed controller of the scaled plant."""
+        return self.law.packed(p) * self._rows * self._columns
+
+    def by_parameters(self, p: Array, G: Array) -> Array:
+        """Gradient with respect to the free parameters from that with respect to the scaled packed controller."""
+        return self.law.pullback(p, G * self._rows * self._columns)[self.free]
+
+    # --- what is made small ------------------------------------------------------------------------------------------
+
+    def instability(self, v: Array) -> tuple[float, Array | None]:
+        """Largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
+        self.budget.spend(self._work)
+        p, slopes = self.parameters(v)
+        theta = self.theta(p)
+        worst, at = -np.inf, np.zeros_like(theta)
+        for family in self.families:
+            value, G = family.abscissa(theta)
+            if G is None:
+                return np.inf, None
+            worst, at = (value, G) if value > worst else (worst, at)
+        return worst, self.by_parameters(p, at) * slopes
+
+    def violation(self, v: Array) -> tuple[float, Array | None]:
+        """Largest of the limits' values with its gradient; infinite where a loop is not stable, -1 without limits."""
+        self.budget.spend(self._work)
+        p, slopes = self.parameters(v)
+        theta = self.theta(p)
+        if not all(family.abscissa(theta)[0] < 0 for family in self.families):
+            return np.inf, None
+        worst, G = max(self.limit_values(theta), key=lambda pair: pair[0], default=(-1.0, np.zeros_like(theta)))
+        return worst, self.by_parameters(p, G) * slopes if np.isfinite(worst) else None
+
+    def limit_values(self, theta: Array) -> list[tuple[float, Array]]:
+        """The c and the gradient of every limit and plant; an infinite c where there is no value."""
+        found: list[tuple[float, Array]] = []
+        nothing = np.inf, np.zeros_like(theta)
+        for limit in self.limits:
+            if isinstance(limit, StableController):
+                found.append(limit.evaluate(self.families[0], theta, self.scaling.rate, self.dt) or nothing)
+                continue
+            if isinstance(limit, RollOff):  # in the plant's own signals: undo the scaling of u and y
+                u, y = self.scaling.u, self.scaling.y
+                k = self.law.sizes[0]
+                back = np.concatenate([np.ones(k), u])[:, None] * np.concatenate([np.ones(k), y])[None, :]
+                value = limit.evaluate(self.families[0], theta * back, self.scaling.rate, self.dt)
+                found.append(nothing if value is None else (value[0], value[1] * back))
+                continue
+            for family in self.families:
+                value = limit.evaluate(family, theta, self.scaling.rate, self.dt)
+                found.append(nothing if value is None else value)
+        return found
+
+    def values_of(self, limit: Limit) -> int:
+        """How many values a limit has in `limit_values`."""
+        return 1 if isinstance(limit, (RollOff, StableController)) else len(self.families)
+
+    def norm(self, v: Array, give_up_above: float = np.inf) -> tuple[float, Array | None]:
+        """Largest norm of the scaled loops with its gradient; infinite where a limit is not kept."""
+        p, slopes = self.parameters(v)
+        value, G = self._norm_at(p, give_up_above)
+        return value, None if G is None else self.by_parameters(p, G) * slopes
+
+    def _norm_at(self, p: Array, give_up_above: float) -> tuple[float, Array | None]:
+        self.budget.spend(self._work)
+        theta = self.theta(p)
+        if any(value >= 0 for value, _ in self.limit_values(theta)):
+            return np.inf, None
+        worst: tuple[float, Array | None] = -np.inf, None
+        for family in self.families:
+            found = family.norm(theta, give_up_above) if self.objective == "hinf" else family.h2_norm(theta)
+            if not np.isfinite(found[0]) or found[0] >= give_up_above:
+                return found[0], None
+            if found[0] > worst[0]:
+                worst = found
+        return worst
+
+    def value_at(self, q: Array) -> float:
+        """The norm at given free parameters."""
+        p = self.fixed.copy()
+        p[self.free] = q
+        return self._norm_at(p, np.inf)[0]
+
+    def pieces(self, q: Array, value: float, radius: float) -> list[Piece]:
+        """All peaks near the top as functions of the free parameters; a limit near its end counts as one."""
+        p = self.fixed.copy()
+        p[self.free] = q
+        self.budget.spend(2 * self._work)
+        theta = self.theta(p)
+        found: list[tuple[float, Array]] = []
+        for family in self.families:
+            if self.objective == "hinf":
+                found += family.active(theta, value, 0.1, 0.02 + 0.5 * radius)
+            else:
+                norm, G = family.h2_norm(theta)
+                if G is not None and norm > 0.8 * value:
+                    found.append((norm, G))
+        pieces = [Piece(f, self.by_parameters(p, G)) for f, G in found]
+        for c, G in self.limit_values(theta):
+            if np.isfinite(c) and c > -0.5:
+                pieces.append(Piece(c, self.by_parameters(p, G), limit=True))
+        return pieces
+
+    def barrier(self, z: Array, mu: float) -> tuple[float, Array | None]:
+        r"""``ln gamma + mu * (entropies and logarithmic barriers)`` at ``z = (v, ln gamma)``, with its gradient."""
+        v, log_gamma = z[:-1], float(z[-1])
+        if not -300 < log_gamma < 300:
+            return np.inf, None
+        gamma = float(np.exp(log_gamma))
+        self.budget.spend(2 * self._work)
+        p, slopes = self.parameters(v)
+        theta = self.theta(p)
+        total, by_theta, by_gamma = 0.0, np.zeros_like(theta), 0.0
+        for c, G in self.limit_values(theta):
+            if not c < 0:
+                return np.inf, None
+            total -= np.log(-c)
+            by_theta = by_theta - G / c
+        for family in self.families:
+            found = family.entropy(theta, gamma) if self.objective == "hinf" else _h2_barrier(family, theta, gamma)
+            if found is None:
+                return np.inf, None
+            total, by_theta, by_gamma = total + found[0], by_theta + found[1], by_gamma + found[2]
+        gradient = np.append(mu * self.by_parameters(p, by_theta) * slopes, 1 + mu * gamma * by_gamma)
+        return log_gamma + mu * total, gradient
+
+
+def _h2_barrier(family: LoopFamily, theta: Array, gamma: float) -> tuple[float, Array, float] | None:
+    """``-ln(1 - h^2/gamma^2)`` of an H2 norm h with its gradients; None where h is not below gamma."""
+    norm, G = family.h2_norm(theta)
+    if G is None or not norm < gamma:
+        return None
+    room = (gamma - norm) * (gamma + norm)
+    return -np.log(room / gamma**2), G * (2 * norm / room), -2 * norm**2 / (room * gamma)

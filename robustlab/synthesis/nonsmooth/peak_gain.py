@@ -1,0 +1,263 @@
+"""H-infinity norm as an objective: quick, warm-started, and free of the under-estimates that an optimiser walks into.
+
+Not a proof: finished designs are verified with `robustlab.norms.hinf_norm`. Frequencies here are those of a continuous
+loop; a discrete loop is mapped by the bilinear rule first (`bilinear`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.lapack import lapack
+
+__all__ = ["LoopMatrices", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "resolvent_point"]
+
+Array = NDArray[Any]
+
+# Relative height above the largest value met at which the Hamiltonian is asked for crossings.
+LEVEL = 1e-8
+MAX_LEVELS = 12
+GRID = 28
+# Eigenvalues of the Hamiltonian count as crossings up to this ratio of real part to modulus; sigma decides.
+NEAR_AXIS = 1e-3
+# Real parts of poles above this share of the norm of A cannot be told from zero.
+BLUR = 1e-13
+REFINEMENTS = 8
+
+
+class LoopMatrices(NamedTuple):
+    """Bare matrices of a closed loop from w to z."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+
+def bilinear(loop: LoopMatrices) -> LoopMatrices | None:
+    """The continuous loop of a discrete one under ``s = (z - 1)/(z + 1)``; None where a pole lies at z = -1."""
+    a, b, c, d = loop
+    n = a.shape[0]
+    if not n:
+        return loop
+    try:
+        e = np.linalg.inv(np.eye(n) + a)
+    except np.linalg.LinAlgError:
+        return None
+    root = np.sqrt(2.0)
+    return LoopMatrices(e @ (a - np.eye(n)), root * e @ b, root * c @ e, d - c @ e @ b)
+
+
+def bilinear_pullback(loop: LoopMatrices, by: LoopMatrices) -> LoopMatrices:
+    """Gradients with respect to a discrete loop from those with respect to its `bilinear` image."""
+    a, b, c, _ = loop
+    e = np.linalg.inv(np.eye(len(a)) + a)
+    eb, ce, root = e @ b, c @ e, np.sqrt(2.0)
+    by_a = 2 * e.T @ by.A @ e.T - root * (e.T @ by.B @ eb.T + ce.T @ by.C @ e.T) + ce.T @ by.D @ eb.T
+    return LoopMatrices(by_a, root * e.T @ by.B - ce.T @ by.D, root * by.C @ e.T - by.D @ eb.T, by.D)
+
+
+def resolvent_point(omega: float, discrete: bool) -> complex:
+    """The s (or z, of a loop that was mapped by `bilinear`) that belongs to a continuous frequency; inf allowed."""
+    if not discrete:
+        return 1j * omega
+    return -1.0 + 0j if np.isinf(omega) else (1 + 1j * omega) / (1 - 1j * omega)
+
+
+class _Modal:
+    """A loop in modal coordinates: the gain at many frequencies costs little; good for searching, not for the value."""
+
+    def __init__(self, loop: LoopMatrices) -> None:
+        a, b, c, d = loop
+        n = a.shape[0]
+        self.loop, self.d = loop, d
+        real, imag, _, right, info = lapack().dgeev(a, compute_vl=0)
+        self.poles = real + 1j * imag
+        self.stable = info == 0 and bool(real.max() < -BLUR * np.abs(a).max())
+        if not self.stable:
+            return
+        vectors = right.astype(complex)
+        for j in np.flatnonzero(imag > 0):
+            vectors[:, j] = right[:, j] + 1j * right[:, j + 1]
+            vectors[:, j + 1] = vectors[:, j].conj()
+        # Modes that almost coincide make the vectors almost dependent; a little accuracy is lost in the search only.
+        try:
+            self.b = np.linalg.solve(vectors, b.astype(complex))
+        except np.linalg.LinAlgError:
+            self.b = np.linalg.solve(vectors + 1e-12 * np.eye(n), b.astype(complex))
+        self.c = c @ vectors
+
+    def response(self, omega: Array) -> Array:
+        """Gain matrices at finite frequencies, shape (n_omega, n_z, n_w)."""
+        return (self.c[None] / (1j * omega[:, None, None] - self.poles)) @ self.b + self.d
+
+    def sigma(self, omega: Array, above: float = 0.0) -> Array:
+        """Largest singular values; where the Frobenius norm shows that it is at most ``above``, that norm."""
+        gain = self.response(omega)
+        size = np.linalg.norm(gain, axis=(1, 2))
+        if min(gain.shape[1:]) > 1:
+            ask = size > above
+            if above == 0.0:  # the largest value met bounds what is worth a decomposition
+                first = int(size.argmax())
+                top = np.linalg.svd(gain[first], compute_uv=False)[0]
+                ask = size > top
+                size[first], ask[first] = top, False
+            if ask.any():
+                size[ask] = np.linalg.svd(gain[ask], compute_uv=False)[:, 0]
+        return size
+
+    def slope(self, omega: float) -> tuple[float, float]:
+        """``sigma_max`` and its derivative with respect to the frequency."""
+        shift = 1j * omega - self.poles
+        left, s, right = np.linalg.svd((self.c / shift) @ self.b + self.d, full_matrices=False)
+        u, v = left[:, 0].conj(), right[0].conj()
+        return float(s[0]), float(np.real(((u @ self.c) / shift**2) @ (self.b @ v) * -1j))
+
+    def refined(self, omega: float, low: float, high: float) -> float:
+        """The maximiser of sigma near omega inside [low, high], by a safeguarded secant method on the slope."""
+        _, g = self.slope(omega)
+        if g == 0 or omega == 0.0:
+            return omega
+        low, high = (omega, high) if g > 0 else (low, omega)
+        at, g_at = (high, self.slope(high)[1]) if g > 0 else (low, self.slope(low)[1])
+        if g_at * g > 0:
+            return omega
+        for _ in range(REFINEMENTS):
+            step = omega - g * (omega - at) / (g - g_at)
+            inside = low + 0.02 * (high - low) <= step <= high - 0.02 * (high - low)
+            new = step if inside else 0.5 * (low + high)
+            g_new = self.slope(new)[1]
+            low, high = (new, high) if g_new > 0 else (low, new)
+            at, g_at, omega, g = omega, g, new, g_new
+            if high - low < 1e-9 * high or g == g_at or abs(omega - at) < 1e-6 * omega:
+                break
+        return omega
+
+
+class PeakFinder:
+    """Finds the peaks of one loop after the other; the frequencies of the last ones are tried first.
+
+    ``largest`` gives the norm; ``peaks`` all frequencies near the norm, for methods that need every active one.
+    """
+
+    def __init__(self) -> None:
+        self._warm: list[float] = []
+
+    def largest(self, loop: LoopMatrices, give_up_above: float = np.inf) -> tuple[float, float]:
+        """``(norm, frequency)``; infinite for a loop that is not stable.
+
+        Above ``give_up_above`` the first value met is returned: a line search asks no more.
+        """
+        n = loop.A.shape[0]
+        direct = float(np.linalg.norm(loop.D, 2)) if loop.D.any() else 0.0
+        if not n or not loop.B.size or not loop.C.size:
+            return direct, 0.0
+        if not all(np.isfinite(m).all() for m in loop):
+            return np.inf, np.nan
+        modal = _Modal(loop)
+        if not modal.stable:
+            return np.inf, np.nan
+        omega = self._frequencies(modal)
+        sigma = modal.sigma(omega)
+        if not np.isfinite(sigma).all():
+            return np.inf, np.nan
+        order = np.argsort(omega, kind="stable")
+        omega, sigma = omega[order], sigma[order]
+        k = int(sigma.argmax())
+        low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+        at = modal.refined(float(omega[k]), float(low), float(high)) if sigma[k] > direct else np.inf
+        value = _sigma_at(loop, at)
+        if value < direct:
+            value, at = direct, np.inf
+        if value < give_up_above:
+            value, at = self._above(loop, modal, value, at)
+        if np.isfinite(at) and at not in self._warm:
+            self._warm = [at, *self._warm[:3]]
+        return value, at
+
+    def _above(self, loop: LoopMatrices, modal: _Modal, value: float, at: float) -> tuple[float, float]:
+        """Raise the value until the Hamiltonian shows no crossing above it."""
+        for _ in range(MAX_LEVELS):
+            level = value * (1 + LEVEL)
+            crossing = crossings(loop, level)
+            if not len(crossing):
+                break
+            points = np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0]]])
+            sigma = modal.sigma(points, level)
+            k = int(sigma.argmax())
+            found = _sigma_at(loop, float(points[k]))
+            if found <= level:
+                break
+            near = crossing[crossing < points[k]].max(initial=0.0), crossing[crossing > points[k]].min(initial=np.inf)
+            refined = modal.refined(float(points[k]), float(near[0]), float(min(near[1], 4 * points[k])))
+            better = _sigma_at(loop, refined)
+            value, at = (better, refined) if better > found else (found, float(points[k]))
+        return value, at
+
+    def peaks(self, loop: LoopMatrices, value: float, share: float, band: float) -> list[float]:
+        """Frequencies of all local maxima above ``(1 - share) * value``, and of grid points above ``(1 - band)``."""
+        if not loop.A.shape[0]:
+            return [0.0]
+        modal = _Modal(loop)
+        direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
+        if not modal.stable:
+            return direct
+        omega = np.unique(np.concatenate([self._frequencies(modal, 2 * GRID), self._warm]))
+        sigma = modal.sigma(omega, (1 - share) * value)
+        sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
+        left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
+        found = list(omega[sigma > (1 - band) * value])
+        for k in np.flatnonzero((sigma >= left) & (sigma >= right) & (sigma > 0)):
+            low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+            found.append(modal.refined(float(omega[k]), float(low), float(high)))
+        return [*dict.fromkeys(found), *direct]
+
+    def _frequencies(self, modal: _Modal, grid: int = GRID) -> Array:
+        poles = modal.poles[modal.poles.imag >= 0]
+        size = np.abs(poles)
+        resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
+        wide = np.geomspace(size.min() / 10, size.max() * 10, grid)
+        omega = np.concatenate([[0.0], size, poles.imag, resonance, wide, self._warm])
+        return np.unique(omega)
+
+
+def crossings(loop: LoopMatrices, level: float) -> Array:
+    """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
+    a, b, c, d = loop
+    root = np.sqrt(level)
+    b, c = b / root, c / root
+    if d.any():
+        d = d / level
+        try:
+            br = np.linalg.solve(np.eye(d.shape[1]) - d.T @ d, np.hstack([b.T, d.T @ c]))
+            cs = np.linalg.solve(np.eye(d.shape[0]) - d @ d.T, c)
+        except np.linalg.LinAlgError:
+            return np.zeros(0)
+        a = a + b @ br[:, a.shape[0] :]
+        upper, lower = b @ br[:, : a.shape[0]], c.T @ cs
+    else:
+        upper, lower = b @ b.T, c.T @ c
+    hamiltonian = np.block([[a, upper], [-lower, -a.T]])
+    if not np.isfinite(hamiltonian).all():
+        return np.zeros(0)
+    real, imag, _, _, info = lapack().dgeev(hamiltonian, compute_vl=0, compute_vr=0)
+    if info:
+        return np.zeros(0)
+    size = np.hypot(real, imag)
+    near = (imag >= 0) & (np.abs(real) <= NEAR_AXIS * size + 1e-12 * size.max())
+    return np.unique(imag[near])
+
+
+def _sigma_at(loop: LoopMatrices, omega: float) -> float:
+    """``sigma_max`` by a direct solve."""
+    if not np.isfinite(omega):
+        return float(np.linalg.norm(loop.D, 2))
+    a, b, c, d = loop
+    _, _, x, info = lapack().zgesv(1j * omega * np.eye(a.shape[0]) - a, b)
+    gain = c @ x + d
+    if info or not np.isfinite(gain).all():
+        return np.inf
+    return float(np.linalg.svd(gain, compute_uv=False)[0])

@@ -1,0 +1,240 @@
+r"""What a closed loop is worth: its H-infinity norm, its H2 norm, or its robust performance, each with its proof.
+
+For robust performance with scalings D of the perturbation,
+
+.. math:: \sup_\omega \mu(F_l(P, K)) \le \| D_z F_l(P, K) D_w^{-1} \|_\infty
+
+holds at every frequency; without scalings the mu analysis finds its own on intervals that cover the axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from robustlab.budget import MILLION, Budget, dense
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, with_performance
+from robustlab.mu_analysis.matrix.bounds import mu
+from robustlab.mu_analysis.matrix.upper import points_work
+from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_norm, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, append, as_model, series
+from robustlab.synthesis.problem.independent_check import norm_doubt
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.uncertainty.blocks.base import Block, FullBlock, structure_size
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = [
+    "MeasureName",
+    "Performance",
+    "PerformanceMeasure",
+    "Scalings",
+    "given_scalings",
+    "make_measure",
+    "scaled_plant",
+]
+
+MeasureName = Literal["hinf", "h2", "mu"]
+Evidence = HinfNorm | H2Norm | Margin
+Scalings = tuple[StateSpaceModel, StateSpaceModel]
+
+# Points of the grid on which candidates are compared before one of them is proved.
+GRID = 60
+MARGIN_WORK = 30 * MILLION  # at most, of the proof of one candidate without scalings
+
+
+@dataclass(frozen=True)
+class Performance:
+    """A verified upper bound of the measure, its evidence, the frequency of the peak (NaN where there is none), and why
+    plant and controller, evaluated separately, do not confirm it (empty where they do).
+    """
+
+    value: float
+    evidence: Evidence
+    frequency: float
+    doubt: str = ""
+
+    @property
+    def status(self) -> Status:
+        """How much the value can be trusted."""
+        return Status.INACCURATE if self.doubt else self.evidence.status
+
+
+@dataclass(frozen=True, eq=False)
+class PerformanceMeasure:
+    """A measure of closed loops of one generalised plant; small is good.
+
+    Attributes
+    ----------
+    plant
+        The plant as given.
+    name
+        ``"hinf"``, ``"h2"`` or ``"mu"``.
+    blocks
+        Perturbation blocks of the plant's first inputs and outputs, without the performance block; for ``"mu"``.
+    scaled
+        The plant with scalings, whose closed-loop norm bounds mu; None without scalings.
+    budget
+        Estimates and proofs are counted there.
+    """
+
+    plant: GeneralizedPlant
+    name: MeasureName
+    blocks: tuple[Block, ...] = ()
+    scaled: GeneralizedPlant | None = None
+    budget: Budget = field(default_factory=Budget)
+
+    @property
+    def text(self) -> str:
+        """The measure in words."""
+        if self.name == "mu":
+            return "mu of robust performance, at all frequencies" + (" (by the scalings given)" if self.scaled else "")
+        return {"hinf": "H-infinity norm", "h2": "H2 norm"}[self.name]
+
+    @property
+    def gramian_plant(self) -> GeneralizedPlant:
+        """The plant whose closed-loop Gramians tell what matters: the scaled one where there is one."""
+        return self.scaled or self.plant
+
+    def certified(self, K: StateSpaceModel) -> Performance:
+        """The measure of the loop with K, proved; infinite where the loop is not stable.
+
+        Raises
+        ------
+        InputError
+            The loop is not well posed.
+        """
+        if self.name == "mu" and self.scaled is None:
+            return self._margin(self.plant.close(K), K)
+        plant = self.scaled or self.plant
+        loop = plant.close(K)
+        self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
+        norm = h2_norm(loop) if self.name == "h2" else hinf_norm(loop)
+        value, frequency = (norm.value, np.nan) if isinstance(norm, H2Norm) else (norm.upper, norm.frequency)
+        if not np.isfinite(value):
+            return Performance(value, norm, frequency)
+        value, doubt = norm_doubt(plant, K, loop, norm)
+        return Performance(value, norm, frequency, doubt)
+
+    def _margin(self, loop: StateSpaceModel, K: StateSpaceModel) -> Performance:
+        try:
+            part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
+            margin = margin_within(with_performance(_uncertain(loop, self.blocks)), part, tolerance=1e-3)
+        except NoTrustworthyNumber:  # the nominal loop is not stable
+            norm = hinf_norm(loop)
+            return Performance(np.inf, norm, np.nan)
+        value = 1 / margin.lower if margin.lower > 0 else np.inf
+        _, doubt = norm_doubt(self.plant, K, loop, hinf_norm(loop))
+        return Performance(value, margin, float("nan") if margin.frequency is None else margin.frequency, doubt)
+
+    def estimate(self, K: StateSpaceModel) -> float:
+        """A quick estimate from below, on a grid; inf where the loop is not stable or not well posed."""
+        try:
+            loop = (self.scaled or self.plant).close(K)
+            self.budget.spend(dense(loop.n_states, 4))
+            if not loop.is_stable():
+                return np.inf
+            if self.name == "h2":
+                return h2_norm(loop).value
+            omega = default_grid(loop, GRID)
+            response = frequency_response(loop, omega)
+        except (InputError, NoTrustworthyNumber):
+            return np.inf
+        if not np.isfinite(response).all():
+            return np.inf
+        gain = np.linalg.norm(response, 2, axis=(1, 2)) if response.size else np.zeros(1)
+        if self.name == "hinf" or self.scaled is not None:
+            return float(gain.max())
+        blocks = (*self.blocks, _performance_block(loop, self.blocks))
+        self.budget.spend(2 * points_work(blocks, len(response)))
+        bounds = mu(response, blocks)
+        return float(np.max(bounds.upper))
+
+
+def make_measure(
+    plant: GeneralizedPlant, name: str, blocks: Sequence[Block] | None, scalings: Any, where: str, budget: Budget
+) -> PerformanceMeasure:
+    """The measure that the arguments of a public function ask for, checked; its work is counted in ``budget``."""
+    if name not in ("hinf", "h2", "mu"):
+        raise InputError(where, f"measure {name!r}", "'hinf', 'h2' or 'mu'")
+    if name != "mu" and (blocks is not None or scalings is not None):
+        raise InputError(where, f"blocks or scalings with measure {name!r}", "measure='mu'")
+    if name != "mu":
+        return PerformanceMeasure(plant, name, budget=budget)
+    known = tuple(plant.blocks if blocks is None else blocks)
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    if known and structure_size(known) == (n_w, n_z) and isinstance(known[-1], FullBlock):
+        known = known[:-1]  # the last block is the performance block
+    if scalings is not None:
+        scaled = scaled_plant(plant, given_scalings(scalings, plant.model.dt, where), where)
+        return PerformanceMeasure(plant, "mu", known, scaled, budget)
+    q, p = structure_size(known) if known else (0, 0)
+    if not known or q >= n_w or p >= n_z:
+        raise InputError(
+            where, f"blocks of {q} inputs and {p} outputs in a plant with {n_w} and {n_z}",
+            "blocks of the plant's first channels, and channels of performance behind them", "blocks=",
+        )  # fmt: skip
+    return PerformanceMeasure(plant, "mu", known, None, budget)
+
+
+def scaled_plant(plant: GeneralizedPlant, scalings: Scalings, where: str = "scaled plant") -> GeneralizedPlant:
+    r"""The plant with ``z -> D_z z`` and ``w -> D_w^{-1} w``; ``scalings`` is ``(D_z, D_w^{-1})``, both stable."""
+    on_z, on_w = scalings
+    m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
+    n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
+    for name, d, size in (("D_z", on_z, n_z), ("D_w^-1", on_w, n_w)):
+        if (d.n_outputs, d.n_inputs) != (size, size):
+            raise InputError(where, f"{name} is {d.n_outputs} x {d.n_inputs}", f"{size} x {size}")
+        if d.n_states and not d.is_stable():
+            raise InputError(where, f"{name} is not stable", "a stable scaling with a stable inverse")
+    wide = series(append(_plain(on_w, m.dt), _straight(n_u, m.dt)), _plain(m, m.dt))
+    wide = series(wide, append(_plain(on_z, m.dt), _straight(n_y, m.dt)))
+    return GeneralizedPlant(wide.renamed(m.inputs, m.outputs), n_y, n_u, plant.blocks)
+
+
+def given_scalings(scalings: Any, dt: float, where: str) -> Scalings:
+    """The pair ``(D_z, D_w^-1)`` for a plant with this sample time.
+
+    A pair of models, or anything with ``on_outputs()`` and ``on_inputs()`` that give the matrices of the two: those are
+    continuous, and meant for the bilinear image of a discrete plant.
+    """
+    if hasattr(scalings, "on_outputs") and hasattr(scalings, "on_inputs"):
+        if getattr(scalings, "mixed", False):
+            raise InputError(where, "scalings with G for real blocks", "D scalings alone, or none", "leave them out")
+        made = StateSpaceModel(*scalings.on_outputs()), StateSpaceModel(*scalings.on_inputs())
+        return (bilinear_to_discrete(made[0], dt), bilinear_to_discrete(made[1], dt)) if dt else made
+    try:
+        on_z, on_w = scalings
+    except (TypeError, ValueError):
+        raise InputError(where, f"scalings of type {type(scalings).__name__}", "the pair (D_z, D_w^-1)") from None
+    pair = as_model(on_z, f"{where}: D_z"), as_model(on_w, f"{where}: D_w^-1")
+    for model in pair:
+        if model.n_states and model.dt != dt:
+            raise InputError(where, f"a scaling with dt = {model.dt:g} s", f"dt = {dt:g} s, that of the plant")
+    return pair
+
+
+def _plain(m: StateSpaceModel, dt: float) -> StateSpaceModel:
+    """With names and units left out, which the scalings' channels do not share."""
+    return StateSpaceModel(m.A, m.B, m.C, m.D, m.dt or dt)
+
+
+def _straight(n: int, dt: float) -> StateSpaceModel:
+    names = [f"straight{i}" for i in range(n)]
+    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n), dt, names, names)
+
+
+def _performance_block(loop: StateSpaceModel, blocks: tuple[Block, ...]) -> FullBlock:
+    q, p = structure_size(blocks)
+    return FullBlock(PERFORMANCE, loop.n_inputs - q, loop.n_outputs - p)
+
+
+def _uncertain(loop: StateSpaceModel, blocks: tuple[Block, ...]) -> UncertainModel:
+    return UncertainModel(loop, blocks)

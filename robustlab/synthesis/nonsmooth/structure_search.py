@@ -1,0 +1,277 @@
+"""Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish.
+
+Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
+and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
+
+Every start goes through the same steps, and the budget of the problem counts evaluations, so that the same seed gives
+the same answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.synthesis.nonsmooth.active_peaks import Function, bfgs, sequential_linear
+from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
+
+__all__ = ["Start", "central_path", "multi_start", "polished", "stabilised"]
+
+Array = NDArray[Any]
+
+# The abscissa (in scaled time) at which a start counts as stable, and the steps that move it further inside.
+STABLE = -1e-6
+STABILISE_STEPS, DEEPER_STEPS, DEEP = 300, 15, -0.5
+# Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
+BARRIER = (3.0, 1.0, 0.3)
+CLOSER = (0.1, 0.03)
+BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
+DESCENT_STEPS, DESCENT_RTOL = 40, 1e-6
+# Steps down the norm that a round gives every start, and how many starts go on to the next round.
+ROUNDS = ((12, 8), (30, 4), (90, 3))
+ROUND_RTOL = 1e-5
+# Starts that are followed to the end of the path, and those of them that are polished.
+FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 3, 2, 8, 40
+HEADROOM = 1.5
+# Ends whose norms differ by less than this share count as the same optimum.
+SAME = 1e-4
+
+
+@dataclass(frozen=True)
+class Start:
+    """What became of one start.
+
+    Attributes
+    ----------
+    kind
+        ``"given"``, ``"static"``, ``"reduced"``, ``"structure"`` (its own start) or ``"random"``.
+    instability
+        Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
+    gamma
+        Norm at its end, in the plant's units, before verification; inf where it was never stable.
+    p
+        Its parameters.
+    values
+        Norms on the way.
+    """
+
+    kind: str
+    instability: float
+    gamma: float
+    p: Array
+    values: tuple[float, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the parameters."""
+        return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
+
+
+def stabilised(problem: DesignProblem, v: Array) -> tuple[Array, float]:
+    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
+
+    The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
+    """
+
+    def loops(x: Array, _: float) -> tuple[float, Array | None]:
+        return problem.instability(x)
+
+    def limits(x: Array, _: float) -> tuple[float, Array | None]:
+        return problem.violation(x)
+
+    v, value = _below_zero(problem, loops, v)
+    if value >= STABLE or not problem.limits:
+        return v, value
+    return _below_zero(problem, limits, v)
+
+
+def _below_zero(problem: DesignProblem, function: Function, v: Array) -> tuple[Array, float]:
+    """Descent until the function is negative, and a few steps further."""
+    value = function(v, np.inf)[0]
+    if value < STABLE:
+        return v, value
+    found = bfgs(function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE, late=problem.late)
+    if found is None or found.value >= STABLE:
+        return (v, value) if found is None else (found.x, found.value)
+    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP, late=problem.late)
+    return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
+
+
+def central_path(problem: DesignProblem, v: Array, weights: Sequence[float] = BARRIER) -> tuple[Array, list[float]]:
+    """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
+    best, at = problem.norm(v)[0], v
+    values = [best]
+    if not np.isfinite(best) or best <= 0:
+        return v, values
+    z = np.append(v, np.log(HEADROOM * best))
+    for mu in weights:
+
+        def function(x: Array, _: float, mu: float = mu) -> tuple[float, Array | None]:
+            return problem.barrier(x, mu)
+
+        found = bfgs(function, z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL, late=problem.late)
+        if found is None or problem.late():
+            break
+        z = found.x
+        value = problem.norm(z[:-1])[0]
+        values.append(value)
+        if value < best:
+            best, at = value, z[:-1]
+    return at, values
+
+
+def _descended(problem: DesignProblem, v: Array) -> tuple[Array, float]:
+    found = bfgs(problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL, late=problem.late)
+    return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
+
+
+def polished(problem: DesignProblem, p: Array) -> tuple[Array, float]:
+    """Parameters improved by sequential linear programs and descents in turn."""
+    free = problem.free
+    low = np.array([c.parameter.low for c in problem.coordinates])
+    high = np.array([c.parameter.high for c in problem.coordinates])
+    p = p.copy()
+    value = problem.value_at(p[free])
+    for _ in range(POLISH_ROUNDS):
+        if problem.late():
+            break
+        q, reached = sequential_linear(
+            problem.value_at, problem.pieces, p[free], low, high, max_steps=POLISH_STEPS, late=problem.late
+        )
+        full = p.copy()
+        full[free] = q
+        v, descended = _descended(problem, problem.variables(full))
+        if descended < reached:
+            full, reached = problem.parameters(v)[0], descended
+        gained = reached < value * (1 - 3e-4)
+        if reached < value:
+            p, value = full, reached
+        if not gained:
+            break
+    return p, value
+
+
+def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> Array:
+    """A random start; ``uneven`` ones spread their parameters over decades, because channels differ that much."""
+    count = len(problem.free)
+    spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
+    draw = rng.standard_normal(count)
+    centred = np.array([c.parameter.centre != 0 for c in problem.coordinates], dtype=bool)
+    bounded = np.array([c.logarithmic for c in problem.coordinates], dtype=bool)
+    return problem.centre + draw * np.select([centred, bounded], [0.5, 0.3], spread)
+
+
+@dataclass(frozen=True)
+class _Runner:
+    """A start on its way down: its variables, scaled norm, and the descent's inverse Hessian to go on with."""
+
+    start: Start
+    v: Array
+    value: float
+    inverse: Array | None = None
+    stands: bool = False
+
+
+def multi_start(
+    problem: DesignProblem,
+    given: Sequence[tuple[str, Array]],
+    starts: int,
+    seed: int,
+    progress: Callable[[str], None],
+) -> list[Start]:
+    """All starts, the best ones polished; best first. Those that were never stable come last.
+
+    ``given`` are pairs of a kind and parameters; they, and the structure's own start, also take the whole central path.
+    """
+    field: list[_Runner] = []
+    total = len(given) + 1 + starts
+    for i in range(total):
+        if problem.late() and field:
+            break
+        if i < len(given):
+            kind, v = given[i][0], problem.variables(given[i][1])
+        elif i == len(given):
+            kind, v = "structure", problem.start
+        else:
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i - len(given),)))
+            kind, v = "random", _random(problem, rng, (i - len(given)) % 2 == 0)
+        field.append(_entered(problem, kind, v))
+        best = min(runner.start.gamma for runner in field)
+        text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
+        progress(f"start {i + 1} of {total}: norm {field[-1].start.gamma:.6g}, {text}")
+    for steps, keep in ROUNDS:
+        field = _distinct_first(field)
+        field = [_further(problem, r, steps) if i < keep else r for i, r in enumerate(field)]
+    found = [r.start for r in _distinct_first(field)]
+    followed = [_followed(problem, s) if i < FOLLOWED else s for i, s in enumerate(found)]
+    return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), progress)
+
+
+def _entered(problem: DesignProblem, kind: str, v: Array) -> _Runner:
+    """A start made stable; with limits, or where it is not a random one, taken along the central path."""
+    v, instability = stabilised(problem, v)
+    if instability >= STABLE:
+        return _Runner(Start(kind, instability, np.inf, problem.parameters(v)[0], ()), v, np.inf, stands=True)
+    value = problem.norm(v)[0]
+    values = [value]
+    if kind != "random" or problem.limits:
+        v, values = central_path(problem, v)
+        value = min(values)
+    gammas = tuple(x / problem.gain for x in values)
+    start = Start(kind, instability, value / problem.gain, problem.parameters(v)[0], gammas)
+    return _further(problem, _Runner(start, v, value), ROUNDS[0][0])
+
+
+def _further(problem: DesignProblem, runner: _Runner, steps: int) -> _Runner:
+    """A start some steps further down the norm."""
+    if runner.stands or not np.isfinite(runner.value) or runner.value == 0 or problem.late():
+        return runner
+    found = bfgs(problem.norm, runner.v, max_steps=steps, rtol=ROUND_RTOL, inverse=runner.inverse, late=problem.late)
+    if found is None or not found.value < runner.value:
+        return replace(runner, stands=True)
+    p, gamma = problem.parameters(found.x)[0], found.value / problem.gain
+    start = replace(runner.start, gamma=gamma, p=p, values=(*runner.start.values, gamma))
+    return _Runner(start, found.x, found.value, found.inverse, found.steps < steps)
+
+
+def _distinct_first(field: list[_Runner]) -> list[_Runner]:
+    """By norm, but those that ended where a better one has ended come last."""
+    first: list[_Runner] = []
+    again: list[_Runner] = []
+    for runner in sorted(field, key=lambda r: r.value):
+        same = any(abs(r.value - runner.value) <= SAME * runner.value for r in first if np.isfinite(runner.value))
+        (again if same else first).append(runner)
+    return first + again
+
+
+def _followed(problem: DesignProblem, start: Start) -> Start:
+    """A start taken along the path from where it is, and down the norm itself."""
+    if not np.isfinite(start.gamma) or start.gamma == 0 or problem.late():
+        return start
+    v, values = central_path(problem, problem.variables(start.p), CLOSER)
+    v, value = _descended(problem, v)
+    norms = (*start.values, *(x / problem.gain for x in (*values[1:], value)))
+    gamma = value / problem.gain
+    if not gamma < start.gamma:
+        return start
+    return Start(start.kind, start.instability, gamma, problem.parameters(v)[0], norms)
+
+
+def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
+    done: list[Start] = []
+    ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
+    for start in found:
+        new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > SAME * start.gamma for end in ends)
+        if len(ends) == POLISHED or not new or start.gamma == 0 or problem.late():
+            done.append(start)
+            continue
+        ends.append(start.gamma)
+        p, value = polished(problem, start.p)
+        gamma = value / problem.gain
+        if gamma < start.gamma:
+            progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")
+        done.append(Start(start.kind, start.instability, gamma, p, (*start.values, gamma)))
+    return sorted(done, key=lambda s: s.gamma)

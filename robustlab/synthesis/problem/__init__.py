@@ -1,0 +1,1 @@
+"""Where every design starts and ends: partition, assumptions, scaling; the rebuilt loop and the second voice."""

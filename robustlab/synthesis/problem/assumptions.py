@@ -1,0 +1,189 @@
+"""What a plant must have, stabilisable modes; and what the Riccati method would like, penalties and noises."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.magnitude import is_moderate, refuse_overflow
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
+
+__all__ = ["broken_assumptions", "require_stabilisable"]
+
+# sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
+# order one).
+PBH_TOLERANCE = 1e-11
+# Channels weaker than this share of the fastest pole are made as strong before they are judged.
+WEAK = 1e-6
+# Real parts within this share of the largest modulus count as "on the axis".
+AXIS = 1e-10
+# A singular value of D12 or D21 below this (plant scaled to order one) is regularised.
+DIRECT = 1e-6
+# sigma_min of the system matrix below this share of its norm is a zero; candidates this near to the axis are looked at.
+ZERO, NEAR = 1e-9, 1e-5
+
+
+def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, rate: float = 1.0) -> None:
+    r"""Popov-Belevitch-Hautus test of all unstable and marginal modes.
+
+    .. math:: \mathrm{rank}\,[A - \lambda I,\ B_2] = n, \qquad \mathrm{rank}\,[A - \lambda I;\ C_2] = n
+
+    Parameters
+    ----------
+    p
+        Scaled plant; its time unit is ``1/rate`` s.
+    states
+        Names of its states, for the message.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        A mode fails; the message says which, whether the controls cannot move it or the measurements do not see it, and
+        the state that takes part in it most.
+    """
+    if not p.A.size:
+        return
+    refuse_overflow(where, p.A, p.B2, p.C2)
+    ordinary = 1.0 if is_moderate(p.A) else float(np.ldexp(1.0, np.clip(np.frexp(np.abs(p.A).max())[1], -1000, 1000)))
+    if ordinary != 1.0:  # modes are told apart in their own unit of time
+        p, rate = replace(p, A=p.A / ordinary), rate * ordinary
+    poles = np.linalg.eigvals(p.A)
+    size = max(float(np.abs(poles).max()), 1e-300)
+    # How strong a control or a measurement is depends on its unit: each counts as if it were as large as A.
+    into, out = _like(p.B2, 0, size), _like(p.C2, 1, size)
+    faults: list[str] = []
+    for pole in poles[(poles.real >= -AXIS * size) & (poles.imag >= 0)]:
+        shifted = p.A - pole * np.eye(p.A.shape[0])
+        for matrix, text in (
+            (np.hstack([shifted, into]).conj().T, "cannot be moved by the controls"),
+            (np.vstack([shifted, out]), "does not show in the measurements"),
+        ):
+            state = _null_state(matrix)
+            if state is not None:
+                kind = "unstable" if pole.real > AXIS * size else "marginal"
+                faults.append(f"{kind} mode s = {_text(pole * rate)} rad/s (mostly state {states[state]}) {text}")
+    if faults:
+        raise NoTrustworthyNumber(
+            where,
+            f"no stabilising controller exists: {faults[0]}",
+            hint="add an actuator or a sensor for it, or take it out (robustlab.structural.drop_unconnected)",
+            more=tuple(dict.fromkeys(faults[1:])),
+        )
+
+
+def _like(matrix: NDArray[Any], axis: int, size: float) -> NDArray[Any]:
+    """Columns (axis 0) or rows (axis 1) that are too weak beside ``size`` to be told from rounding, made as large."""
+    norms = np.linalg.norm(matrix, axis=axis, keepdims=True)
+    weak = (norms > 0) & (norms < WEAK * size)
+    return matrix * np.where(weak, size / np.where(weak, norms, 1.0), 1.0)
+
+
+def _null_state(matrix: NDArray[Any]) -> int | None:
+    """Index of the largest entry of the null vector of a tall matrix, or None where it has full column rank."""
+    n = matrix.shape[1]
+    _, sigma, vh = np.linalg.svd(matrix)
+    if len(sigma) == n and sigma[-1] > PBH_TOLERANCE * max(float(sigma[0]), 1.0):
+        return None
+    return int(np.argmax(np.abs(vh[n - 1])))
+
+
+def _text(pole: complex) -> str:
+    return f"{pole.real:.6g}" if abs(pole.imag) <= AXIS * abs(pole) else f"{pole.real:.6g}{pole.imag:+.6g}j"
+
+
+def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 1.0) -> tuple[str, ...]:
+    r"""Assumptions of the Riccati method that the plant does not meet, each with what it means physically.
+
+    .. math:: \mathrm{rank}\,D_{12} = n_u, \quad \mathrm{rank}\,D_{21} = n_y, \quad
+        \mathrm{rank} \begin{bmatrix} A - j\omega I & B_2 \\ C_1 & D_{12} \end{bmatrix} = n + n_u, \quad
+        \mathrm{rank} \begin{bmatrix} A - j\omega I & B_1 \\ C_2 & D_{21} \end{bmatrix} = n + n_y
+
+    None of them is fatal: the search adds small penalties and noises where one is broken.
+
+    Parameters
+    ----------
+    p
+        Scaled plant; its time unit is ``1/rate`` s.
+    plant
+        The plant as given, for the names.
+
+    References
+    ----------
+    Zhou, Doyle, Glover 1996, section 17.1, assumptions (ii) to (iv).
+    """
+    controls, measurements = ([s.name for s in group] for group in (plant.controls, plant.measurements))
+    found = [
+        f"{name} has no direct penalty: no performance output limits how fast it may act (D12 lacks column rank)"
+        for name in _free_channels(p.D12, controls, "control")
+    ]
+    found += [
+        f"{name} has no direct noise: nothing limits how much it may be differentiated (D21 lacks row rank)"
+        for name in _free_channels(p.D21.T, measurements, "measurement")
+    ]
+    states = plant.model.state_names
+    sides = (
+        (p.A, p.B2, p.C1, p.D12, "can go on undamped without any performance output showing it"),
+        (
+            p.A.T,
+            p.C2.T,
+            p.B1.T,
+            p.D21.T,
+            "can go on undamped without any disturbance driving it through the measurements",
+        ),
+    )
+    for A, B, C, D, text in sides:
+        for omega, state in _axis_zeros(A, B, C, D):
+            found.append(
+                f"zero on the axis at {_rounded(omega * rate)} rad/s: a motion mostly of {states[state]} {text}"
+            )
+    return tuple(found)
+
+
+def _free_channels(D: NDArray[np.float64], names: list[str], kind: str) -> list[str]:
+    """Channels, or combinations of channels, in the null space of the columns of D."""
+    _, sigma, vh = np.linalg.svd(D)
+    rank = int((sigma > DIRECT * max(1.0, sigma.max(initial=0.0))).sum())
+    free = []
+    for row in vh[rank:]:
+        main = np.flatnonzero(np.abs(row) > 0.1)
+        if len(main) == 1:
+            free.append(f"{kind} {names[main[0]]}")
+        else:
+            free.append(f"a combination of the {kind}s {', '.join(names[i] for i in main)}")
+    return list(dict.fromkeys(free))
+
+
+def _axis_zeros(A: Any, B: Any, C: Any, D: Any) -> list[tuple[float, int]]:
+    """Frequencies at which ``[A - jw, B; C, D]`` loses column rank, with the state that takes part in it most."""
+    from scipy.linalg import eigvals
+
+    n, m = B.shape
+    if n == 0 or C.shape[0] < m:
+        return []
+    # Squared down by fixed random combinations of the rows, the zeros of the tall matrix stay zeros; others come in,
+    # and are told apart by the singular values of the tall one.
+    mix = np.random.default_rng(0).standard_normal((m, C.shape[0])) if C.shape[0] > m else np.eye(m)
+    shift = np.zeros((n + m, n + m))
+    shift[:n, :n] = np.eye(n)
+    square = np.block([[A, B], [mix @ C, mix @ D]])
+    zeros = np.asarray(eigvals(square, shift, check_finite=False))
+    found: list[tuple[float, int]] = []
+    whole = np.block([[A, B], [C, D]]).astype(complex)
+    size = float(np.linalg.norm(whole, 2))
+    for zero in zeros[np.isfinite(zeros) & (np.abs(zeros) < 1e8 * size)]:
+        if abs(zero.real) > NEAR * max(abs(zero), 1e-3 * size) or zero.imag < 0:
+            continue
+        matrix = whole.copy()
+        matrix[range(n), range(n)] -= 1j * zero.imag
+        _, sigma, vh = np.linalg.svd(matrix)
+        if sigma[n + m - 1] <= ZERO * size and not any(abs(zero.imag - w) <= 1e-6 * size for w, _ in found):
+            found.append((float(zero.imag), int(np.argmax(np.abs(vh[n + m - 1, :n])))))
+    return sorted(found)
+
+
+def _rounded(omega: float) -> str:
+    return f"{omega:.4g}" if abs(omega) > 1e-9 else "0"

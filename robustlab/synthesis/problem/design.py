@@ -1,0 +1,262 @@
+"""Finished controller designs with the evidence to check them again.
+
+A controller as it is stored and exchanged: the model, its sign convention, and what was verified about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from robustlab.budget import NOT_REPEATABLE, Budget, search_budget
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.norms import HinfNorm
+from robustlab.provenance import Traced
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.gamma_bounds import GammaBound
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+__all__ = [
+    "HinfSynthesis",
+    "Synthesis",
+    "design_budget",
+    "limiting_channels",
+    "told",
+    "Controller",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Controller(Traced):
+    """A controller ``u = K y`` with positive feedback (as in the literature on lower LFTs).
+
+    Attributes
+    ----------
+    K
+        The controller; its inputs are the measurements, its outputs the control signals.
+    gamma
+        Closed-loop H-infinity norm that was verified for the generalised plant it was designed on; None where none was.
+    status
+        How much ``gamma`` can be trusted.
+    method
+        What made it, for example ``"mixsyn"``.
+    """
+
+    K: StateSpaceModel
+    gamma: float | None = None
+    status: Status = Status.INCONCLUSIVE
+    method: str = ""
+
+    def to_model(self) -> StateSpaceModel:
+        """K, so that a controller can be given where a model is asked for."""
+        return self.K
+
+    def to_json(self) -> dict[str, object]:
+        """K and what was verified, as plain types."""
+        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Synthesis:
+    """A controller that was verified in the loop rebuilt from it; there is no Synthesis without one.
+
+    Attributes
+    ----------
+    K
+        The controller, ``u = K y`` with positive feedback into the plant's lower LFT.
+    gamma
+        Verified upper bound of what the method makes small (its docstring says what).
+    closed_loop
+        The lower LFT of plant and K, from w to z.
+    status
+        CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost;
+        TIMEOUT where that was proved, too, but the time limit ended the search: another run may give another K.
+        It vouches for ``gamma`` of this K, not for its optimality.
+    reason
+        Why the method stopped, and how much of the result is proved.
+    limit
+        What limits the performance: the channels that make the peak.
+    plant
+        The generalised plant, so that the result can be checked again.
+    method
+        What made it.
+    """
+
+    K: StateSpaceModel
+    gamma: float
+    closed_loop: StateSpaceModel
+    status: Status
+    reason: str
+    limit: str
+    plant: GeneralizedPlant
+    method: str
+
+    @property
+    def controller(self) -> Controller:
+        """K with what was verified about it, as it is stored."""
+        return Controller(self.K, self.gamma, self.status, self.method)
+
+    @property
+    def fastest_controller_pole(self) -> float:
+        """Largest modulus of K's poles: in rad/s, or, for a discrete K, of the pole itself."""
+        return float(np.abs(self.K.poles()).max(initial=0.0))
+
+    @property
+    def closed_loop_abscissa(self) -> float:
+        """Spectral abscissa of the closed loop; negative means stable (see `StateSpaceModel.spectral_abscissa`)."""
+        return self.closed_loop.spectral_abscissa()
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        unit = "(modulus)" if self.K.is_discrete else "rad/s"
+        margin = "(modulus minus one)" if self.K.is_discrete else "1/s"
+        return [
+            ("gamma", self._gamma_text()),
+            ("status", self.status.value),
+            ("controller", f"{self.K.n_states} states, {self.K.n_inputs} inputs, {self.K.n_outputs} outputs"),
+            ("fastest controller pole", f"{self.fastest_controller_pole:.4g} {unit}"),
+            ("closed loop, rightmost pole", f"{self.closed_loop_abscissa:.4g} {margin}"),
+            ("what limits it", self.limit),
+            ("how", self.reason),
+        ]
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (verified upper bound)"
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant, with arrays."""
+        return {
+            "method": self.method,
+            "status": self.status,
+            "gamma": self.gamma,
+            "order": self.K.n_states,
+            "fastest_controller_pole": self.fastest_controller_pole,
+            "closed_loop_abscissa": self.closed_loop_abscissa,
+            "limit": self.limit,
+            "reason": self.reason,
+            "K": self.K.to_json(),
+            "closed_loop": self.closed_loop.to_json(),
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HinfSynthesis(Synthesis):
+    """An H-infinity design; ``gamma`` bounds the H-infinity norm of ``closed_loop``.
+
+    Attributes
+    ----------
+    peak_frequency
+        Frequency in rad/s at which the closed loop attains its norm.
+    smallest_gamma
+        Smallest verified gamma of the search; K may be a softer controller within the allowed ratio of it.
+    scalings_disagree
+        Relative difference between the best gammas of the two scalings that were tried; NaN where one gave none.
+    norm
+        The bracket of the closed loop's norm.
+    lower_bound
+        What no stabilising controller gets below, and how that is known.
+    estimated_optimum
+        The infimum of gamma as the search sees it, an estimate: of a regular plant the smallest gamma that passes its
+        Riccati test; else extrapolated to no regularisation. NaN where it cannot tell.
+    assumptions
+        The textbook assumptions that the plant does not meet, in words; the search regularised where there are any.
+    weights
+        Weights of a mixed-sensitivity problem, by name.
+    """
+
+    peak_frequency: float
+    smallest_gamma: float
+    scalings_disagree: float
+    norm: HinfNorm
+    lower_bound: GammaBound
+    estimated_optimum: float
+    assumptions: tuple[str, ...]
+    weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        found = f"{self.smallest_gamma:.6g}"
+        if np.isfinite(self.regularisation_cost):
+            found += f" ({self.regularisation_cost:.2%} above the estimated optimum)"
+        bound = f"{self.lower_bound.value:.6g}, {self.lower_bound.known}"
+        broken = [("regularised, because" if i == 0 else "", text) for i, text in enumerate(self.assumptions)]
+        return [*rows[:2], ("smallest gamma found", found), ("no controller below", bound), *rows[2:], *broken]
+
+    @property
+    def gamma_lower(self) -> float:
+        """What no stabilising controller gets below."""
+        return self.lower_bound.value
+
+    @property
+    def regularisation_cost(self) -> float:
+        """How far the smallest gamma found lies above the estimated optimum, as a share of it; NaN where unknown."""
+        optimum = self.estimated_optimum
+        return max(self.smallest_gamma / optimum - 1, 0.0) if optimum > 0 else float("nan")
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant and the weights, with arrays."""
+        return super().to_json() | {
+            "smallest_gamma": self.smallest_gamma,
+            "peak_frequency": self.peak_frequency,
+            "scalings_disagree": self.scalings_disagree,
+            "norm": self.norm.to_json(),
+            "gamma_lower": self.gamma_lower,
+            "lower_bound": self.lower_bound.to_json(),
+            "estimated_optimum": self.estimated_optimum,
+            "regularisation_cost": self.regularisation_cost,
+            "assumptions": list(self.assumptions),
+        }
+
+
+def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
+    """The budget of a design; a time limit of zero is refused, because there is no design without a search.
+
+    Raises
+    ------
+    InputError
+        An effort or a time limit that is not a positive number.
+    """
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(where, f"time_limit is {time_limit}", "a positive time in s, or none")
+    return search_budget(where, work, effort, time_limit)
+
+
+def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma") -> tuple[Status, str]:
+    """Status and reason of a design, with what ended its search where that was the budget and not the method.
+
+    Parameters
+    ----------
+    status
+        What was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
+    parts
+        What else there is to say.
+    smaller
+        What a longer search might find.
+    """
+    reason, ended = "; ".join(parts), ""
+    if budget.struck:
+        status, ended = (Status.TIMEOUT if status.trustworthy else status), NOT_REPEATABLE
+    elif budget.remark:
+        ended = f"work budget used up: a larger effort may find {smaller}"
+    # A part of the search may have said it already.
+    return status, reason if not ended or ended in reason else f"{reason}; {ended}"
+
+
+def limiting_channels(loop: StateSpaceModel, omega: float) -> str:
+    """The output and the input with the largest share in the singular vectors of the peak."""
+    if (not np.isfinite(omega) and loop.is_discrete) or not loop.n_inputs or not loop.n_outputs:
+        return ""
+    left, _, right = np.linalg.svd(frequency_response(loop, [omega])[0])
+    out, into = np.abs(left[:, 0]) ** 2, np.abs(right[0]) ** 2
+    i, j = int(out.argmax()), int(into.argmax())
+    names = loop.output_names[i], loop.input_names[j]
+    return f"{names[0]} ({out[i]:.0%} of the peak) driven by {names[1]} ({into[j]:.0%})"

@@ -1,0 +1,240 @@
+r"""Generalised plants: which inputs are disturbances and controls, which outputs are performance and measurements.
+
+.. math::
+    \dot x = A x + B_1 w + B_2 u, \quad z = C_1 x + D_{11} w + D_{12} u, \quad y = C_2 x + D_{21} w + D_{22} u
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
+from robustlab.uncertainty.blocks.base import Block
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = [
+    "GeneralizedPlant",
+    "PlantMatrices",
+    "Realisation",
+    "as_generalized_plant",
+    "generalized_plant",
+    "require_performance",
+]
+
+Array = NDArray[np.float64]
+
+
+class Realisation(NamedTuple):
+    """Bare matrices of a model or a controller inside a search."""
+
+    A: NDArray[Any]
+    B: NDArray[Any]
+    C: NDArray[Any]
+    D: NDArray[Any]
+
+
+NO_PERFORMANCE = "mixsyn and ncf make them for a bare plant; in P they come before the controls and measurements"
+
+
+@dataclass(frozen=True, eq=False)
+class PlantMatrices:
+    """The bare matrices of a continuous generalised plant with D22 = 0, for the numerics of synthesis."""
+
+    A: Array
+    B1: Array
+    B2: Array
+    C1: Array
+    C2: Array
+    D11: Array
+    D12: Array
+    D21: Array
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int, int]:
+        """``(n_x, n_w, n_u, n_z, n_y)``."""
+        return self.A.shape[0], self.B1.shape[1], self.B2.shape[1], self.C1.shape[0], self.C2.shape[0]
+
+    def with_channels(
+        self, u: float | Array, y: float | Array, x_out: float | Array, x_in: float | Array
+    ) -> PlantMatrices:
+        """With outputs ``u * controls``, ``x_out * x`` and noises ``y`` on y, ``x_in`` on x added."""
+        n, _, n_u, n_z, n_y = self.sizes
+        C1 = np.vstack([self.C1, np.zeros((n_u, n)), x_out * np.eye(n)])
+        D12 = np.vstack([self.D12, u * np.eye(n_u), np.zeros((n, n_u))])
+        B1 = np.hstack([self.B1, np.zeros((n, n_y)), x_in * np.eye(n)])
+        D21 = np.hstack([self.D21, y * np.eye(n_y), np.zeros((n_y, n))])
+        D11 = np.zeros((C1.shape[0], B1.shape[1]))
+        D11[:n_z, : self.D11.shape[1]] = self.D11
+        return replace(self, B1=B1, C1=C1, D11=D11, D12=D12, D21=D21)
+
+    def model(self) -> StateSpaceModel:
+        """As a model from [w; u] to [z; y]."""
+        _, _, n_u, _, n_y = self.sizes
+        return StateSpaceModel(
+            self.A,
+            np.hstack([self.B1, self.B2]),
+            np.vstack([self.C1, self.C2]),
+            np.block([[self.D11, self.D12], [self.D21, np.zeros((n_y, n_u))]]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralizedPlant:
+    """A model whose last ``n_con`` inputs are the controls u and whose last ``n_meas`` outputs are the measurements y.
+
+    ``blocks`` are the perturbation blocks of the first inputs and outputs, where the plant was made from an uncertain
+    model.
+    """
+
+    model: StateSpaceModel
+    n_meas: int
+    n_con: int
+    blocks: tuple[Block, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, count, most in (
+            ("n_meas", self.n_meas, self.model.n_outputs),
+            ("n_con", self.n_con, self.model.n_inputs),
+        ):
+            if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or not 1 <= count <= most:
+                raise InputError("generalised plant", f"{name} is {count!r}", f"a whole number from 1 to {most}")
+
+    @property
+    def measurements(self) -> tuple[Signal, ...]:
+        """The measured outputs y."""
+        return self.model.outputs[self.model.n_outputs - self.n_meas :]
+
+    @property
+    def controls(self) -> tuple[Signal, ...]:
+        """The control inputs u."""
+        return self.model.inputs[self.model.n_inputs - self.n_con :]
+
+    @property
+    def D22(self) -> Array:
+        """Direct term from u to y, shape (n_meas, n_con)."""
+        return self.model.D[self.model.n_outputs - self.n_meas :, self.model.n_inputs - self.n_con :]
+
+    def matrices(self) -> PlantMatrices:
+        """The matrices with D22 left out."""
+        m = self.model
+        w, z = m.n_inputs - self.n_con, m.n_outputs - self.n_meas
+        parts = (m.A, m.B[:, :w], m.B[:, w:], m.C[:z], m.C[z:], m.D[:z, :w], m.D[:z, w:], m.D[z:, :w])
+        return PlantMatrices(*(np.array(part) for part in parts))
+
+    def close(self, K: StateSpaceModel) -> StateSpaceModel:
+        """The closed loop from w to z for ``u = K y``."""
+        return lower_lft(self.model, K)
+
+    def to_model(self) -> StateSpaceModel:
+        """The model."""
+        return self.model
+
+
+def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: str) -> GeneralizedPlant:
+    """P as a generalised plant; the two numbers may be left out where P is one already.
+
+    Of an uncertain model all perturbation channels are kept as disturbances and performance outputs.
+    """
+    if isinstance(P, GeneralizedPlant):
+        if n_meas not in (None, P.n_meas) or n_con not in (None, P.n_con):
+            raise InputError(where, f"n_meas={n_meas}, n_con={n_con}", f"{P.n_meas} and {P.n_con}, or leave them out")
+        return P
+    if n_meas is None or n_con is None:
+        raise InputError(
+            where, "n_meas or n_con is missing", "the numbers of measurements and of controls (they come last in P)"
+        )
+    if isinstance(P, UncertainModel):
+        return GeneralizedPlant(P.M, n_meas, n_con, P.blocks)
+    return GeneralizedPlant(as_model(P, f"{where}: P"), n_meas, n_con)
+
+
+def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERFORMANCE) -> None:
+    """Refuse a plant whose loop has no gain to judge it by: without w, or without z, every norm is 0 and says nothing.
+
+    Raises
+    ------
+    InputError
+        It names which of the two is missing.
+    """
+    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    if n_w and n_z:
+        return
+    missing = " and ".join(["no disturbance w"] * (not n_w) + ["no performance output z"] * (not n_z))
+    size = f"P of {plant.model.n_inputs} inputs and {plant.model.n_outputs} outputs has"
+    rest = f"beside {plant.n_con} controls and {plant.n_meas} measurements"
+    raise InputError(where, f"{size} {missing} {rest}", "at least one of both", hint)
+
+
+def generalized_plant(
+    model: Any,
+    measurements: Sequence[str],
+    controls: Sequence[str],
+    disturbances: Sequence[str] | None = None,
+    performance: Sequence[str] | None = None,
+) -> GeneralizedPlant:
+    r"""Generalised plant from a model or an uncertain model, by signal names.
+
+    Inputs are ordered perturbation, disturbances, controls; outputs perturbation, performance, measurements, as in the
+    thesis' plant for synthesis. An output may be both performance and measurement; the measured copy is called
+    ``<name> measured``.
+
+    Parameters
+    ----------
+    model
+        StateSpaceModel, UncertainModel (its perturbation channels come first) or python-control object.
+    measurements, controls
+        Names of the outputs y that the controller sees and of the inputs u that it drives.
+    disturbances
+        Names of the inputs w; all inputs that are no controls where left out.
+    performance
+        Names of the outputs z; all outputs where left out.
+
+    Raises
+    ------
+    InputError
+        Unknown names, or no measurement or control.
+
+    References
+    ----------
+    Brezina 2010, eq. 10.15.
+    """
+    if isinstance(model, UncertainModel):
+        (q, p), m, blocks = model.delta_shape, model.M, model.blocks
+    else:
+        (q, p), m, blocks = (0, 0), as_model(model, "generalized_plant"), ()
+    ins, outs = m.input_names[q:], m.output_names[p:]
+    u, y = _positions(controls, ins, "input"), _positions(measurements, outs, "output")
+    w = [i for i in range(len(ins)) if i not in u] if disturbances is None else _positions(disturbances, ins, "input")
+    z = list(range(len(outs))) if performance is None else _positions(performance, outs, "output")
+    if set(u) & set(w):
+        raise InputError(
+            "generalized_plant", "an input is both disturbance and control", "two inputs (add one to the model)"
+        )
+    columns = [*range(q), *(q + i for i in [*w, *u])]
+    rows = [*range(p), *(p + i for i in [*z, *y])]
+    measured = [Signal(f"{outs[i]} measured", m.outputs[p + i].unit) if i in z else m.outputs[p + i] for i in y]
+    model = StateSpaceModel(
+        m.A, m.B[:, columns], m.C[rows], m.D[np.ix_(rows, columns)], m.dt,
+        [m.inputs[i] for i in columns], [*(m.outputs[i] for i in rows[: p + len(z)]), *measured], m.states,
+        where="generalized_plant",
+    )  # fmt: skip
+    return GeneralizedPlant(model, len(y), len(u), blocks)
+
+
+def _positions(names: Sequence[str], known: tuple[str, ...], kind: str) -> list[int]:
+    names = [names] if isinstance(names, str) else list(names)
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"generalized_plant: {kind} {name!r}",
+                "no such signal",
+                f"one of {', '.join(known)}",
+                did_you_mean(name, known),
+            )
+    return [known.index(name) for name in names]

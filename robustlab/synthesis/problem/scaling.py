@@ -1,0 +1,277 @@
+"""Scaling of a generalised plant by powers of two: time unit, states, controls, measurements, w and z.
+
+None of it changes the problem; it decides whether the tolerances of Riccati solvers mean something. All of it is
+undone exactly in the controller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_power
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
+
+__all__ = ["Scaling", "by_magnitude", "equilibrated", "in_ordinary_units", "paths_first"]
+
+Array = NDArray[Any]
+
+# Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
+FASTER, LIMIT = 40, 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """Factors of a scaling; ``x = states * x_scaled``, ``u = u * u_scaled``, ``y_scaled = y * y``, time unit
+    ``1/rate``.
+
+    A closed-loop gain gamma of the plant is ``gamma * w * z`` after scaling.
+    """
+
+    rate: float
+    states: Array
+    u: Array
+    y: Array
+    w: float = 1.0
+    z: float = 1.0
+
+    @property
+    def gain(self) -> float:
+        """Factor from a closed-loop gain of the plant to that of the scaled plant.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            No floating-point number is that small or that large.
+        """
+        gain = float(self.w) * float(self.z)
+        if not TINY <= gain <= 1 / TINY:
+            found = f"gains of the loop are about 1e{-np.log10(self.w) - np.log10(self.z):.0f}"
+            raise NoTrustworthyNumber(
+                "scaling", found, "gains between 1e-307 and 1e307", "choose other units of w and z"
+            )
+        return gain
+
+    def apply(self, p: PlantMatrices) -> PlantMatrices:
+        """The scaled plant."""
+        k, w, z = _exponent(self.rate), _exponent(self.w), _exponent(self.z)
+        t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
+        rows = -t[:, None] - k
+        return PlantMatrices(
+            _signed(p.A, rows + t),
+            times_power(p.B1, rows + w),
+            times_power(p.B2, rows + u),
+            times_power(p.C1, t + z),
+            times_power(p.C2, t + y),
+            times_power(p.D11, w + z),
+            times_power(p.D12, u + z),
+            times_power(p.D21, w + y),
+        )
+
+    def controller_to_plant(self, K: Realisation) -> Realisation:
+        """The controller for the plant that belongs to one for the scaled plant."""
+        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
+        return Realisation(times_power(K.A, k), times_power(K.B, k + y), times_power(K.C, u), times_power(K.D, u + y))
+
+    def controller_from_plant(self, K: Realisation) -> Realisation:
+        """Inverse of `controller_to_plant`."""
+        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
+        return Realisation(
+            times_power(K.A, -k), times_power(K.B, -k - y), times_power(K.C, -u), times_power(K.D, -u - y)
+        )
+
+
+def _exponent(factor: Array | float) -> Array:
+    """Exponents of factors, which are powers of two."""
+    return np.frexp(factor)[1] - 1
+
+
+def _signed(matrix: Array, exponents: Array) -> Array:
+    """The same, without entries that vanish: a pole keeps its side of the axis."""
+    scaled = times_power(matrix, exponents)
+    return np.where((scaled == 0) & (matrix != 0), np.copysign(TINY, matrix), scaled)
+
+
+def _power(x: Array | float) -> Array:
+    """Nearest powers of two; 1 where x is zero."""
+    x = np.asarray(x, dtype=float)
+    usable = np.isfinite(x) & (x > 0)
+    return 2.0 ** np.round(np.log2(np.where(usable, x, 1.0)))
+
+
+def _rms(x: Array) -> float:
+    return float(np.linalg.norm(x) / np.sqrt(max(1, min(x.shape)))) if x.size else 0.0
+
+
+def _is_ordinary(p: PlantMatrices) -> bool:
+    """Whether products of the plant's entries neither overflow nor vanish."""
+    # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
+    sizes = [np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12, p.C2.T, p.D21.T)]
+    sizes.append(np.array([np.abs(m).max(initial=0.0) for m in (p.A, p.B1, p.C1, p.D11)]))
+    return is_moderate(*np.concatenate(sizes)[:, None])
+
+
+def _start(p: PlantMatrices, discrete: bool) -> Scaling:
+    if not _is_ordinary(p):
+        return by_magnitude(p, discrete)
+    size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
+    size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
+    rate = float(_power(float(np.median(size)))) if len(size) else 1.0
+    n, _, n_u, _, n_y = p.sizes
+    return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
+
+
+def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
+    """B2 and C2 to order one, then what z and w weigh; by exponents, for plants whose squares overflow or vanish.
+
+    The unit of time is that of A, or of the loops that u and y can close where these are faster by far; a discrete
+    plant keeps its steps.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        Factors that no floating-point number is: the controller would have such gains.
+    """
+    t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
+    rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
+    if discrete:
+        if k > FASTER:
+            found = f"A grows by 2^{k} in one step: digits of everything else are lost beside it"
+            raise NoTrustworthyNumber("scaling", found, None, "a shorter sample time")
+        k = 0
+    elif all(m.any() for m in (p.B1, p.B2, p.C1, p.C2, p.D12, p.D21)):
+        control = _to_one((p.D12, 0)) - _to_one((p.B2, rows)) - _to_one((p.C1, t))
+        filtering = _to_one((p.D21, 0)) - _to_one((p.C2, t)) - _to_one((p.B1, rows))
+        pace = min(control, filtering)
+        k = pace if pace > k + FASTER or not p.A.any() else k
+    rows = rows - k
+    _, _, n_u, _, n_y = p.sizes
+    acts, shows = [column.any() for column in p.B2.T], [row.any() for row in p.C2]
+    u = [_to_one((p.B2[:, [i]], rows) if acts[i] else (p.D12[:, [i]], 0)) for i in range(n_u)]
+    y = [_to_one((p.C2[[i]], t) if shows[i] else (p.D21[[i]], 0)) for i in range(n_y)]
+    w = _to_one((p.B1, rows), (p.D21, np.reshape(y, (-1, 1))))
+    z = _to_one((p.C1, t), (p.D12, np.array(u)))
+    exponents = [np.asarray(e) for e in (k, t, u, y, w, z)]
+    if max(np.abs(e).max(initial=0) for e in exponents) > LIMIT:
+        raise NoTrustworthyNumber("scaling", "gains of the controller overflow", None, "choose other units of u and y")
+    rate, states, into, out, w, z = (np.ldexp(1.0, e) for e in exponents)
+    return Scaling(float(rate), states, into, out, float(w), float(z))
+
+
+def in_ordinary_units(
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel
+) -> tuple[GeneralizedPlant, StateSpaceModel, StateSpaceModel, int, int]:
+    """Plant, controller and loop with entries that can be multiplied, exactly; as they are where the plant's can be
+    already, and where there are no such units.
+
+    Two exponents lead back: frequencies are ``2^rate`` and closed-loop gains ``2^-gain`` times those of what is
+    returned.
+    """
+    matrices, m = plant.matrices(), plant.model
+    if _is_ordinary(matrices):
+        return plant, K, loop, 0, 0
+    try:
+        s = by_magnitude(matrices, m.is_discrete)
+        k, w, z, t, u, y = (_exponent(x) for x in (s.rate, s.w, s.z, s.states, s.u, s.y))
+        into = np.concatenate([np.full(m.n_inputs - plant.n_con, w), u])
+        out = np.concatenate([np.full(m.n_outputs - plant.n_meas, z), y])
+        P, rebuilt = _exactly(m, k, t, into, out), _exactly(loop, k, 0, w, z)
+        return replace(plant, model=P), _exactly(K, k, 0, -y, -u), rebuilt, int(k), int(w + z)
+    except (NoTrustworthyNumber, InputError):
+        return plant, K, loop, 0, 0
+
+
+def _exactly(m: StateSpaceModel, rate: Array, states: Array | int, into: Array, out: Array) -> StateSpaceModel:
+    """The model in the unit of time ``2^-rate``, with scaled states, inputs and outputs, all by exponents.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        An entry overflows, vanishes, or loses digits.
+    """
+    t, out = np.broadcast_to(states, m.n_states), np.broadcast_to(out, m.n_outputs)[:, None]
+    exponents = -t[:, None] + t - rate, -t[:, None] + into - rate, t + out, out + into
+    given = m.A, m.B, m.C, m.D
+    parts = [times_power(part, e) for part, e in zip(given, exponents, strict=True)]
+    for part, scaled, e in zip(given, parts, exponents, strict=True):
+        if not np.array_equal(times_power(scaled, -e), part):
+            raise NoTrustworthyNumber("scaling", "entries that are no floating-point numbers after it")
+    return StateSpaceModel(*parts, dt=m.dt, inputs=m.inputs, outputs=m.outputs)
+
+
+def _to_one(*scaled: tuple[Array, Array | int]) -> int:
+    """Exponent that takes the largest entry of several ``matrix * 2^exponents`` to order one; 0 where all vanish."""
+    found = [int((np.frexp(m)[1] + e)[m != 0].max()) for m, e in scaled if m.any()]
+    return -max(found, default=0)
+
+
+def _osborne(p: PlantMatrices, states: Array, sweeps: int) -> Array:
+    """State factors that balance rows of [A B1 B2] against columns of [A; C1; C2], one state after the other."""
+    A, B, C = p.A.copy(), np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
+    t = states.copy()
+    for _ in range(sweeps):
+        settled = True
+        for i in range(len(t)):
+            own = A[i, i] ** 2
+            row = (A[i] @ A[i]) - own + B[i] @ B[i]
+            column = (A[:, i] @ A[:, i]) - own + C[:, i] @ C[:, i]
+            if row <= 0 or column <= 0:
+                continue
+            f = float(_power(np.sqrt(np.sqrt(row / column))))
+            if f != 1.0:
+                A[i] /= f
+                B[i] /= f
+                A[:, i] *= f
+                C[:, i] *= f
+                t[i] *= f
+                settled = False
+        if settled:
+            break
+    return t
+
+
+def paths_first(p: PlantMatrices, discrete: bool = False) -> Scaling:
+    """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
+    s = _start(p, discrete)
+    for last in (False, False, True):
+        q = s.apply(p)
+        if (s.z, s.w) == (1.0, 1.0):
+            z = float(_power(1 / (_rms(q.D12) or _rms(q.C1) or 1.0)))
+            w = float(_power(1 / (_rms(q.D21) or _rms(q.B1) or 1.0)))
+            s = Scaling(s.rate, s.states, s.u, s.y, s.w * w, s.z * z)
+        s = Scaling(s.rate, _osborne(s.apply(p), s.states, 20), s.u, s.y, s.w, s.z)
+        if last:
+            return s
+        q = s.apply(p)
+        u = _channel(np.linalg.norm(q.D12, axis=0), np.linalg.norm(q.B2, axis=0))
+        y = _channel(np.linalg.norm(q.D21, axis=1), np.linalg.norm(q.C2, axis=1))
+        s = Scaling(s.rate, s.states, s.u / u, s.y / y, s.w, s.z)
+    return s
+
+
+def _channel(direct: Array, dynamic: Array) -> Array:
+    return _power(np.where(direct > 1e-8, direct, dynamic))
+
+
+def equilibrated(p: PlantMatrices, discrete: bool = False) -> Scaling:
+    """Everything towards rows and columns of size one, until nothing changes or after 30 passes."""
+    s = _start(p, discrete)
+    for _ in range(30):
+        before = s
+        s = Scaling(s.rate, _osborne(s.apply(p), s.states, 1), s.u, s.y, s.w, s.z)
+        q = s.apply(p)
+        u = _power(np.hypot(np.linalg.norm(q.B2, axis=0), np.linalg.norm(q.D12, axis=0)))
+        y = _power(np.hypot(np.linalg.norm(q.C2, axis=1), np.linalg.norm(q.D21, axis=1)))
+        s = Scaling(s.rate, s.states, s.u / u, s.y / y, s.w, s.z)
+        q = s.apply(p)
+        w = float(_power(np.hypot(np.linalg.norm(q.B1), np.linalg.norm(q.D21)) / np.sqrt(max(1, q.B1.shape[1]))))
+        z = float(_power(np.hypot(np.linalg.norm(q.C1), np.linalg.norm(q.D12)) / np.sqrt(max(1, q.C1.shape[0]))))
+        s = Scaling(s.rate, s.states, s.u, s.y, s.w / w, s.z / z)
+        if all(np.array_equal(getattr(s, k), getattr(before, k)) for k in ("states", "u", "y", "w", "z")):
+            break
+    return s

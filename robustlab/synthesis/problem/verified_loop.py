@@ -1,0 +1,189 @@
+r"""A controller for the plant as given, from one for its bare matrices: direct term, states, names, the rebuilt loop.
+
+Controllers near one that cannot take the plant's direct term D22 back in.
+
+Synthesis leaves D22 out and gives the controller for the whole plant as :math:`K (I + D_{22} K)^{-1}`. Without a
+penalty on the control the optimum often makes :math:`I + D_{22} D_K` singular: sensitivity at infinite frequency wants
+to be zero. That controller is improper (of a discrete plant only the bilinear image is: K has a pole at z = -1); with
+a direct term a little beside it, it is proper and its loop almost the same.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.magnitude import balancing_factors, refuse_overflow
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
+from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
+
+__all__ = [
+    "balanced_states",
+    "moderate_states",
+    "named_controller",
+    "rebuilt_loop",
+    "separated_modes",
+    "surely_stable",
+    "with_direct_term",
+    "well_posed_neighbours",
+]
+
+
+# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
+ILL_POSED = 1e10
+# Above this condition number modes are no basis.
+NO_BASIS = 1e12
+# From this on the errors of entries count so much that other states are better.
+HIDDEN = 1e6
+
+
+def with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:
+    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        I + D_K D22 is singular.
+    """
+    if not D22.any():
+        return K
+    loop = np.eye(K.n_outputs) + K.D @ D22
+    if np.linalg.cond(loop) > ILL_POSED:
+        raise NoTrustworthyNumber("controller", "I + D_K D22 is singular: the loop is not well posed")
+    C, D = np.linalg.solve(loop, K.C), np.linalg.solve(loop, K.D)
+    with np.errstate(over="ignore", invalid="ignore"):
+        A, B = K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D
+    refuse_overflow("controller", A, B, C, D)
+    return StateSpaceModel(A, B, C, D, K.dt)
+
+
+def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
+    """K with the signals that it connects, and balanced states k1, k2, ..."""
+    names = [f"k{i + 1}" for i in range(K.n_states)]
+    K = balanced_states(K)
+    return StateSpaceModel(K.A, K.B, K.C, K.D, dt, inputs, outputs, names)
+
+
+def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
+    """The same response, exactly: states scaled by powers of two, so that rows of [A B] and columns of [A; C] have
+    about the same size.
+    """
+    from scipy.linalg import matrix_balance
+
+    n, m, p = model.n_states, model.n_inputs, model.n_outputs
+    if not n:
+        return model
+    whole = np.zeros((n + m + p,) * 2)
+    whole[:n, :n], whole[:n, n : n + m], whole[n + m :, :n] = model.A, model.B, model.C
+    with np.errstate(invalid="ignore", over="ignore"):  # scipy casts scale factors to int as if they were a permutation
+        scale = np.asarray(matrix_balance(whole, permute=False, separate=True)[1][0])[:n]
+        A, B, C = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
+    exact = np.array_equal(A / scale * scale[:, None], model.A) and np.array_equal(B * scale[:, None], model.B)
+    if not exact or not np.array_equal(C / scale, model.C):  # overflow, or digits lost to underflow
+        return model
+    return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)
+
+
+def moderate_states(model: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel | None]:
+    """A model in the states that keep its digits, and in others for a second try (None: there are none).
+
+    Balanced states come first, unless slow modes are small differences of large entries there and are not in
+    coordinates of the modes.
+    """
+    balanced, modes = balanced_states(model), separated_modes(model)
+    if modes is None:
+        return balanced, None
+    hidden = _cancellation(balanced.A)
+    if hidden > HIDDEN and _cancellation(modes.A) < 1e-2 * hidden:
+        return modes, balanced
+    return balanced, modes
+
+
+def _cancellation(A: NDArray[np.float64]) -> float:
+    """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
+    try:
+        return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max())
+    except np.linalg.LinAlgError:
+        return float("inf")
+
+
+def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
+    """The same response in coordinates of the modes, computed with about 30 digits; None where these are no basis.
+
+    Where a fast mode fills all of A with large entries, the slow ones are small differences of these: a loop that is
+    built of them is another loop. In these coordinates every entry has the size of its own mode.
+    """
+    if model.n_states < 2:
+        return None
+    m = balanced_states(model)
+    values, vectors = np.linalg.eig(m.A)
+    # Of a conjugate pair the real and the imaginary part.
+    basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
+    if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
+        return None
+    A, B, C, T = (DoubleDouble.of(part[None]) for part in (m.A, m.B, m.C, basis))
+    with np.errstate(all="ignore"):
+        back, _ = inverse(T)
+        a, b, c = (np.real(part.rounded()[0]) for part in (back @ A @ T, back @ B, C @ T))
+    if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(c).all()):
+        return None
+    return balanced_states(StateSpaceModel(a, b, c, m.D, m.dt, m.inputs, m.outputs))
+
+
+def rebuilt_loop(
+    plant: GeneralizedPlant, K: StateSpaceModel, D22: NDArray[np.float64]
+) -> tuple[StateSpaceModel, StateSpaceModel] | None:
+    """K with D22 taken back in and named, and the loop that it closes; None where that is not well posed or not
+    stable.
+    """
+    try:
+        full = with_direct_term(K, D22)
+        named = named_controller(full, plant.measurements, plant.controls, plant.model.dt)
+        loop = plant.close(named)
+    except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
+        return None
+    return (named, loop) if surely_stable(loop) else None
+
+
+def surely_stable(loop: StateSpaceModel) -> bool:
+    """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
+    if not loop.n_states:
+        return True
+    t = balancing_factors(loop.A)
+    size = float(np.linalg.norm(loop.A / t[:, None] * t, 1))
+    return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * max(size, 1.0 if loop.is_discrete else 0.0)
+
+
+Array = NDArray[Any]
+
+# Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
+DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
+
+
+def well_posed_neighbours(K: Realisation, D22: Array) -> list[Realisation]:
+    r"""K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``.
+
+    With :math:`I + D_{22} D_K = U \Sigma V^T` the small singular values are raised to each of `DISTANCES`:
+
+    .. math:: \Delta D_K = D_{22}^+ \, U \max(\delta - \Sigma, 0) V^T
+
+    Parameters
+    ----------
+    K
+        Controller for the plant without D22.
+    D22
+        The direct term, shape (n_y, n_u).
+    """
+    with np.errstate(all="ignore"):
+        back = np.eye(len(D22)) + D22 @ K.D
+    if not np.isfinite(back).all():  # K overflows
+        return []
+    U, s, Vt = np.linalg.svd(back)
+    if s[-1] >= DISTANCES[0]:
+        return [K]
+    inverse = np.linalg.pinv(D22, rcond=1e-10)
+    return [K._replace(D=K.D + inverse @ (U * np.maximum(delta - s, 0.0)) @ Vt) for delta in DISTANCES]

@@ -1,0 +1,1 @@
+"""Models and controllers of lower order, with certified errors."""

@@ -1,0 +1,311 @@
+r"""A continuous plant behind a sampler and a hold, as a discrete one over whole sample periods (lifting).
+
+Each period is cut into intervals. On an interval of length h the disturbance is w = its mean over the interval + a
+rest w0 of mean zero, and z likewise; energies are kept: the lifted channels are the means times :math:`\sqrt h`, and
+what the rest can do is bounded. Nothing is approximated: the energy of z for a w that is constant on intervals is
+
+.. math:: \int_0^h |z|^2 dt = |M v|^2 + v^T V v, \qquad v = (x, w, u)
+
+with M the mean of :math:`\bar C e^{\bar A t}` times :math:`\sqrt h` and V its variance, both built up by doubling h.
+
+A disturbance that reaches the sampler directly (D21) is taken as constant over whole periods: samples of one that may
+change at any time have no bound.
+
+References
+----------
+Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters 8, 10, 13; Bamieh, Pearson (1992); Keller,
+Anderson (1992) for the fast-sample, fast-hold approximation that this makes exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.reduction.balancing import triangular_root
+
+__all__ = ["LiftedPlant", "Rest", "lift", "mean_and_variance", "whole_and_part"]
+
+Array = NDArray[Any]
+
+# The doubling of h starts where |A| h is below this, with the series of e^(A t) cut after the third power.
+SHORT = 1e-3
+# At least so many doublings: the start is a first-order formula for the variance, whose share falls by 4 in each.
+DOUBLINGS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """What the parts of w of mean zero can do, at most.
+
+    Attributes
+    ----------
+    kick
+        Factor (n, n): they move the state at the end of a period by ``kick v`` with ``|v| <= |w0|``.
+    mean, variance
+        Largest gains from w0 to the means, and to the rests, of z in the same period.
+    """
+
+    kick: Array
+    mean: float
+    variance: float
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedPlant:
+    """The plant over whole periods.
+
+    Attributes
+    ----------
+    model
+        Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
+        its states are those of the plant and the controls that are still under way.
+    n_intervals, n_means, n_rests
+        Number of intervals; sizes of the two groups of outputs.
+    n_w, n_kick
+        Sizes of the first two groups of inputs together, and of the kick.
+    n_meas, n_con
+        Sizes of y and u.
+    held
+        Positions of the disturbances that are constant over whole periods.
+    rest
+        What the disturbance between the means can add.
+    """
+
+    model: StateSpaceModel
+    n_intervals: int
+    n_means: int
+    n_rests: int
+    n_w: int
+    n_kick: int
+    n_meas: int
+    n_con: int
+    held: tuple[int, ...]
+    rest: Rest
+
+    def generalized_plant(self) -> GeneralizedPlant:
+        """The discrete plant for synthesis: without the kick."""
+        keep = [*range(self.n_w), *range(self.n_w + self.n_kick, self.model.n_inputs)]
+        m = self.model
+        model = StateSpaceModel(
+            m.A,
+            m.B[:, keep],
+            m.C,
+            m.D[:, keep],
+            m.dt,
+            [m.inputs[i] for i in keep],
+            m.outputs,
+            m.states,
+            where="lifting",
+        )
+        return GeneralizedPlant(model, self.n_meas, self.n_con)
+
+
+def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.0) -> LiftedPlant:
+    """The plant with its controls held from ``k dt + delay`` on, over whole periods.
+
+    Parameters
+    ----------
+    plant
+        Continuous generalised plant.
+    dt
+        Sample time in s.
+    n_intervals
+        Number of intervals in a period; one more where a fractional delay ends between two.
+    delay
+        Time in s from the sample to the change of the control, of any number of periods.
+    """
+    m = plant.model
+    n, n_u, n_y = m.n_states, plant.n_con, plant.n_meas
+    n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
+    held = np.flatnonzero(m.D[n_z:, :n_w].any(axis=0))
+    free = np.setdiff1d(np.arange(n_w), held)
+    whole, part = whole_and_part(delay, dt)
+    ends = _breakpoints(dt, n_intervals, part)
+    n_past = whole + (part > 0)
+    past = [f"{name} {k + 1} samples ago" for k in range(n_past) for name in (s.name for s in plant.controls)]
+    names = [*m.state_names, *past]
+    lengths = _lengths(ends)
+    steps = {h: _Interval.of(m, free, n_z, h) for h in lengths}
+    intervals = [steps[h] for h in lengths]
+    # The state at the start of each interval as a linear map of (x, past controls, all w, u).
+    N = len(intervals)
+    n_free = len(free)
+    width = n + n_past * n_u + N * n_free + len(held) + n_u
+    at_w, at_u = n + n_past * n_u, width - n_u
+    held_w = np.zeros((n_w, width))
+    held_w[held, at_u - len(held) : at_u] = np.eye(len(held)) / np.sqrt(dt)
+    state, means, rests = np.zeros((n, width)), [], []
+    state[:, :n] = np.eye(n)
+    first_control: Array | None = None
+    for i, step in enumerate(intervals):
+        age = whole + 1 if ends[i] < part * (1 - 1e-12) else whole
+        control = np.zeros((n_u, width))
+        start = at_u if age == 0 else n + (age - 1) * n_u
+        control[:, start : start + n_u] = np.eye(n_u)
+        first_control = control if first_control is None else first_control
+        disturbance = held_w.copy()
+        disturbance[free, at_w + i * n_free : at_w + (i + 1) * n_free] = np.eye(n_free) / np.sqrt(step.h)
+        v = np.vstack([state, disturbance, control])
+        means.append(step.mean @ v)
+        rests.append(step.variance_root @ v)
+        state = step.move @ v
+    measured = np.zeros((n_y, width))
+    measured[:, :n] = m.C[n_z:]
+    assert first_control is not None
+    measured += m.D[n_z:, n_w:] @ first_control + m.D[n_z:, :n_w] @ held_w
+    shifted = np.zeros((n_past * n_u, width))
+    if n_past:
+        shifted[:n_u, at_u:] = np.eye(n_u)
+        shifted[n_u:, n : n + (n_past - 1) * n_u] = np.eye((n_past - 1) * n_u)
+    rest = _rest(intervals, n, m.D[:n_z, free])
+    maps = np.vstack([state, shifted]), np.vstack(means), _compressed(np.vstack(rests)), measured
+    wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
+    return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
+
+
+def whole_and_part(delay: float, dt: float) -> tuple[int, float]:
+    """A delay as whole sample periods and the rest in s."""
+    whole = int(np.floor(delay / dt + 1e-12))
+    part = delay - whole * dt
+    return whole, float(part) if part > 1e-9 * dt else 0.0
+
+
+def _breakpoints(dt: float, n_intervals: int, part: float) -> Array:
+    ends = np.linspace(0.0, dt, n_intervals + 1)
+    if part and np.abs(ends - part).min() > 1e-9 * dt:
+        ends = np.sort(np.append(ends, part))
+    return ends
+
+
+def _lengths(ends: Array) -> list[float]:
+    """Lengths of the intervals; those that differ by rounding alone are made the same number."""
+    lengths: list[float] = []
+    for h in np.diff(ends).tolist():
+        same = [known for known in lengths if abs(known - h) <= 1e-9 * known]
+        lengths.append(same[0] if same else h)
+    return lengths
+
+
+def _assembled(
+    plant: GeneralizedPlant,
+    dt: float,
+    names: tuple[list[str], list[str]],
+    maps: tuple[Array, Array, Array, Array],
+    N: int,
+    rest: Rest,
+    held: tuple[int, ...],
+) -> LiftedPlant:
+    """The lifted model from its maps of (states, lifted w, u) to (next states, means, rests, y)."""
+    m, n = plant.model, plant.model.n_states
+    states, means, rests, measured = maps
+    n_x, n_wide = len(names[0]), len(names[1])
+    x, w, u = slice(0, n_x), slice(n_x, n_x + n_wide), slice(n_x + n_wide, None)
+    rows = np.vstack([means, rests, measured])
+    kick = np.vstack([rest.kick, np.zeros((n_x - n, n))])
+    performance = m.output_names[: m.n_outputs - plant.n_meas]
+    outputs = [*[f"{s}[{i}]" for i in range(N) for s in performance], *[f"rest{i + 1}" for i in range(len(rests))]]
+    model = StateSpaceModel(
+        states[:, x], np.hstack([states[:, w], kick, states[:, u]]), rows[:, x],
+        np.hstack([rows[:, w], np.zeros((len(rows), n)), rows[:, u]]), dt,
+        [*names[1], *[f"kick{i + 1}" for i in range(n)], *plant.controls], [*outputs, *plant.measurements], names[0],
+        where="lifting",
+    )  # fmt: skip
+    return LiftedPlant(model, N, len(means), len(rests), n_wide, n, plant.n_meas, plant.n_con, held, rest)
+
+
+def _compressed(rows: Array) -> Array:
+    """Rows with the same Gram matrix, no more than columns."""
+    return rows if len(rows) <= rows.shape[1] else triangular_root(rows)
+
+
+# --- one interval -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Interval:
+    """What happens in one interval of length h with v = (x, w, u) at its start, w and u constant."""
+
+    h: float
+    move: Array  # v -> x at the end
+    mean: Array  # v -> mean of z times sqrt(h)
+    variance_root: Array  # |variance_root v|^2: energy of z about its mean
+    kick: Array  # factor of what w0 does to x at the end
+    output: tuple[Array, Array]  # mean and variance root of z for x alone
+    local: float  # bound of the gain from w0 to z within the interval, but for D11
+
+    @classmethod
+    def of(cls, m: StateSpaceModel, free: Array, n_z: int, h: float) -> _Interval:
+        n = m.n_states
+        generator = np.zeros((n + m.n_inputs,) * 2)
+        generator[:n] = np.hstack([m.A, m.B])
+        out = np.hstack([m.C[:n_z], m.D[:n_z]])
+        moved, mean, variance = mean_and_variance(generator, out, h)
+        b = m.B[:, free]
+        _, _, kernel = mean_and_variance(m.A.T, b.T, h)
+        root = _root(variance)
+        energy = mean[:, :n].T @ mean[:, :n] + variance[:n, :n]
+        local = float(np.sqrt(h * max(float(np.trace(b.T @ energy @ b)), 0.0)))
+        return cls(h, moved[:n], mean, root, _root(kernel).T, (mean[:, :n], _root(variance[:n, :n])), local)
+
+
+def mean_and_variance(A: Array, C: Array, h: float) -> tuple[Array, Array, Array]:
+    r"""``e^(A h)``, the mean of ``C e^(A t)`` over [0, h] times :math:`\sqrt h`, and its variance times h.
+
+    .. math:: M = \frac{1}{\sqrt h} \int_0^h C e^{A t} dt, \qquad V = \int_0^h e^{A^T t} C^T C e^{A t} dt - M^T M
+
+    By doubling, so that neither a stiff A overflows nor V loses its digits to the difference:
+
+    .. math:: M(2h) = \frac{M + M F}{\sqrt 2}, \quad V(2h) = V + F^T V F + \tfrac12 (M - M F)^T (M - M F), \quad
+       F = e^{A h}
+    """
+    from scipy.linalg import expm
+
+    n = len(A)
+    size = float(np.linalg.norm(A, 1)) * h if n else 0.0
+    doublings = max(DOUBLINGS, int(np.ceil(np.log2(max(size, 1e-300) / SHORT))))
+    small = h / 2.0**doublings
+    step = A * small
+    moved = expm(step)
+    series = np.eye(n) + step @ (np.eye(n) / 2 + step @ (np.eye(n) / 6 + step / 24))
+    mean = np.sqrt(small) * C @ series
+    slope = C @ A
+    variance = small**3 / 12 * slope.T @ slope
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(1, doublings + 1):
+            later = mean @ moved
+            change = mean - later
+            variance = variance + moved.T @ variance @ moved + 0.5 * change.T @ change
+            mean = (mean + later) / np.sqrt(2)
+            moved = expm(A * (h / 2.0 ** (doublings - k)))  # not by squaring: errors would double each time
+    if not (np.isfinite(moved).all() and np.isfinite(variance).all()):
+        raise NoTrustworthyNumber("lifting", f"e^(A t) overflows within {h:g} s", "a shorter sample time")
+    return moved, mean, variance
+
+
+def _root(gram: Array) -> Array:
+    """R with ``R^T R = gram``, n x n; negative eigenvalues are rounding."""
+    values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+
+def _rest(intervals: list[_Interval], n: int, D11: Array) -> Rest:
+    gram = np.zeros((n, n))
+    later_mean, later_rest = np.zeros((len(intervals),) * 2), np.zeros((len(intervals),) * 2)
+    for i, step in enumerate(intervals):
+        reach = step.kick
+        for j in range(i + 1, len(intervals)):
+            mean, root = intervals[j].output
+            later_mean[j, i], later_rest[j, i] = np.linalg.norm(mean @ reach), np.linalg.norm(root @ reach)
+            reach = intervals[j].move[:, :n] @ reach
+        gram += reach @ reach.T
+    local = max((step.local for step in intervals), default=0.0)
+    direct = float(np.linalg.norm(D11, 2)) if D11.size else 0.0
+    gains = [float(np.linalg.norm(later, 2)) + local for later in (later_mean, later_rest)]
+    return Rest(_root(gram).T, gains[0], gains[1] + direct)

@@ -1,0 +1,423 @@
+"""Digital controllers: every formula verified in the sampled loop, and direct design on the lifted plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import MILLION, Budget, one_thread
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.frequency import frequency_response
+from robustlab.norms import HinfNorm, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.synthesis.hinf.hinf_synthesis import synthesize
+from robustlab.synthesis.hinf.loop_shaping import with_performance
+from robustlab.synthesis.nonsmooth.performance_measure import given_scalings, scaled_plant
+from robustlab.synthesis.problem.design import Synthesis, design_budget, told
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.sampled.discretisation import METHODS, MergedModes, discretise, merged_modes
+from robustlab.synthesis.sampled.lifting import lift
+from robustlab.synthesis.sampled.sampled_data import (
+    SampledDataNorm,
+    check_sampling,
+    norm_work,
+    sampled_loop_norm,
+    with_antialiasing,
+)
+
+__all__ = ["SampledController", "SampledMethod", "SampledTrial", "discretise_controller"]
+
+WHERE = "discretise_controller"
+WORK = 60 * MILLION
+SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
+
+# Intervals of a period on which the direct design sees disturbance and performance, and its allowed ratio of gammas.
+DESIGN_INTERVALS, DESIGN_GAMMA_REL = 4, 1.02
+# Largest number of lifted channels of the direct design.
+MOST_CHANNELS = 48
+
+
+@dataclass(frozen=True)
+class SampledTrial:
+    """One digital controller with the proved norm of its sampled loop.
+
+    Attributes
+    ----------
+    method
+        What made it.
+    order
+        Its number of states.
+    lower, upper
+        Bracket of the sampled-data norm; inf where the loop is not stable.
+    loss
+        ``upper / norm of the continuous loop - 1``.
+    status
+        Status of the bracket.
+    reason
+        Why there is no finite norm, or no controller; else empty.
+    """
+
+    method: str
+    order: int
+    lower: float
+    upper: float
+    loss: float
+    status: Status
+    reason: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return vars(self).copy()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SampledController(Synthesis):
+    """A digital controller; ``gamma`` is the proved H-infinity norm of the sampled-data loop, between samples too.
+
+    ``closed_loop`` is the discrete loop over whole sample periods (lifted): from w to z on the intervals of a period.
+    ``plant`` is the continuous plant as given.
+
+    Attributes
+    ----------
+    original
+        The continuous controller.
+    continuous_norm
+        Norm of the continuous loop with it.
+    norm
+        Bracket of the sampled-data norm.
+    allowed_loss
+        The loss that was allowed before a direct design was tried.
+    trials
+        Every method that was tried.
+    delay
+        Computational delay in s.
+    antialiasing
+        Corner of the filter before the sampler in rad/s; None: no filter.
+    pathological
+        Pairs of plant modes that sampling makes one.
+    chosen
+        The method of K.
+    """
+
+    original: StateSpaceModel
+    continuous_norm: HinfNorm
+    norm: SampledDataNorm
+    allowed_loss: float
+    trials: tuple[SampledTrial, ...]
+    delay: float
+    antialiasing: float | None
+    pathological: tuple[MergedModes, ...]
+    chosen: str
+
+    @property
+    def loss(self) -> float:
+        """``gamma / norm of the continuous loop - 1``; negative where the sampled loop has the smaller norm."""
+        return _loss(self.gamma, self.continuous_norm)
+
+    def _gamma_text(self) -> str:
+        return f"{self.gamma:.6g} (sampled loop, between samples too; at least {self.norm.lower:.6g})"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = [("sampled-data norm" if label == "gamma" else label, text) for label, text in super().summary()]
+        text = f"{100 * self.loss:.3g} % of the continuous loop's {self.continuous_norm.upper:.6g}"
+        head = [
+            ("method", f"{self.chosen}, dt = {self.K.dt:g} s" + (f", delay {self.delay:g} s" if self.delay else "")),
+            ("loss", f"{text} (allowed: {100 * self.allowed_loss:g} %)"),
+        ]
+        if self.antialiasing is not None:
+            head.append(("before the sampler", f"first-order filter at {self.antialiasing:.4g} rad/s"))
+        elif self.norm.held:
+            head.append(("taken as constant between samples", ", ".join(self.norm.held)))
+        tried = [f"{t.method}: {_loss_text(t)}" for t in self.trials]
+        notes = [("note", str(merged)) for merged in self.pathological]
+        return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plant, with arrays."""
+        return super().to_json() | {
+            "dt": self.K.dt,
+            "chosen": self.chosen,
+            "loss": self.loss,
+            "allowed_loss": self.allowed_loss,
+            "delay": self.delay,
+            "antialiasing": self.antialiasing,
+            "continuous_norm": self.continuous_norm.to_json(),
+            "norm": self.norm.to_json(),
+            "trials": [trial.to_json() for trial in self.trials],
+            "pathological": [merged.to_json() for merged in self.pathological],
+            "original": self.original.to_json(),
+        }
+
+
+@told_as("discretise_controller")
+def discretise_controller(
+    design_or_plant: Any,
+    dt: float,
+    K: Any = None,
+    *,
+    method: SampledMethod = "auto",
+    loss: float = 0.1,
+    delay: float = 0.0,
+    antialiasing: float | None = None,
+    prewarp: float | None = None,
+    scalings: Any = None,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    time_limit: float | None = None,
+    effort: float = 1.0,
+    progress: Callable[[str], None] | None = None,
+) -> SampledController:
+    r"""Digital controller for a continuous design, with the proved norm of the sampled loop and what it loses.
+
+    .. math:: \text{loss} = \frac{\|F_l(P, H K_d S)\|}{\|F_l(P, K)\|_\infty} - 1
+
+    with sampler S and zero-order hold H; the norm is that of `sampled_data_norm`, inter-sample behaviour included. The
+    sampled loop's stability is that of an exact discrete model of the plant. Where the formulas lose more than
+    ``loss``, a controller is designed for the sampled plant itself: H-infinity synthesis on the lifted plant.
+
+    Parameters
+    ----------
+    design_or_plant
+        A `Synthesis`, or a continuous generalised plant (see `hinf`) with K. Of a bare plant, whose every input is a
+        control and every output a measurement, the four-block loop is judged, as by `reduce_controller`.
+    dt
+        Sample time in s.
+    K
+        Continuous controller, ``u = K y``, where it is not that of the design.
+    method
+        A formula of `discretise`, ``"direct"``, or ``"auto"``: the best of the formulas, and the direct design where
+        they lose more than ``loss``.
+    loss
+        Largest loss allowed, as a share.
+    delay
+        Computational delay in s, between sample and change of the control.
+    antialiasing
+        Corner frequency in rad/s of a filter before the sampler; see `sampled_data_norm`.
+    prewarp
+        Frequency in rad/s for ``"tustin-prewarp"``; the frequency of the continuous loop's peak where left out.
+    scalings
+        Pair of stable models ``(D_z, D_w^-1)``: the norm of the scaled loop then bounds mu for the linear
+        time-invariant perturbations that commute with them, in the sampled loop as well.
+    n_meas, n_con
+        Numbers of measurements and controls, where a plain plant is given.
+    time_limit
+        Time in s, asked between methods and kept by the direct design; none where left out. Where it ends the search
+        the status is TIMEOUT.
+    effort
+        Multiple of the usual work.
+    progress
+        Called with one line for each method.
+
+    Raises
+    ------
+    InputError
+        A discrete plant or controller, a sample time that is not positive, a negative delay, an unknown method.
+    NoTrustworthyNumber
+        The continuous loop is not stable; or no method left the sampled loop stable (pathological sampling is named).
+
+    References
+    ----------
+    Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters 8, 13; Bamieh, Pearson (1992).
+
+    Examples
+    --------
+    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> digital = discretise_controller(hinf(P, 1, 1), 0.05)
+    >>> digital.status.value, digital.loss < 0.1, digital.K.dt
+    ('certified', True, 0.05)
+    """
+    given = design_or_plant
+    if not isinstance(given, Synthesis) and K is None:
+        raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
+    full = as_model(getattr(K, "K", K) if K is not None else given.K, f"{WHERE}: K")
+    plant = as_generalized_plant(
+        given.plant if isinstance(given, Synthesis) else given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE
+    )
+    check_sampling(plant, dt, delay, WHERE)
+    if full.is_discrete:
+        raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
+    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
+        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    plant = with_performance(plant, WHERE)
+    known = ("auto", "direct", *METHODS)
+    if method not in known:
+        raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
+    if not 0 <= loss < np.inf:
+        raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
+    budget = design_budget(WHERE, WORK, effort, time_limit)
+    judged = plant if scalings is None else scaled_plant(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
+    filtered = with_antialiasing(judged, antialiasing, WHERE)
+    with one_thread():
+        continuous = hinf_norm(judged.close(full))
+        if not np.isfinite(continuous.upper):
+            raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
+        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress)
+        search.run(method, loss, prewarp)
+    return _finished(search, plant, full, loss, antialiasing)
+
+
+def _loss(value: float, reference: HinfNorm) -> float:
+    return value / reference.upper - 1 if reference.upper > 0 else float(np.inf if value else 0.0)
+
+
+def _loss_text(trial: SampledTrial) -> str:
+    if np.isfinite(trial.upper):
+        return f"{100 * trial.loss:+.3g} %"
+    return "not stable" if trial.order >= 0 else "none"
+
+
+class _Trials:
+    """The digital controllers tried so far, each with the norm of its loop."""
+
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        K: StateSpaceModel,
+        dt: float,
+        delay: float,
+        continuous: HinfNorm,
+        budget: Budget,
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self.plant, self.K, self.dt, self.delay, self.continuous = plant, K, dt, delay, continuous
+        self.budget = budget
+        self.progress = progress or (lambda _: None)
+        self.merged = merged_modes(plant.model, dt)
+        self.trials: list[SampledTrial] = []
+        self.best: tuple[str, StateSpaceModel, SampledDataNorm] | None = None
+
+    def run(self, method: str, loss: float, prewarp: float | None) -> None:
+        """Try what ``method`` asks for."""
+        for name in self._formulas(method):
+            if self.budget.over:
+                return
+            self._formula(name, prewarp)
+        enough = self.best is not None and _loss(self.best[2].upper, self.continuous) <= loss
+        if (method == "direct" or (method == "auto" and not enough)) and not self.budget.over:
+            self._direct()
+
+    def _formulas(self, method: str) -> list[str]:
+        if method != "auto":
+            return [method] if method != "direct" else []
+        names = ["tustin", "zoh", "foh"]
+        if 0 < self.continuous.frequency < 0.9 * np.pi / self.dt:
+            names.insert(1, "tustin-prewarp")
+        return [*names, "matched"] if (self.K.n_inputs, self.K.n_outputs) == (1, 1) else names
+
+    def _formula(self, name: str, prewarp: float | None) -> None:
+        if name == "tustin-prewarp" and prewarp is None:
+            prewarp = self.continuous.frequency
+        try:
+            made = discretise(self.K, self.dt, name, prewarp=prewarp if name == "tustin-prewarp" else None)  # pyright: ignore[reportArgumentType]
+        except NoTrustworthyNumber as error:
+            self._none(name, error.line)
+            return
+        self._judge(name, made)
+
+    def _direct(self) -> None:
+        """H-infinity synthesis on the lifted plant."""
+        channels = max(self.plant.model.n_inputs - self.plant.n_con, self.plant.model.n_outputs - self.plant.n_meas)
+        n_intervals = int(np.clip(MOST_CHANNELS // max(channels, 1), 1, DESIGN_INTERVALS))
+        lifted = lift(self.plant, self.dt, n_intervals, self.delay).generalized_plant()
+        try:
+            design = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, self.budget)
+        except NoTrustworthyNumber as error:
+            named = [str(merged) for merged in self.merged if not merged.stable]
+            self._none("direct", "; ".join([error.line, *named]))
+            return
+        K = design.K
+        self._judge("direct", StateSpaceModel(K.A, K.B, K.C, K.D, self.dt, self.K.inputs, self.K.outputs))
+
+    def _none(self, name: str, reason: str) -> None:
+        self.trials.append(SampledTrial(name, -1, np.inf, np.inf, np.inf, Status.FAILED, reason))
+        self.progress(f"{name}: {reason}")
+
+    def _judge(self, name: str, K: StateSpaceModel) -> None:
+        self.budget.spend(norm_work(self.plant, K))
+        # One that is larger than the best is not looked at more closely, unless that one is in doubt.
+        sure = self.best is not None and self.best[2].status.trustworthy
+        enough = self.best[2].upper if self.best is not None and sure else np.inf
+        try:
+            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, enough)
+        except (InputError, NoTrustworthyNumber) as error:  # the loop is not well posed
+            self._none(name, error.line)
+            return
+        loss = _loss(norm.upper, self.continuous)
+        trial = SampledTrial(name, K.n_states, norm.lower, norm.upper, loss, norm.status, norm.reason)
+        self.trials.append(trial)
+        self.progress(f"{name}: sampled-data norm {norm.upper:.6g}, loss {_loss_text(trial)}")
+        key = (not norm.status.trustworthy, norm.upper)
+        if np.isfinite(norm.upper) and (self.best is None or key < (not sure, self.best[2].upper)):
+            self.best = name, K, norm
+
+
+def _finished(
+    search: _Trials, plant: GeneralizedPlant, full: StateSpaceModel, loss: float, antialiasing: float | None
+) -> SampledController:
+    if search.best is None:
+        late = f" ({search.budget.remark})" if search.budget.remark else ""
+        fates = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
+        named = [str(merged) for merged in search.merged]
+        raise NoTrustworthyNumber(
+            WHERE, f"no digital controller with dt = {search.dt:g} s left the sampled loop stable{late}",
+            hint="a shorter sample time", more=(*named, *fates),
+        )  # fmt: skip
+    name, K, norm = search.best
+    achieved = _loss(norm.upper, search.continuous)
+    how = norm.reason or f"norm proved on {norm.n_intervals} intervals a period"
+    reason = f"{name}: sampled loop rebuilt, {how}"
+    if achieved > loss:
+        reason += f"; no method tried keeps the loss to {100 * loss:g} %"
+    status, reason = told(norm.status, [reason], search.budget, "one that loses less")
+    return SampledController(
+        K=K,
+        gamma=norm.upper,
+        closed_loop=norm.loop,
+        status=status,
+        reason=reason,
+        limit=_limiting_channels(norm, search.plant),
+        plant=plant,
+        method=f"sampled {name}",
+        original=full,
+        continuous_norm=search.continuous,
+        norm=norm,
+        allowed_loss=loss,
+        trials=tuple(search.trials),
+        delay=search.delay,
+        antialiasing=antialiasing,
+        pathological=search.merged,
+        chosen=name,
+    )
+
+
+def _limiting_channels(norm: SampledDataNorm, plant: GeneralizedPlant) -> str:
+    """The disturbance and the mean performance with the largest share in the singular vectors of the peak."""
+    m = plant.model
+    if not norm.loop.n_inputs or not norm.loop.n_outputs or not np.isfinite(norm.frequency):
+        return ""
+    left, _, right = np.linalg.svd(frequency_response(norm.loop, [norm.frequency])[0])
+    n_z = m.n_outputs - plant.n_meas
+    out, rest = _shares(norm.loop.output_names, left[:, 0], m.output_names[:n_z])
+    into, _ = _shares(norm.loop.input_names, right[0], m.input_names[: m.n_inputs - plant.n_con])
+    texts = [max(shares, key=lambda name: shares[name]) for shares in (out, into)]
+    between = f"; {rest:.0%} of it varies between samples" if rest >= 0.01 else ""
+    return f"{texts[0]} ({out[texts[0]]:.0%} of the peak) driven by {texts[1]} ({into[texts[1]]:.0%}){between}"
+
+
+def _shares(lifted: tuple[str, ...], vector: NDArray[Any], names: tuple[str, ...]) -> tuple[dict[str, float], float]:
+    """Share of each channel over all intervals, and what belongs to none (the variation within intervals)."""
+    shares = dict.fromkeys(names, 0.0)
+    rest = 0.0
+    for name, weight in zip(lifted, np.abs(vector) ** 2, strict=True):
+        channel = name if name in shares else name.rpartition("[")[0]
+        if channel in shares:
+            shares[channel] += float(weight)
+        else:
+            rest += float(weight)
+    return shares, rest

@@ -1,0 +1,284 @@
+r"""The H-infinity norm of a loop of continuous plant, sampler, digital controller and hold, between the samples too.
+
+.. math:: \|T\| = \sup_{w \ne 0} \frac{\|z\|_{L_2}}{\|w\|_{L_2}}
+
+for every w of finite energy, not sinusoids alone: the loop is periodic, and answers a sinusoid with many. Disturbances
+that reach the sampler directly, as references and sensor noise do in most generalised plants, are those that change at
+the samples only: of others a sample has no bound. A filter before the sampler makes room for all.
+
+With Q the mean over each of N intervals of a period (of w, of z), and Q' = I - Q the rest,
+
+.. math:: \|T Q\| \le \|T\| \le \left\| \begin{bmatrix} \|Q T Q\| & \|Q T Q'\| \\ \|Q' T Q\| & \|Q' T Q'\|
+   \end{bmatrix} \right\|
+
+The left side and the first column are H-infinity norms of discrete loops, exactly; the second column is bounded by
+Gramians. Both sides meet like 1 / N^2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.budget import dense, one_thread
+from robustlab.errors import InputError, told_as
+from robustlab.norms import hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series
+from robustlab.synthesis.problem.independent_check import hinf_voice
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
+from robustlab.synthesis.reduction.balancing import triangular_root
+from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
+
+__all__ = ["SampledDataNorm", "sampled_data_norm", "sampled_loop_norm", "with_antialiasing"]
+
+Array = NDArray[Any]
+
+INTERVALS = (2, 4, 8, 16, 32, 64)
+# Largest number of lifted disturbance or performance channels.
+MOST_CHANNELS = 256
+
+
+@dataclass(frozen=True, eq=False)
+class SampledDataNorm:
+    """Norm of a sampled-data loop as a bracket.
+
+    Attributes
+    ----------
+    value
+        ``upper``.
+    lower, upper
+        ``lower <= norm <= upper``: ``lower`` is the gain of a disturbance that is constant on the intervals, ``upper``
+        holds for all. Both inf where the loop is not stable.
+    frequency
+        Frequency in rad/s, from 0 to pi / dt, of the loop over whole periods at which ``lower`` is attained.
+    n_intervals
+        Number of intervals of a period in the end.
+    history
+        ``(n_intervals, lower, upper)`` of every step.
+    held
+        Names of the disturbances that change at the samples only, because they reach the sampler directly.
+    loop
+        The discrete closed loop over whole periods, whose norm is ``lower``: from the means of w to the means and rests
+        of z.
+    status
+        CERTIFIED: the bracket is proved and closed to the tolerance asked. CONVERGED: ``lower`` has settled to it, the
+        proved bracket is wider. INACCURATE: neither.
+    reason
+        Why it is not certified, or infinite; else empty.
+    """
+
+    lower: float
+    upper: float
+    frequency: float
+    n_intervals: int
+    history: tuple[tuple[int, float, float], ...]
+    loop: StateSpaceModel
+    held: tuple[str, ...]
+    status: Status
+    reason: str = ""
+
+    @property
+    def value(self) -> float:
+        """``upper``."""
+        return self.upper
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the loop."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "loop"}
+
+
+@told_as("sampled_data_norm")
+def sampled_data_norm(
+    plant: Any,
+    K: Any,
+    *,
+    delay: float = 0.0,
+    antialiasing: float | None = None,
+    n_meas: int | None = None,
+    n_con: int | None = None,
+    rtol: float = 1e-2,
+) -> SampledDataNorm:
+    r"""H-infinity norm from w to z of a continuous plant with a digital controller, inter-sample behaviour included.
+
+    The measurements are sampled at ``k dt``, the controls change at ``k dt + delay`` and are held (zero order).
+
+    Parameters
+    ----------
+    plant
+        Continuous generalised plant (see `hinf`).
+    K
+        Discrete controller, ``u = K y``; its dt is the sample time.
+    delay
+        Computational delay in s, of any length.
+    antialiasing
+        Corner frequency in rad/s of a first-order low-pass filter before the sampler, on every measurement that w or u
+        reach directly; w then is any disturbance of finite energy. Where left out, those that reach the sampler
+        directly change at the samples only (``held`` names them).
+    n_meas, n_con
+        Numbers of measurements and controls, where a plain plant is given.
+    rtol
+        Relative width of the bracket that ends the refinement.
+
+    Raises
+    ------
+    InputError
+        A discrete plant, a continuous K, sizes that do not fit, a negative delay, a loop that is not well posed.
+
+    References
+    ----------
+    Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters 10, 13.
+
+    Examples
+    --------
+    >>> P = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0, 0], [0, 0]])  # x' = -x + w + u, z = y = x
+    >>> norm = sampled_data_norm(P, StateSpaceModel([], [], [], [[-3.0]], 0.01), n_meas=1, n_con=1)
+    >>> norm.status.value, 0.25 < norm.lower < norm.upper < 0.254
+    ('certified', True)
+    """
+    where = "sampled_data_norm"
+    k = as_model(getattr(K, "K", K), f"{where}: K")
+    p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
+    require_performance(p, where)
+    check_sampling(p, k.dt, delay, where)
+    if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
+        raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
+    if not 0 < rtol < 1:
+        raise InputError(where, f"rtol is {rtol}", "between 0 and 1")
+    with one_thread():
+        return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol)
+
+
+def check_sampling(plant: GeneralizedPlant, dt: float, delay: float, where: str) -> None:
+    """A continuous plant, a positive sample time, a delay that is none or positive."""
+    if plant.model.dt:
+        raise InputError(where, f"the plant has dt = {plant.model.dt:g} s", "a continuous plant (dt = 0)")
+    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
+        raise InputError(where, f"the sample time is {dt!r}", "a positive time in s", "discretise the controller first")
+    if not 0 <= delay < np.inf:
+        raise InputError(where, f"delay is {delay}", "a time in s, not negative")
+
+
+def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str) -> GeneralizedPlant:
+    r"""The plant with :math:`1 / (s / \omega_f + 1)` on the measurements that w or u reach directly (D21, D22)."""
+    if corner is None:
+        return plant
+    m, n_y = plant.model, plant.n_meas
+    rows = np.flatnonzero(m.D[m.n_outputs - n_y :].any(axis=1))
+    if not 0 < corner < np.inf:
+        raise InputError(where, f"antialiasing is {corner}", "a positive corner frequency in rad/s")
+    if not len(rows):
+        return plant
+    k = len(rows)
+    select = np.zeros((n_y, k))
+    select[rows, range(k)] = 1.0
+    straight = np.eye(n_y) - select @ select.T
+    filters = StateSpaceModel(-corner * np.eye(k), corner * select.T, select, straight)
+    n_z = m.n_outputs - n_y
+    gain = StateSpaceModel(
+        np.zeros((0, 0)), np.zeros((0, n_z)), np.zeros((n_z, 0)), np.eye(n_z),
+        inputs=[f"z{i}" for i in range(n_z)], outputs=[f"z{i}" for i in range(n_z)],
+    )  # fmt: skip
+    behind = series(StateSpaceModel(m.A, m.B, m.C, m.D), append(gain, filters))
+    return GeneralizedPlant(behind.renamed(m.inputs, m.outputs), n_y, plant.n_con, plant.blocks)
+
+
+def norm_work(plant: GeneralizedPlant, K: StateSpaceModel) -> int:
+    """Work of `sampled_loop_norm`, as measured: brackets for two or three numbers of intervals."""
+    return dense(plant.model.n_states + K.n_states, 200)
+
+
+def sampled_loop_norm(
+    plant: GeneralizedPlant, K: StateSpaceModel, delay: float, rtol: float, enough: float = np.inf
+) -> SampledDataNorm:
+    """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed.
+
+    Or until ``lower`` exceeds ``enough``: then nobody asks how much.
+    """
+    m = plant.model
+    n_w, n_z = m.n_inputs - plant.n_con, m.n_outputs - plant.n_meas
+    history: list[tuple[int, float, float]] = []
+    best: SampledDataNorm | None = None
+    lifted: LiftedPlant | None = None
+    for n_intervals in INTERVALS:
+        if best is not None and n_intervals * max(n_w, n_z) > MOST_CHANNELS:
+            break
+        lifted = lift(plant, K.dt, n_intervals, delay)
+        found = _bracket(lifted, lower_lft(lifted.model, _plain(K)), min(1e-4, 0.1 * rtol))
+        history.append((lifted.n_intervals, found.lower, found.upper))
+        lower, upper = max(h[1] for h in history), min(h[2] for h in history)
+        settled = len(history) > 1 and history[-1][1] <= history[-2][1] * (1 + rtol / 3)
+        status, reason = found.status, found.reason
+        if np.isfinite(upper) and status is Status.CERTIFIED and upper > lower * (1 + rtol):
+            status = Status.CONVERGED if settled else Status.INACCURATE
+            reason = f"the proved bracket is {100 * (upper / lower - 1):.2g} % wide" if lower else "the bracket is open"
+        best = SampledDataNorm(
+            lower, upper, found.frequency, lifted.n_intervals, tuple(history), found.loop, found.held, status, reason
+        )
+        if not np.isfinite(upper) or upper <= lower * (1 + rtol) or upper == 0 or lower > enough:
+            break
+    assert best is not None
+    assert lifted is not None
+    return best if best.lower > enough or not np.isfinite(best.upper) else _confirmed(best, lifted, K)
+
+
+def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -> SampledDataNorm:
+    """The norm, unless the lifted plant and K, each evaluated on its own, say something else."""
+    plant = lifted.generalized_plant()
+    m, n_z = plant.model, plant.model.n_outputs - plant.n_meas
+    # An orthogonal turn of the performance outputs: no more of them than states and inputs.
+    rows = triangular_root(np.hstack([m.C[:n_z], m.D[:n_z]]))
+    narrow = StateSpaceModel(
+        m.A, m.B, np.vstack([rows[:, : m.n_states], m.C[n_z:]]), np.vstack([rows[:, m.n_states :], m.D[n_z:]]), m.dt
+    )
+    voice = hinf_voice(GeneralizedPlant(narrow, plant.n_meas, plant.n_con), _plain(K), norm.loop, [norm.frequency])
+    doubt = voice.doubt(norm.lower, norm.upper)
+    if not doubt:
+        return norm
+    return replace(norm, upper=voice.larger(norm.upper), status=Status.INACCURATE, reason=doubt)
+
+
+def _plain(K: StateSpaceModel) -> StateSpaceModel:
+    return StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
+
+
+def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> SampledDataNorm:
+    """The bracket of one number of intervals."""
+    n = lifted.n_w
+    w, kick = slice(0, n), slice(n, n + lifted.n_kick)
+    mean, rest = slice(0, lifted.n_means), slice(lifted.n_means, lifted.n_means + lifted.n_rests)
+    whole = _part(loop, slice(0, lifted.n_means + lifted.n_rests), w)
+    lower = hinf_norm(_narrow(whole), rtol)
+    upper, doubtful = lower.upper, [norm for norm in (lower,) if norm.status is not Status.CERTIFIED]
+    if np.isfinite(upper) and len(lifted.held) < n:  # where all of w is held, nothing is left to bound
+        a = hinf_norm(_narrow(_part(loop, mean, w)), rtol)
+        b, c, d = (
+            hinf_norm(_narrow(_part(loop, i, j)), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick))
+        )
+        gains = np.array([[a.upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
+        upper = max(float(np.linalg.norm(gains, 2)), upper)
+        doubtful += [norm for norm in (a,) if norm.status is not Status.CERTIFIED]
+    status = Status.INACCURATE if doubtful else Status.CERTIFIED
+    reason = doubtful[0].reason if doubtful else lower.reason
+    held = tuple(loop.input_names[i] for i in range(n - len(lifted.held), n))
+    return SampledDataNorm(
+        lower.lower, upper, lower.frequency, lifted.n_intervals, (), whole, held, status, reason
+    )  # fmt: skip
+
+
+def _part(loop: StateSpaceModel, rows: slice, columns: slice) -> StateSpaceModel:
+    return StateSpaceModel(
+        loop.A, loop.B[:, columns], loop.C[rows], loop.D[rows, columns], loop.dt, loop.inputs[columns],
+        loop.outputs[rows],
+    )  # fmt: skip
+
+
+def _narrow(loop: StateSpaceModel) -> StateSpaceModel:
+    """The same norm with no more outputs than states and inputs: an orthogonal turn of the outputs."""
+    if loop.n_outputs <= loop.n_states + loop.n_inputs:
+        return loop
+    r = triangular_root(np.hstack([loop.C, loop.D]))
+    return StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)

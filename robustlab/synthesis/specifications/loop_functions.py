@@ -1,0 +1,170 @@
+"""The functions of a loop that a designer looks at, S, T, K S and S G, and the bounds that weights put on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, told_as
+from robustlab.frequency import frequency_response
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.structural import drop_unconnected
+from robustlab.synthesis.problem.design import Synthesis
+
+__all__ = ["FUNCTIONS", "LoopFunctions", "loop_functions", "loop_functions_of"]
+
+Array = NDArray[Any]
+
+# Which weight of a mixed-sensitivity problem bounds which function.
+FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFunctions:
+    r"""The closed-loop functions of one loop, each with all states of the loop.
+
+    .. math:: S: r \to r - y, \quad T: r \to y, \quad K S: r \to u, \quad S G: d \to y, \qquad S + T = I
+
+    for a reference r on the measured output and a disturbance d on the plant's input.
+
+    Attributes
+    ----------
+    S, T, KS, SG
+        Sensitivity and complementary sensitivity (n_y, n_y), control effort (n_u, n_y), disturbance response
+        (n_y, n_u).
+    weights
+        ``W1``, ``W2``, ``W3`` of a mixed-sensitivity design, on S, KS and T; empty otherwise.
+    gamma
+        The verified gamma of that design: ``sigma_max(W1 S) <= gamma`` and so on; NaN where there are no weights.
+    """
+
+    S: StateSpaceModel
+    T: StateSpaceModel
+    KS: StateSpaceModel
+    SG: StateSpaceModel
+    weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
+    gamma: float = float("nan")
+
+    def model(self, name: str) -> StateSpaceModel:
+        """One function by its name, ``"S"``, ``"T"``, ``"KS"`` or ``"SG"``."""
+        if name not in FUNCTIONS:
+            raise InputError("loop functions", f"{name!r}", f"one of {', '.join(FUNCTIONS)}")
+        found: StateSpaceModel = getattr(self, name)
+        return found
+
+    def singular_values(self, name: str, omega: ArrayLike) -> Array:
+        """Singular values of one function at ``omega`` in rad/s, largest first, shape (n_omega, k)."""
+        return np.linalg.svd(frequency_response(self.model(name), omega), compute_uv=False)
+
+    def gain(self, name: str, omega: ArrayLike) -> Array:
+        """Largest singular value of one function at ``omega`` in rad/s, shape (n_omega,)."""
+        return self.singular_values(name, omega)[:, 0]
+
+    def bound(self, name: str, omega: ArrayLike) -> Array | None:
+        r"""What the weight and gamma prove for the largest singular value, shape (n_omega,); None without a weight.
+
+        .. math:: \bar\sigma(S) \le \gamma / \underline\sigma(W_1)
+
+        A weight with fewer outputs than inputs bounds some directions only and gives infinity.
+        """
+        self.model(name)
+        weight = self.weights.get(FUNCTIONS[name])
+        if weight is None:
+            return None
+        sigma = np.linalg.svd(frequency_response(weight, omega), compute_uv=False)
+        smallest = sigma[:, -1] if weight.n_outputs >= weight.n_inputs else np.zeros(len(sigma))
+        with np.errstate(divide="ignore"):
+            return self.gamma / smallest
+
+    def is_stable(self) -> bool:
+        """True where the loop is internally stable."""
+        return self.S.is_stable()
+
+
+@told_as("loop_functions")
+def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunctions:
+    r"""S, T, K S and S G of plant G and controller K.
+
+    .. math:: S = (I - s\, G K)^{-1}, \qquad T = I - S, \qquad r \to u: -s K S, \qquad d \to y: S G
+
+    Parameters
+    ----------
+    G, K
+        Plant (n_y outputs, n_u inputs) and controller (n_u, n_y).
+    sign
+        s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit, or an algebraic loop.
+
+    Examples
+    --------
+    >>> integrator = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> loop = loop_functions(integrator, StateSpaceModel([], [], [], [[2.0]]))
+    >>> loop.is_stable(), loop.T.dc_gain().tolist(), loop.gain("S", [2.0]).round(6).tolist()
+    (True, [[1.0]], [0.707107])
+    """
+    g, k = as_model(G, "loop functions: G"), as_model(K, "loop functions: K")
+    if k.D.shape != g.D.T.shape:
+        raise InputError("loop functions", f"K is {k.n_outputs} x {k.n_inputs}", f"{g.n_inputs} x {g.n_outputs}")
+    if sign not in (-1, 1):
+        raise InputError("loop functions: sign", f"{sign!r}", "-1 (u = K (r - y)) or 1 (u = K (y - r))")
+    n, n_y, n_u = g.n_states, g.n_outputs, g.n_inputs
+    # From (r, d, u) to (r - y, y, u, r - y) with y = G (u + d); K acts on e = r - y.
+    none = np.zeros((n_u, n))
+    direct = np.hstack([np.zeros((n_y, n_y)), g.D, g.D])
+    error = np.hstack([np.eye(n_y), -g.D, -g.D])
+    control = np.hstack([np.zeros((n_u, n_y + n_u)), np.eye(n_u)])
+    plant = StateSpaceModel(
+        g.A,
+        np.hstack([np.zeros((n, n_y)), g.B, g.B]),
+        np.vstack([-g.C, g.C, none, -g.C]),
+        np.vstack([error, direct, control, error]),
+        g.dt,
+    )
+    # u = K (y - r) is u = -K e.
+    signed = StateSpaceModel(k.A, k.B, -sign * k.C, -sign * k.D, k.dt)
+    loop = lower_lft(plant, signed)
+    r, d = slice(0, n_y), slice(n_y, n_y + n_u)
+    e, y, u = slice(0, n_y), slice(n_y, 2 * n_y), slice(2 * n_y, 2 * n_y + n_u)
+
+    def part(rows: slice, columns: slice, inputs: Any, outputs: Any) -> StateSpaceModel:
+        return StateSpaceModel(
+            loop.A, loop.B[:, columns], loop.C[rows], loop.D[rows, columns], loop.dt, inputs, outputs
+        )
+
+    references = [(f"r {s.name}", s.unit) for s in g.outputs]
+    errors = [(f"e {s.name}", s.unit) for s in g.outputs]
+    disturbances = [(f"d {s.name}", s.unit) for s in g.inputs]
+    return LoopFunctions(
+        part(e, r, references, errors),
+        part(y, r, references, g.outputs),
+        part(u, r, references, g.inputs),
+        part(y, d, disturbances, g.outputs),
+    )
+
+
+@told_as("loop_functions_of")
+def loop_functions_of(design: Synthesis) -> LoopFunctions:
+    """S, T, K S and S G of a finished design, at the outputs that its controller measures.
+
+    A mixed-sensitivity controller (one whose design has ``weights``) measures the error ``r - y``; every other design
+    measures y, and a reference enters as ``u = K (y - r)``. The plant is what leads from the controls to the
+    measurements of the design's generalised plant.
+    """
+    weights = dict(getattr(design, "weights", {}))
+    plant = design.plant
+    inner = drop_unconnected(plant.model.select([s.name for s in plant.controls], [s.name for s in plant.measurements]))
+    if not weights:
+        return loop_functions(inner, design.K, sign=1)
+    # The measurement of a mixed-sensitivity plant is e = r - G u.
+    g = StateSpaceModel(inner.A, inner.B, -inner.C, -inner.D, inner.dt, inner.inputs, inner.outputs)
+    names = [(s.name.removeprefix("e "), s.unit) for s in g.outputs]
+    found = loop_functions(g.renamed(None, names), design.K, sign=-1)
+    return LoopFunctions(found.S, found.T, found.KS, found.SG, weights, design.gamma)

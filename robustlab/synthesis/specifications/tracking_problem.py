@@ -1,0 +1,379 @@
+r"""Tracking problems: a plant, what its outputs are to do, and what disturbs it, as one weighted generalised plant.
+
+.. math::
+    e = \frac{r - y_c}{\bar r}, \qquad y = G\,(u + d), \qquad
+    z = \begin{bmatrix} W_1 e \\ W_2 u \\ W_3 y_c / \bar r \end{bmatrix}, \qquad
+    v = \begin{bmatrix} r \\ y_m + n \end{bmatrix}, \qquad u = K v
+
+driven by :math:`r = \bar r F \tilde r`, :math:`d = \bar d \tilde d`, :math:`n = \bar n \tilde n` with :math:`F = 1 /
+(s / \omega_r + 1)`: references are fast only where they are small, as those of a machine of limited speed. The
+controller sees reference and measurements by themselves (two degrees of freedom), so that every law with these signals,
+a cascade of PIDs as well, is judged by the same number: the gain from :math:`(\tilde r, \tilde d, \tilde n)` to z is
+at most one where every requirement holds.
+
+References
+----------
+Skogestad, Postlethwaite 2005, section 9.3 (signal-based H-infinity control); Březina 2010, eq. 10.15.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.errors import InputError, did_you_mean
+from robustlab.frequency import frequency_response
+from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["TrackingProblem", "tracking_problem"]
+
+Array = NDArray[np.float64]
+Sizes = float | Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingProblem:
+    """A weighted tracking problem.
+
+    Attributes
+    ----------
+    uncertain
+        From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
+        controller sees.
+    signals
+        The same without weights and without F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v].
+    controlled, measured
+        Outputs that are to follow the references, and those that the controller sees beside the references.
+    weights
+        Weight of one channel, by name ``"W1"``, ``"W2"``, ``"W3"``; those that were given.
+    shape
+        F, what the references do over frequency; 1 where they have no bandwidth.
+    reference, disturbance, noise, loads
+        Sizes of these signals, by name of the output or input they belong to; empty where there is none. Loads are
+        inputs of the plant that are no controls.
+    """
+
+    uncertain: UncertainModel
+    signals: UncertainModel
+    controlled: tuple[Signal, ...]
+    measured: tuple[Signal, ...]
+    weights: Mapping[str, StateSpaceModel]
+    shape: StateSpaceModel
+    reference: Mapping[str, float]
+    disturbance: Mapping[str, float]
+    noise: Mapping[str, float]
+    loads: Mapping[str, float]
+
+    @property
+    def n_meas(self) -> int:
+        """Number of signals that the controller sees."""
+        return len(self.controlled) + len(self.measured)
+
+    @property
+    def n_con(self) -> int:
+        """Number of controls."""
+        w = len(self.reference) + len(self.disturbance) + len(self.loads) + len(self.noise)
+        return len(self.uncertain.inputs) - w
+
+    @property
+    def plant(self) -> GeneralizedPlant:
+        """The generalised plant with its perturbation channels and blocks."""
+        return GeneralizedPlant(self.uncertain.M, self.n_meas, self.n_con, self.uncertain.blocks)
+
+    @property
+    def nominal(self) -> GeneralizedPlant:
+        """The generalised plant at Delta = 0."""
+        return GeneralizedPlant(self.uncertain.nominal, self.n_meas, self.n_con)
+
+    def to_uncertain(self) -> UncertainModel:
+        """`uncertain`."""
+        return self.uncertain
+
+    def on(self, G: Any) -> TrackingProblem:
+        """The same requirement for another plant or set with the same signals; loads that it lacks are left out."""
+        bandwidth = -float(self.shape.A[0, 0]) if self.shape.n_states else None
+        inputs = [s.name for s in (G if isinstance(G, UncertainModel) else as_model(G, "tracking problem: G")).inputs]
+        loads = {name: size for name, size in self.loads.items() if name in inputs}
+        return tracking_problem(
+            G, [s.name for s in self.controlled], [s.name for s in self.measured], **self.weights,
+            reference=self.reference, reference_bandwidth=bandwidth, disturbance=self.disturbance, noise=self.noise,
+            loads=loads,
+        )  # fmt: skip
+
+    def close(self, K: Any) -> UncertainModel:
+        """The weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z.
+
+        Raises
+        ------
+        InputError
+            K has other numbers of inputs and outputs, or another sample time.
+        NoTrustworthyNumber
+            The loop is not well posed.
+        """
+        return UncertainModel(lower_lft(self.uncertain.M, self._checked(K)), self.uncertain.blocks)
+
+    def gains(self, K: Any, omega: ArrayLike) -> dict[str, Array]:
+        r"""Largest singular values of S, K S and T of the nominal loop at ``omega`` in rad/s, each (n_omega,).
+
+        From references of full size at every frequency to the relative error, the control in its unit, and the relative
+        output.
+        """
+        closed = lower_lft(self.signals.nominal, self._checked(K))
+        n_r = len(self.controlled)
+        response = frequency_response(closed, omega)[:, :, :n_r]
+        rows = {"S": slice(0, n_r), "KS": slice(n_r, n_r + self.n_con), "T": slice(n_r + self.n_con, None)}
+        return {name: np.linalg.norm(response[:, part], 2, axis=(1, 2)) for name, part in rows.items()}
+
+    def bounds(self, omega: ArrayLike) -> dict[str, Array]:
+        """What the weights allow the functions of `gains` to be, for those that have a weight: ``1 / |W F|``."""
+        shape = np.abs(frequency_response(self.shape, omega)[:, 0, 0])
+        found: dict[str, Array] = {}
+        for name, weight in (("S", "W1"), ("KS", "W2"), ("T", "W3")):
+            if weight in self.weights:
+                found[name] = 1 / (shape * np.abs(frequency_response(self.weights[weight], omega)[:, 0, 0]))
+        return found
+
+    def _checked(self, K: Any) -> StateSpaceModel:
+        model = as_model(K, "controller")
+        if (model.n_inputs, model.n_outputs) != (self.n_meas, self.n_con):
+            raise InputError(
+                "controller",
+                f"{model.n_inputs} inputs and {model.n_outputs} outputs",
+                f"{self.n_meas} inputs ({', '.join(s.name for s in self.plant.measurements)}) and {self.n_con} outputs",
+            )
+        return model
+
+
+def tracking_problem(
+    G: Any,
+    controlled: Sequence[str],
+    measured: Sequence[str],
+    *,
+    W1: Any = None,
+    W2: Any = None,
+    W3: Any = None,
+    reference: Sizes = 1.0,
+    reference_bandwidth: float | None = None,
+    disturbance: Sizes | None = None,
+    noise: Sizes | None = None,
+    loads: Mapping[str, float] | None = None,
+) -> TrackingProblem:
+    """The weighted tracking problem of a plant; see this module for the signals.
+
+    Parameters
+    ----------
+    G
+        Plant whose inputs are all controls but for the loads: StateSpaceModel, UncertainModel (its blocks stay) or
+        python-control object.
+    controlled, measured
+        Names of outputs of G.
+    W1, W2, W3
+        Stable weights of one input and one output, used on every channel, or numbers: on the relative error, on the
+        control in its own unit, on the relative output. At least one.
+    reference
+        Size of the references: a number, or one for each controlled output.
+    reference_bandwidth
+        omega_r in rad/s, above which the references fall with 1 / omega; they do not where left out.
+    disturbance
+        Size of what is added to the controls, in their unit: a number, or one for some controls; none where left out.
+    noise
+        Size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is called
+        ``<name>_ref``); none where left out.
+    loads
+        Inputs of G that are no controls, with their sizes: forces that act on the plant.
+
+    Raises
+    ------
+    InputError
+        Unknown names, sizes that are not positive, no weight, a weight that is not stable or has several channels.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["q"])
+    >>> problem = tracking_problem(lag, ["q"], ["q"], W1=2.0, W2=0.1, disturbance=0.5)
+    >>> problem.uncertain.inputs[-1].name, [s.name for s in problem.plant.measurements]
+    ('u', ['q_ref', 'q'])
+    """
+    base = G if isinstance(G, UncertainModel) else UncertainModel(as_model(G, "tracking problem: G"), [])
+    c, m = _positions(controlled, base.outputs, "controlled"), _positions(measured, base.outputs, "measured")
+    follow, seen = tuple(base.outputs[i] for i in c), tuple(base.outputs[i] for i in m)
+    weights = {
+        name: _weight(w, f"tracking problem: {name}", base.dt)
+        for name, w in (("W1", W1), ("W2", W2), ("W3", W3))
+        if w is not None
+    }
+    if not weights:
+        raise InputError("tracking problem", "no weight", "at least one of W1, W2, W3")
+    forces = _sizes("loads", loads, base.inputs)
+    controls = [s for s in base.inputs if s.name not in forces]
+    if not controls:
+        raise InputError("tracking problem: loads", "every input of the plant", "one that is left for control")
+    sizes = (
+        _sizes("reference", reference, follow, whole=True),
+        _sizes("disturbance", disturbance, controls),
+        _sizes("noise", noise, [*(Signal(f"{s.name}_ref", s.unit) for s in follow), *seen]),
+    )
+    shape = _shape(reference_bandwidth, base.dt)
+    signals = _signals(base, c, m, sizes[0], {**sizes[1], **forces}, sizes[2], [s.name for s in controls])
+    d = [
+        *(Signal(f"{name}_disturbance", "1") for name in sizes[1]),
+        *(Signal(f"{name}, over its size", "1") for name in forces),
+    ]
+    n = [Signal(f"{name}_noise", "1") for name in sizes[2]]
+    model = _weighted(signals, base, controls, follow, seen, weights, shape, [*d, *n])
+    bare = UncertainModel(signals.renamed(model.inputs, None), base.blocks)
+    return TrackingProblem(UncertainModel(model, base.blocks), bare, follow, seen, weights, shape, *sizes, forces)
+
+
+def _signals(
+    base: UncertainModel,
+    c: list[int],
+    m: list[int],
+    reference: Mapping[str, float],
+    disturbance: Mapping[str, float],
+    noise: Mapping[str, float],
+    controls: list[str],
+) -> StateSpaceModel:
+    """From [w; r; d; n; u] to [z; e; u; y_c; v], all without weights."""
+    M, (q, p) = base.M, base.delta_shape
+    n_u, names_u = len(controls), [s.name for s in base.inputs]
+    rows_c, rows_m = [p + i for i in c], [p + i for i in m]
+    names_v = [*(f"{base.outputs[i].name}_ref" for i in c), *(base.outputs[i].name for i in m)]
+    size_r, size_d, size_n = (np.array(list(s.values())) for s in (reference, disturbance, noise))
+    n_r, n_d, n_n = len(size_r), len(size_d), len(size_n)
+    at_u, driven = np.zeros((len(names_u), n_d)), np.zeros((len(names_u), n_u))
+    driven[[names_u.index(name) for name in controls], range(n_u)] = 1.0
+    at_u[[names_u.index(name) for name in disturbance], range(n_d)] = size_d
+    at_v = np.zeros((n_r + len(m), n_n))
+    at_v[[names_v.index(name) for name in noise], range(n_n)] = size_n
+    # what acts on M: its own w, the controls u + d, and the loads; columns [w, r, d, n, u]
+    into = np.zeros((M.n_inputs, q + n_r + n_d + n_n + n_u))
+    into[:q, :q] = np.eye(q)
+    into[q:, q + n_r : q + n_r + n_d], into[q:, -n_u:] = at_u, driven
+    relative = np.eye(n_r) / size_r[:, None]
+    pick = np.zeros((p + n_r + n_u + n_r + n_r + len(m), M.n_outputs))
+    direct = np.zeros((len(pick), into.shape[1]))
+    edges = np.cumsum([0, p, n_r, n_u, n_r, n_r, len(m)])
+    z, e, u, out, r, y = (slice(a, b) for a, b in itertools.pairwise(edges))
+    pick[z, :p] = np.eye(p)
+    pick[e, rows_c], direct[e, q : q + n_r] = -relative, np.eye(n_r)
+    direct[u, -n_u:] = np.eye(n_u)
+    pick[out, rows_c] = relative
+    direct[r, q : q + n_r] = np.diag(size_r)
+    pick[y, rows_m] = np.eye(len(m))
+    direct[r.start :, q + n_r + n_d : q + n_r + n_d + n_n] = at_v
+    return StateSpaceModel(M.A, M.B @ into, pick @ M.C, pick @ M.D @ into + direct, M.dt, states=M.states)
+
+
+def _weighted(
+    signals: StateSpaceModel,
+    base: UncertainModel,
+    inputs: list[Signal],
+    follow: tuple[Signal, ...],
+    seen: tuple[Signal, ...],
+    weights: Mapping[str, StateSpaceModel],
+    shape: StateSpaceModel,
+    others: list[Signal],
+) -> StateSpaceModel:
+    """``signals`` with the weights behind e, u, y_c, F before r, and the names of all signals."""
+    (q, p), controls = base.delta_shape, [Signal(s.name, s.unit) for s in inputs]
+    n_r, n_u = len(follow), len(controls)
+    words = {"W1": ("error", p, follow), "W2": ("control", p + n_r, controls), "W3": ("output", p + n_r + n_u, follow)}
+    rows, filters = list(range(p)), [_through(p, "z", base.dt)]
+    labels, states = [Signal(s.name, s.unit) for s in base.M.outputs[:p]], list(signals.states)
+    for name, w in weights.items():
+        word, first, channels = words[name]
+        for k, channel in enumerate(channels):
+            rows.append(first + k)
+            filters.append(w.renamed([f"{name} into {k}"], [f"{name} out {k}"]))
+            labels.append(Signal(f"{name} {word}: {channel.name}"))
+            states += [Signal(f"{name} {channel.name} x{i + 1}") for i in range(w.n_states)]
+    v = range(p + 2 * n_r + n_u, signals.n_outputs)
+    rows += v
+    filters.append(_through(len(v), "v", base.dt))
+    picked = StateSpaceModel(signals.A, signals.B, signals.C[rows], signals.D[rows], signals.dt)
+    shapes = [shape.renamed([f"r{i}"], [f"F r{i}"]) for i in range(n_r)]
+    before = append(_through(q, "w", base.dt), *shapes, _through(len(others) + n_u, "d", base.dt))
+    joined = series(series(before, picked), append(*filters))
+    states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
+    inputs = [*base.M.inputs[:q], *(Signal(f"{s.name}_ref", "1") for s in follow), *others, *controls]
+    outputs = [*labels, *(Signal(f"{s.name}_ref", s.unit) for s in follow), *(Signal(s.name, s.unit) for s in seen)]
+    return StateSpaceModel(
+        joined.A, joined.B, joined.C, joined.D, joined.dt, inputs, outputs, states, where="tracking problem"
+    )
+
+
+def _shape(bandwidth: float | None, dt: float) -> StateSpaceModel:
+    """F as a model of one channel."""
+    if bandwidth is None:
+        return _through(1, "r", dt)
+    where = "tracking problem: reference_bandwidth"
+    if isinstance(bandwidth, bool) or not isinstance(bandwidth, (int, float)) or not 0 < bandwidth < float("inf"):
+        raise InputError(where, f"{bandwidth!r}", "a positive number in rad/s")
+    if dt:
+        raise InputError(where, f"{bandwidth:g} rad/s for a discrete plant", "none: shape the reference by W1 instead")
+    root = bandwidth**0.5
+    return StateSpaceModel([[-bandwidth]], [[root]], [[root]], [[0.0]])
+
+
+def _through(n: int, name: str, dt: float) -> StateSpaceModel:
+    """Signals that no weight touches."""
+    names = [f"{name}{i}" for i in range(n)]
+    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n), dt, names, names)
+
+
+def _positions(names: Sequence[str], known: Sequence[Signal], what: str) -> list[int]:
+    """Where the named outputs stand; each once."""
+    names, all_names = [names] if isinstance(names, str) else list(names), [s.name for s in known]
+    where = f"tracking problem: {what}"
+    if not names:
+        raise InputError(where, "no output", f"some of {', '.join(all_names)}")
+    for name in names:
+        if name not in all_names:
+            raise InputError(f"{where} {name!r}", "no such output", f"one of {', '.join(all_names)}",
+                             did_you_mean(name, all_names))  # fmt: skip
+        if names.count(name) > 1:
+            raise InputError(f"{where} {name!r}", "named twice", "each output once")
+    return [all_names.index(name) for name in names]
+
+
+def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool = False) -> dict[str, float]:
+    """Name -> positive size; ``whole``: one is needed for every signal."""
+    where, names = f"tracking problem: {what}", [s.name for s in known]
+    if given is None:
+        return {}
+    table = dict(given) if isinstance(given, Mapping) else dict.fromkeys(names, given)
+    for name, size in table.items():
+        if name not in names:
+            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(names)}",
+                             did_you_mean(str(name), names))  # fmt: skip
+        if isinstance(size, bool) or not isinstance(size, (int, float)) or not 0 < size < float("inf"):
+            raise InputError(f"{where} {name!r}", f"{size!r}", "a positive number")
+    missing = [name for name in names if name not in table]
+    if whole and missing:
+        raise InputError(where, f"none for {', '.join(missing)}", "one for every controlled output")
+    return {name: float(table[name]) for name in names if name in table}
+
+
+def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
+    """A stable weight of one channel in the plant's time."""
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[given]], dt, where=where)
+    w = as_model(given, where)
+    if (w.n_inputs, w.n_outputs) != (1, 1):
+        raise InputError(where, f"{w.n_inputs} inputs and {w.n_outputs} outputs", "one of each")
+    if not w.n_states and w.dt != dt:
+        w = StateSpaceModel(w.A, w.B, w.C, w.D, dt)
+    if w.dt != dt:
+        raise InputError(where, f"dt is {w.dt:g} s", f"{dt:g} s, as the plant")
+    if not w.is_stable():
+        found = f"spectral abscissa is {w.spectral_abscissa():.3g}"
+        raise InputError(where, found, "a stable weight", "make an integrator a slow lag: error > 0")
+    return w

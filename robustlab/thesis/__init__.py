@@ -1,0 +1,1 @@
+"""The thesis: its printed numbers beside ours, its simulated experiments, its figures."""

@@ -1,0 +1,257 @@
+r"""The smallest set of real parameters, of a chosen form, that holds every model of a set.
+
+.. math:: S_i = S_0 + \sum_j \delta_{ij} E_j, \qquad |\delta_{ij}| \le 1, \qquad
+          S = \begin{bmatrix} A & B \\ C & D \end{bmatrix}
+
+``elements``
+    Interval hull: each entry that differs is a parameter of its own, from its smallest to its largest value.
+``pca``
+    The cloud of the :math:`S_i` has few directions: the E_j are its principal components, each as long as the cloud
+    reaches along it, and S_0 is the middle of that box.
+``ellipsoid``
+    The same along the axes of the ellipsoid of least volume around the cloud.
+
+References
+----------
+Jolliffe, *Principal Component Analysis* (2002); Khachiyan, "Rounding of polytopes in the real number model of
+computation", Math. Oper. Res. 21 (1996); Březina 2010, section 10.2 for the element-wise form.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, system_matrices
+from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["PARAMETRIC_FORMS", "ParametricCover", "ParametricForm", "least_ellipsoid", "parametric_cover"]
+
+Array = NDArray[np.float64]
+ParametricForm = Literal["elements", "pca", "ellipsoid"]
+PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
+
+# Entries that differ by less than this share of their natural magnitude are equal: rounding of a linearisation.
+ROUNDING = 1e-13
+# Relative distance from the optimum at which Khachiyan's algorithm stops; the box is fitted to the cloud anyway.
+ELLIPSOID, ELLIPSOID_STEPS = 1e-2, 2000
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricCover:
+    """A set of real parameters around a set of models.
+
+    Attributes
+    ----------
+    model
+        The uncertain model.
+    deltas
+        For each model the normalised value of every block: the proof that it is a member.
+    misses
+        For each model the largest relative difference between the member at its delta and the model itself, an entry
+        against its matrix's largest.
+    spread
+        Reach of the cloud along each direction of ``pca`` or ``ellipsoid``, longest first, in magnitudes of the
+        entries (see ``tolerance``), also of those that were left out; empty for ``elements``.
+    """
+
+    model: UncertainModel
+    deltas: tuple[dict[str, float], ...]
+    misses: tuple[float, ...]
+    spread: tuple[float, ...]
+
+
+def parametric_cover(
+    models: tuple[StateSpaceModel, ...],
+    form: ParametricForm,
+    nominal: StateSpaceModel | None = None,
+    tolerance: float = 1e-9,
+    directions: int | None = None,
+) -> ParametricCover:
+    """The cover of models that have the same states.
+
+    Parameters
+    ----------
+    models
+        At least two, checked by `model_set`.
+    nominal
+        Nominal model of the form ``elements``, the middle where left out. The hull is then asymmetric about it, and
+        symmetric in an entry where it lies at an end or outside.
+    tolerance
+        What an entry may be off, relative to the largest of its matrix (or to what its row and column make natural,
+        where that is less): differences below it count as none, and as many directions are kept as it asks for.
+    directions
+        Number of directions of ``pca`` and ``ellipsoid``, instead of what the tolerance asks for.
+
+    Raises
+    ------
+    InputError
+        A tolerance outside [0, 1), a number of directions that is not positive, a nominal model for another form.
+    """
+    if not 0 <= tolerance < 1:
+        raise InputError("cover: tolerance", f"{tolerance}", "a number in [0, 1)")
+    if directions is not None and (isinstance(directions, bool) or directions < 1):
+        raise InputError("cover: directions", f"{directions}", "a positive whole number")
+    if form == "elements":
+        if directions is not None:
+            raise InputError("cover: directions", f"{directions} with form elements", "form pca or ellipsoid")
+        made, deltas, spread = _hull(models, nominal, tolerance)
+    else:
+        if nominal is not None:
+            raise InputError("cover: nominal", f"a nominal model for form {form}", "none: it is the middle of the box")
+        made, deltas, spread = _directions(models, form, tolerance, directions)
+    misses = tuple(matrices_miss(made.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
+    return ParametricCover(made, deltas, misses, spread)
+
+
+def _hull(
+    models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, tolerance: float
+) -> tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]:
+    stack = system_matrices(models)
+    low, high = stack.min(axis=0), stack.max(axis=0)
+    allowance = max(tolerance, ROUNDING) * _magnitude(stack, models[0].n_states)
+    still = high - low <= allowance
+    if nominal is None:
+        middle, above = 0.5 * (low + high), 0.5 * (high - low)
+        below = above
+    else:
+        (middle,) = system_matrices([nominal])
+        inside = (low < middle) & (middle < high)
+        furthest = np.maximum(np.abs(high - middle), np.abs(middle - low))
+        above, below = np.where(inside, high - middle, furthest), np.where(inside, middle - low, furthest)
+        still &= furthest <= allowance
+    above, below = np.where(still, 0.0, above), np.where(still, 0.0, below)
+    first = models[0] if nominal is None else nominal
+    centre = _model_of(middle, first)
+    made = elementwise(centre, _model_of(middle + above, first), "elements")
+    at = _entries(middle + above - middle, first.n_states)
+    blocks = [
+        dataclasses.replace(b, parameter=_range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
+        for b, (i, j) in zip(made.blocks, at, strict=True)
+        if isinstance(b, RealScalar)
+    ]
+    whole = UncertainModel(made.M, blocks, made.operating_point)
+    deltas = tuple(
+        {
+            b.name: float(np.clip(b.parameter.delta(float(s[i, j])), -1.0, 1.0))
+            for b, (i, j) in zip(blocks, at, strict=True)
+            if b.parameter is not None
+        }
+        for s in stack
+    )
+    return whole, deltas, ()
+
+
+def _magnitude(stack: Array, n: int) -> Array:
+    """What a difference of each entry is measured by, never 0: its natural magnitude, at most its matrix's largest."""
+    size = np.abs(stack).max(axis=0)
+    magnitude = natural_magnitude(size)
+    for rows in (slice(0, n), slice(n, None)):
+        for cols in (slice(0, n), slice(n, None)):
+            largest = size[rows, cols].max(initial=0.0)
+            if largest > 0:
+                magnitude[rows, cols] = np.minimum(magnitude[rows, cols], largest)
+    return magnitude
+
+
+def _range(middle: float, above: float, below: float) -> ParameterRange:
+    return ParameterRange(middle, above, "", below)
+
+
+def _entries(e: Array, n: int) -> list[tuple[int, int]]:
+    """Non-zero entries in the order of the blocks of `elementwise`: those of A, of B, of C, of D."""
+    parts = ((0, 0, e[:n, :n]), (0, n, e[:n, n:]), (n, 0, e[n:, :n]), (n, n, e[n:, n:]))
+    return [(int(i) + row, int(j) + col) for row, col, part in parts for i, j in np.argwhere(part)]
+
+
+def _directions(
+    models: tuple[StateSpaceModel, ...], form: ParametricForm, tolerance: float, directions: int | None
+) -> tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]:
+    stack = system_matrices(models)
+    scale = _magnitude(stack, models[0].n_states)
+    middle = stack.mean(axis=0)
+    cloud = ((stack - middle) / scale).reshape(len(models), -1)
+    cloud[:, np.ptp(cloud, axis=0) <= ROUNDING] = 0.0
+    _, _, axes = np.linalg.svd(cloud, full_matrices=False)
+    coordinates = cloud @ axes.T
+    count = _needed(cloud, axes, max(tolerance, ROUNDING)) if directions is None else min(directions, len(axes))
+    reach = 0.5 * np.ptp(coordinates, axis=0)
+    kept = axes[:count]
+    if form == "ellipsoid" and count > 1:
+        kept = _ellipsoid_axes(coordinates[:, :count]) @ kept
+    along = cloud @ kept.T
+    centre, half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
+    order = np.argsort(-half, kind="stable")
+    order = order[half[order] > ROUNDING]
+    kept, along, centre, half = kept[order], along[:, order], centre[order], half[order]
+    nominal = _model_of(middle + scale * (centre @ kept).reshape(scale.shape), models[0])
+    (start,) = system_matrices([nominal])
+    names = [f"direction{j + 1}" for j in range(len(half))]
+    ends = {
+        name: _model_of(start + scale * (half[j] * kept[j]).reshape(scale.shape), models[0])
+        for j, name in enumerate(names)
+    }
+    made = by_cause(nominal, ends) if ends else UncertainModel(nominal, [])
+    share = np.clip((along - centre) / half, -1.0, 1.0)
+    deltas = tuple({name: float(share[i, j]) for j, name in enumerate(names)} for i in range(len(models)))
+    spread = (*half.tolist(), *(r for r in reach[count:].tolist() if r > ROUNDING))
+    return made, deltas, spread
+
+
+def _needed(cloud: Array, axes: Array, tolerance: float) -> int:
+    """Fewest principal components that leave no entry of any model off by more than the tolerance."""
+    rest = cloud.copy()
+    for count in range(len(axes)):
+        if np.abs(rest).max(initial=0.0) <= tolerance:
+            return count
+        rest = rest - np.outer(rest @ axes[count], axes[count])
+    return len(axes)
+
+
+def _ellipsoid_axes(points: Array) -> Array:
+    """Orthonormal axes (rows) of the ellipsoid of least volume around points (n, k)."""
+    _, shape = least_ellipsoid(points)
+    _, axes = np.linalg.eigh(shape)
+    return axes.T[::-1]
+
+
+def least_ellipsoid(points: Array) -> tuple[Array, Array]:
+    r"""Centre c (k,) and shape P (k, k) of the ellipsoid of least volume that holds points (n, k).
+
+    .. math:: (x - c)^T P^{-1} (x - c) \le 1
+
+    By Khachiyan's algorithm, to about one percent, then blown up to hold every point; the points span the space.
+    """
+    n, k = points.shape
+    size = np.abs(points).max(axis=0)
+    lifted = np.vstack([(points / size).T, np.ones(n)])
+    u = np.full(n, 1.0 / n)
+    for _ in range(ELLIPSOID_STEPS):
+        distance = np.einsum("in,in->n", lifted, np.linalg.solve(lifted * u @ lifted.T, lifted))
+        j = int(distance.argmax())
+        excess = distance[j] / (k + 1) - 1.0
+        if excess <= ELLIPSOID:
+            break
+        step = (distance[j] - k - 1.0) / ((k + 1.0) * (distance[j] - 1.0))
+        u *= 1.0 - step
+        u[j] += step
+    mean = points.T @ u
+    spread = k * ((points.T * u) @ points - np.outer(mean, mean))
+    off = points - mean
+    return mean, spread * float(np.einsum("nk,nk->n", off, np.linalg.solve(spread, off.T).T).max())
+
+
+def _model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:
+    n = like.n_states
+    return StateSpaceModel(
+        s[:n, :n], s[:n, n:], s[n:, :n], s[n:, n:], like.dt, like.inputs, like.outputs, like.states,
+        where="cover",
+    )  # fmt: skip

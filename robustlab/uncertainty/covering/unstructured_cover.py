@@ -1,0 +1,529 @@
+r"""The smallest unstructured set, of a chosen form, that holds every model of a set.
+
+With a nominal model G and the error :math:`E_i` by which the form (`robustlab.uncertainty.unstructured`) makes model i
+of it,
+
+.. math:: |w(j\omega)| \ge \max_i \bar\sigma(E_i(j\omega)), \qquad \Delta_i = E_i / w
+
+================================  =================================================
+form                              :math:`E_i`
+================================  =================================================
+``additive``                      :math:`G_i - G`
+``input-multiplicative``          :math:`G^{-1} G_i - I`
+``output-multiplicative``         :math:`G_i G^{-1} - I`
+``inverse-additive``              :math:`G_i^{-1} - G^{-1}`
+``inverse-input-multiplicative``  :math:`G_i^{-1} G - I`
+``inverse-output-multiplicative`` :math:`G G_i^{-1} - I`
+================================  =================================================
+
+Model i is a member where :math:`\Delta_i` is stable and nowhere larger than one. The errors have poles only where the
+models or their inverses have; whether such a pole stays or cancels is told by the Laurent series of :math:`E_i` there.
+
+A set of models of the same machine: operating points, units, seeds, or fits to several records.
+
+The models are compared entry by entry of
+
+.. math:: S_i = \begin{bmatrix} A_i & B_i \\ C_i & D_i \end{bmatrix}
+
+which only means something where all have the same states; covers by frequency response ask for the same signals only.
+
+References
+----------
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1; Březina 2010, sections 4.2.1, 4.2.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
+from robustlab.frequency import frequency_response
+from robustlab.norms import hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, append, as_model, series
+from robustlab.uncertainty.covering.overbound import Overbound, overbound
+from robustlab.uncertainty.elementwise import check_pair
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.unstructured import Form, unstructured
+
+__all__ = [
+    "UnstructuredCover",
+    "error_sizes",
+    "unstructured_cover",
+    "matrices_miss",
+    "model_set",
+    "system_matrices",
+]
+
+
+def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
+    """At least two models with the same signals, units and sample time; with ``same_states`` the same states, too.
+
+    Raises
+    ------
+    InputError
+        Fewer than two models, something that is no model, sizes, sample times or signal names that differ.
+    UnitMismatch
+        A signal carries different units in two of the models.
+    """
+    if isinstance(models, (StateSpaceModel, str, bytes)) or not isinstance(models, Iterable):
+        raise InputError(where, f"{type(models).__name__}", "a list of at least two models")
+    found = tuple(as_model(model, f"{where}: model {i + 1}") for i, model in enumerate(models))
+    if len(found) < 2:
+        raise InputError(where, f"{len(found)} model{'s' * (len(found) != 1)}", "at least two models")
+    for i, model in enumerate(found[1:], 2):
+        first = found[0] if same_states else _without_states(found[0])
+        other = model if same_states else _without_states(model)
+        try:
+            check_pair(first, other, "model 1", f"model {i}", where)
+        except RobustlabError as error:
+            same_signals = (model.n_inputs, model.n_outputs) == (first.n_inputs, first.n_outputs)
+            if same_states and same_signals and model.n_states != first.n_states:
+                hint = "models with different states: cover their frequency responses (form additive, ...)"
+                raise InputError(error.where, error.found, error.expected, hint) from None
+            raise
+    return found
+
+
+def _without_states(model: StateSpaceModel) -> StateSpaceModel:
+    return StateSpaceModel([], [], [], model.D, model.dt, model.inputs, model.outputs)
+
+
+def system_matrices(models: Iterable[StateSpaceModel]) -> Array:
+    """``[A B; C D]`` of each model, shape (n_models, n_x + n_y, n_x + n_u)."""
+    return np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in models])
+
+
+def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
+    """Largest difference of an entry, relative to the largest magnitude in its matrix (A, B, C, D) of ``wanted``."""
+    worst = 0.0
+    for name in "ABCD":
+        a, b = getattr(reached, name), getattr(wanted, name)
+        miss, size = float(np.abs(a - b).max(initial=0.0)), float(np.abs(b).max(initial=0.0))
+        worst = max(worst, 0.0 if miss == 0 else miss / size if size else np.inf)
+    return worst
+
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[Any]
+
+# The bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one.
+FLOOR = 1e-4
+# Laurent coefficients below this share of the models' size around a point are rounding.
+ANALYTIC = 1e-6
+# A pole this near to the stability boundary, relative to its size, may lie on either side.
+BOUNDARY = 1e-9
+CIRCLE = 64
+# Poles and zeros this slow, relative to the fastest, are integrators that rounding has moved.
+STILL = 1e-7
+# Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
+BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
+DENSE = 150
+# No resonance at the Nyquist frequency is looked at more closely than this share of that frequency.
+NEAREST = 1e-6
+# Up to here a lift is rounding, or a peak just beside a frequency of the grid.
+LIFT = 1.001
+
+
+@dataclass(frozen=True, eq=False)
+class UnstructuredCover:
+    """An unstructured set around a set of models.
+
+    Attributes
+    ----------
+    model
+        The uncertain model.
+    nominal
+        Number of the model that is the nominal one, counted from 1; 0: the middle of the matrices; None: the given one.
+    fit
+        The weight and the bound that it lies above.
+    sizes
+        For each model the largest gain of its Delta: at most 1.
+    proved
+        True where each size is an H-infinity norm, proved over all frequencies; False where it was evaluated on the
+        grid of ``fit``.
+    deltas
+        For each model its Delta as a system, where it is one without inverting a strictly proper model; else empty.
+    radius
+        Largest ratio of the bound to the models' own size (relative forms: the largest bound).
+    """
+
+    model: UncertainModel
+    nominal: int | None
+    fit: Overbound
+    sizes: tuple[float, ...]
+    proved: bool
+    deltas: tuple[StateSpaceModel, ...]
+    radius: float
+
+
+def unstructured_cover(
+    models: tuple[StateSpaceModel, ...],
+    form: Form,
+    nominal: StateSpaceModel | None = None,
+    order: int = 4,
+    tolerance: float = 0.1,
+    points: int = DENSE,
+) -> UnstructuredCover:
+    """The cover of models with the same signals; their states may differ.
+
+    Parameters
+    ----------
+    models
+        At least two, checked by `model_set`.
+    nominal
+        Where left out, that of the models (and of their middle, where they have the same states) whose radius is least.
+    order, tolerance
+        Largest order of the weight, and the excess over the bound at which a lower one is good enough.
+    points
+        Points of the frequency grid of the fit, besides those at resonances.
+
+    Raises
+    ------
+    InputError
+        A model that is not square, for all forms but ``additive``.
+    NoTrustworthyNumber
+        For no nominal model all errors are stable; the model, and the pole that stays, are named.
+    """
+    if form != "additive" and models[0].n_inputs != models[0].n_outputs:
+        found = f"models of {models[0].n_outputs} outputs and {models[0].n_inputs} inputs"
+        raise InputError(f"cover: form {form}", found, "as many inputs as outputs, or form additive")
+    candidates: list[tuple[int | None, StateSpaceModel]]
+    if nominal is not None:
+        candidates = [(None, nominal)]
+    else:
+        candidates = [*enumerate(models, 1), *_middle(models)]
+    omega = _grid(models, [c for _, c in candidates], points)
+    best: tuple[float, int | None, StateSpaceModel] | None = None
+    refused: NoTrustworthyNumber | None = None
+    for number, candidate in candidates:
+        try:
+            _require_stable(models, candidate, form)
+        except NoTrustworthyNumber as error:
+            refused = refused or error
+            continue
+        size = _bound(models, candidate, form, omega)
+        radius = float((size / _reference(models, form, omega)).max())
+        if best is None or radius < best[0]:
+            best = radius, number, candidate
+    if best is None:
+        assert refused is not None
+        raise refused
+    radius, number, centre = best
+    return _around(models, centre, number, form, (order, tolerance), omega, radius)
+
+
+def _around(
+    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, number: int | None, form: Form,
+    wanted: tuple[int, float], omega: Array, radius: float,
+) -> UnstructuredCover:  # fmt: skip
+    size = _bound(models, centre, form, omega)
+    if not size.any():
+        raise InputError("cover", "models that are all the same", "models that differ")
+    _require_bounded(models, centre, form, omega, size)
+    floor = FLOOR * float(size.max())
+
+    def exact(w: Array) -> Array:
+        return np.hypot(_bound(models, centre, form, w), floor)
+
+    fit = overbound(omega, np.hypot(size, floor), *wanted, exact=exact, dt=centre.dt)
+    fit = _to_the_ends(fit, models, centre, form, wanted[1])
+    deltas = _deltas(models, centre, form, fit.weight)
+    norms = [hinf_norm(d, 1e-9) for d in deltas]
+    proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
+    if proved and max(n.upper for n in norms) > 1.0:  # a peak between two frequencies of the grid
+        fit = _lifted(fit, max(n.upper for n in norms), wanted[1])
+        deltas = _deltas(models, centre, form, fit.weight)
+        norms = [hinf_norm(d, 1e-9) for d in deltas]
+    if proved:
+        sizes = tuple(float(n.upper) for n in norms)
+    else:
+        grid = fit.omega
+        errors = [_sigma(_error(m, centre, form, _circle(grid, m.dt))) for m in models]
+        sizes = tuple(float((e / fit.magnitude).max()) for e in errors)
+    model = unstructured(centre, fit.weight, form)
+    return UnstructuredCover(model, number, fit, sizes, proved, deltas if proved else (), radius)
+
+
+def _to_the_ends(
+    fit: Overbound, models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, tolerance: float
+) -> Overbound:
+    """The weight, lifted where the error beyond the grid's ends is a little larger."""
+    beyond = _beyond(fit.omega, centre.dt)
+    ratio = float(
+        (_bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])).max()
+    )
+    return fit if ratio <= 1.0 else _lifted(fit, ratio, tolerance)
+
+
+def _beyond(omega: Array, dt: float) -> Array:
+    """Frequencies outside the grid; for a discrete model the last is that of Nyquist itself."""
+    low, high = omega[0] / BEYOND, omega[-1] * BEYOND
+    rest = np.pi / dt - omega[-1] if dt else 0.0
+    return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, DENSE) if dt else high])
+
+
+def _require_bounded(
+    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array, size: Array
+) -> None:
+    """The error does not grow on and on beyond the grid.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        It does: no proper weight holds it.
+    """
+    beyond = _beyond(omega, centre.dt)
+    outside = _bound(models, centre, form, beyond)
+    worst = int(np.argmax(outside))
+    if outside[worst] > GROWTH * float(size.max()):
+        found = f"the error still grows at {beyond[worst]:.3g} rad/s, to {outside[worst]:.3g}"
+        hint = "models whose relative degrees or integrators differ, or inverses of strictly proper ones: form additive"
+        raise NoTrustworthyNumber(f"cover: form {form}", found, "an error that a proper weight bounds", hint)
+
+
+def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
+    """The weight times a factor; INACCURATE where it is the factor that takes it beyond the tolerance."""
+    w, g = fit.weight, factor * (1.0 + 1e-9)
+    raised = StateSpaceModel(w.A, w.B, g * w.C, g * w.D, w.dt)
+    size = g * fit.magnitude
+    ratio = size / fit.bound
+    far = factor > LIFT and float(ratio.max()) - 1.0 > tolerance
+    return Overbound(
+        raised,
+        fit.order,
+        float(ratio.max()) - 1.0,
+        float(ratio.min()) - 1.0,
+        fit.omega,
+        fit.bound,
+        size,
+        Status.INACCURATE if far else fit.status,
+        fit.least,
+    )
+
+
+def _middle(models: tuple[StateSpaceModel, ...]) -> list[tuple[int | None, StateSpaceModel]]:
+    """The middle of the matrices, where they are comparable: number 0."""
+    first = models[0]
+    if any(m.state_names != first.state_names for m in models):
+        return []
+    stack, n = system_matrices(models), first.n_states
+    s = 0.5 * (stack.min(axis=0) + stack.max(axis=0))
+    return [
+        (
+            0,
+            StateSpaceModel(
+                s[:n, :n], s[:n, n:], s[n:, :n], s[n:, n:], first.dt, first.inputs, first.outputs, first.states,
+                where="cover",
+            ),
+        )
+    ]  # fmt: skip
+
+
+# --- errors by frequency ---------------------------------------------------------------------------------------------
+
+
+def _circle(omega: Array, dt: float) -> ComplexArray:
+    """Points of the stability boundary."""
+    return np.exp(1j * omega * dt) if dt else 1j * omega
+
+
+def _at(model: StateSpaceModel, s: Any) -> ComplexArray:
+    """``G(s)``, shape (len(s), n_y, n_u), for complex s (or z)."""
+    if not model.n_states:
+        return np.broadcast_to(model.D, (len(s), *model.D.shape)).astype(np.complex128)
+    inner = s[:, None, None] * np.eye(model.n_states) - model.A
+    return model.C @ np.linalg.solve(inner, np.broadcast_to(model.B, (len(s), *model.B.shape))) + model.D
+
+
+def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: ComplexArray) -> ComplexArray:
+    """``E_i`` at complex s, (len(s), ., .)."""
+    g, other = _at(centre, s), _at(model, s)
+    if form == "additive":
+        return other - g
+    if form == "input-multiplicative":
+        return np.linalg.solve(g, other - g)
+    if form == "output-multiplicative":
+        return _right_divided(other - g, g)
+    if form == "inverse-additive":
+        return np.linalg.solve(other, _right_divided(g - other, g))
+    if form == "inverse-input-multiplicative":
+        return np.linalg.solve(other, g - other)
+    return _right_divided(g - other, other)
+
+
+def _right_divided(a: ComplexArray, b: ComplexArray) -> ComplexArray:
+    return np.swapaxes(np.linalg.solve(np.swapaxes(b, 1, 2), np.swapaxes(a, 1, 2)), 1, 2)
+
+
+def _sigma(matrices: ComplexArray) -> Array:
+    return np.linalg.norm(matrices, 2, axis=(1, 2))
+
+
+def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
+    r"""``sigma_max(E_i)`` of every model against the nominal one, (n_models, n_omega); omega in rad/s.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        An error that is not finite at one of the frequencies.
+    """
+    s = _circle(omega, centre.dt)
+    with np.errstate(all="ignore"):
+        sizes = np.array([_sigma(_error(m, centre, form, s)) for m in models])
+    if not np.isfinite(sizes).all():
+        k = int(np.flatnonzero(~np.isfinite(sizes).all(axis=0))[0])
+        raise NoTrustworthyNumber("cover", f"the error at {omega[k]:g} rad/s is not finite")
+    return sizes
+
+
+def _bound(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
+    return error_sizes(models, centre, form, omega).max(axis=0)
+
+
+def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) -> Array:
+    """What the bound is measured by: the models' own size for the additive forms, 1 for the relative ones."""
+    s = _circle(omega, models[0].dt)
+    if form == "additive":
+        return np.max([_sigma(_at(m, s)) for m in models], axis=0) + np.finfo(float).tiny
+    if form == "inverse-additive":
+        return np.max([_sigma(np.linalg.inv(_at(m, s))) for m in models], axis=0)
+    return np.ones(len(omega))
+
+
+def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], points: int) -> Array:
+    """Frequencies of all models' dynamics, dense about their resonances and anti-resonances."""
+    dt = models[0].dt
+    found = np.concatenate([x for m in (*models, *others) for x in (m.poles(), _zeros(m))])
+    if dt:
+        found = np.log(found[np.abs(found) > 1e-12]) / dt
+    size = np.abs(found)
+    known = found[size > STILL * size.max(initial=0.0)]
+    size = np.abs(known) if len(known) else np.ones(1)
+    low, top = float(size.min()) * 1e-2, np.pi / dt if dt else np.inf
+    high = 0.999 * top if dt else float(size.max()) * 1e2
+    omega = [np.geomspace(min(low, 0.1 * high), high, points)]
+    if dt:  # negative real poles and zeros are resonances at the Nyquist frequency
+        rates = np.abs(known.real[np.abs(known.imag) > high])
+        rates = np.unique(np.log(np.maximum(rates[rates < 0.03 * top], NEAREST * top)).round(1))
+        omega += [top - rate * np.geomspace(0.03, 30.0, 25) for rate in np.exp(rates).tolist()]
+        high = top * (1 - 0.01 * NEAREST)
+    for p in known.tolist():
+        if abs(p.real) < 0.3 * abs(p.imag) and abs(p.imag) < high:
+            near = abs(p.imag) + max(abs(p.real), 1e-6 * abs(p.imag)) * np.linspace(-3, 3, 13)
+            omega.append(near[(near > low) & (near < high)])
+    return np.unique(np.concatenate(omega))
+
+
+# --- are the errors stable? ------------------------------------------------------------------------------------------
+
+
+def _zeros(model: StateSpaceModel) -> NDArray[np.complex128]:
+    """Finite transmission zeros of a square model; those of no other model are asked for."""
+    from scipy.linalg import eigvals
+
+    n, m = model.n_states, model.n_inputs
+    if not n or m != model.n_outputs:
+        return np.zeros(0, dtype=np.complex128)
+    scale = np.abs(model.A).max(initial=0.0) or 1.0
+    b, c = model.B / (np.abs(model.B).max(initial=0.0) or 1.0), model.C / (np.abs(model.C).max(initial=0.0) or 1.0)
+    d = model.D / ((np.abs(model.B).max(initial=0.0) or 1.0) * (np.abs(model.C).max(initial=0.0) or 1.0) / scale)
+    pencil = np.block([[model.A / scale, b], [c, d]])
+    mass = np.zeros((n + m, n + m))
+    mass[:n, :n] = np.eye(n)
+    found = eigvals(pencil, mass, homogeneous_eigvals=True)
+    finite = np.abs(found[1]) > 1e-9 * np.abs(found[0])
+    return np.asarray(scale * found[0][finite] / found[1][finite], dtype=np.complex128)
+
+
+def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
+    """Every error is analytic in the closed unstable region.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The first that is not, with its pole.
+    """
+    inverse = form.startswith("inverse")
+    for i, model in enumerate(models, 1):
+        if model is centre:
+            continue
+        above, below = (centre, model) if inverse else (model, centre)  # numerator and denominator of the error
+        parts = [above.poles()] if form != "inverse-additive" else [_zeros(centre)]
+        parts.append(centre.poles() if form == "additive" else _zeros(below))
+        singular = np.concatenate(parts)
+        bad = _pole_that_stays(model, centre, form, singular)
+        if bad is not None:
+            text = f"model {i} differs from the nominal one by an unstable error (pole {bad.real:.6g}{bad.imag:+.6g}j)"
+            hint = "an inverse form holds other poles on the right, additive other zeros; or close a loop first"
+            raise NoTrustworthyNumber(f"cover: form {form}", text, "a stable one", hint)
+
+
+def _pole_that_stays(
+    model: StateSpaceModel, centre: StateSpaceModel, form: Form, singular: NDArray[np.complex128]
+) -> complex | None:
+    scale = float(np.abs(singular).max(initial=0.0)) or 1.0
+    size = np.maximum(np.abs(singular), 1e-6 * scale)
+    margin = np.abs(singular) - 1.0 if model.is_discrete else singular.real / size
+    outside = margin >= -BOUNDARY
+    kept = singular[~outside]
+    for p in singular[outside].tolist():
+        far = np.concatenate([np.abs(kept - p), [max(abs(p), 1e-3 * scale)]])
+        radius = 0.5 * float(far.min())
+        points = p + radius * np.exp(2j * np.pi * (np.arange(CIRCLE) + 0.5) / CIRCLE)
+        turns = (points - p) / radius
+        with np.errstate(all="ignore"):
+            error = _error(model, centre, form, points)
+            reference = float(np.abs(error).max() + _own_size(model, centre, form, points))
+        laurent = [np.abs((error * turns[:, None, None] ** k).mean(axis=0)).max() for k in range(1, 9)]
+        if not np.isfinite(reference) or max(laurent) > ANALYTIC * reference:
+            return p
+    return None
+
+
+def _own_size(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: ComplexArray) -> float:
+    """What the error is the difference of."""
+    if form == "additive":
+        return float(np.abs(_at(centre, s)).max())
+    if form == "inverse-additive":
+        return float(np.abs(np.linalg.inv(_at(centre, s))).max())
+    return 1.0
+
+
+# --- the Deltas as systems -------------------------------------------------------------------------------------------
+
+
+def _deltas(
+    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, weight: StateSpaceModel
+) -> tuple[StateSpaceModel, ...]:
+    r"""``E_i / w`` as systems; none where a model would have to be inverted that has no direct way."""
+    if form != "additive" or not all(m.is_stable() for m in (*models, centre)):
+        return ()
+    back = _inverse(weight)
+    bank = append(*(back.renamed([f"u{k}"], [f"y{k}"]) for k in range(centre.n_inputs)))
+    found = []
+    for m in models:
+        n = m.n_states
+        difference = StateSpaceModel(
+            np.block([[m.A, np.zeros((n, centre.n_states))], [np.zeros((centre.n_states, n)), centre.A]]),
+            np.vstack([m.B, centre.B]),
+            np.hstack([m.C, -centre.C]),
+            m.D - centre.D,
+            m.dt,
+        )
+        found.append(series(_plain(bank), _plain(difference)))
+    return tuple(_plain(d) for d in found)
+
+
+def _inverse(weight: StateSpaceModel) -> StateSpaceModel:
+    d = 1.0 / weight.D
+    return StateSpaceModel(weight.A - weight.B @ d @ weight.C, weight.B @ d, -d @ weight.C, d, weight.dt)
+
+
+def _plain(model: StateSpaceModel) -> StateSpaceModel:
+    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt)

@@ -1,0 +1,1 @@
+"""Distances between models that count for feedback, and coprime factors."""
