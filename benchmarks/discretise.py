@@ -16,7 +16,7 @@ import numpy as np
 
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import hinf
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.sampled.sampled_controller import discretise_controller
 

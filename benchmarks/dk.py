@@ -22,7 +22,7 @@ import numpy as np
 
 import robustlab as rl
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import GeneralizedPlant
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks.base import FullBlock, RealScalar
 
 

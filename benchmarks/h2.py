@@ -25,7 +25,7 @@ import numpy as np
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import h2_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import h2
+from robustlab.synthesis.h2.h2_synthesis import h2
 
 COMPLEIB = Path(__file__).parents[2] / "shared" / "data" / "compleib.h5"
 

@@ -20,8 +20,9 @@ import numpy as np
 
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, append, lower_lft
-from robustlab.synthesis import mixsyn, ncf, performance_weight
-from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant
+from robustlab.synthesis.hinf.loop_shaping import ncf
+from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant, mixsyn
+from robustlab.synthesis.specifications.weight_design import performance_weight
 from robustlab.uncertainty.distances.coprime import four_block
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "robust-designs"
@@ -103,7 +104,7 @@ def mixed(figures: dict[str, float]) -> None:
             f"  control.mixsyn {peer(G, W1)}",
             flush=True,
         )
-    from robustlab.synthesis import hinf
+    from robustlab.synthesis.hinf.hinf_synthesis import hinf
 
     start = time.process_time()
     P = mass_damper_spring()

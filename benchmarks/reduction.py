@@ -17,7 +17,7 @@ import time
 import numpy as np
 
 from robustlab.statespace import StateSpaceModel, append, series
-from robustlab.synthesis import hinf
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.nonsmooth.performance_measure import scaled_plant
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller

@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import Moderated, moderated, refuse_overflow
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 __all__ = ["default_grid", "frequency_response"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # (n_omega, n, n) complex systems are solved in chunks of about this many numbers.
 CHUNK = 4_000_000

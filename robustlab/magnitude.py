@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 
@@ -29,7 +29,6 @@ __all__ = [
     "times_power",
 ]
 
-Array = NDArray[Any]
 
 # A matrix is ordinary where its largest entry lies between these: products of several neither overflow nor vanish.
 # Single entries may be smaller, as long as their squares do not vanish.
@@ -41,7 +40,7 @@ NOTHING = 300
 TINY = float(np.finfo(float).tiny)
 
 
-def is_moderate(*matrices: Array) -> bool:
+def is_moderate(*matrices: AnyArray) -> bool:
     """Whether every matrix is of an ordinary size, or zero."""
     for matrix in matrices:
         size = np.abs(matrix[matrix != 0])
@@ -50,7 +49,7 @@ def is_moderate(*matrices: Array) -> bool:
     return True
 
 
-def balancing_factors(matrix: Array) -> Array:
+def balancing_factors(matrix: AnyArray) -> AnyArray:
     """Powers of two t, shape (n,): rows and columns of ``matrix / t[:, None] * t`` are alike in size (LAPACK gebal)."""
     from scipy.linalg import matrix_balance
 
@@ -60,7 +59,7 @@ def balancing_factors(matrix: Array) -> Array:
         return np.asarray(matrix_balance(matrix, permute=False, separate=True)[1][0])
 
 
-def balancing_exponents(A: Array, into: Array, out: Array) -> Array:
+def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
     """Exponents t of states ``x = 2^t x'`` that balance rows of [A, into] against columns of [A; out], shape (n,).
 
     ``into`` (n, m) and ``out`` (p, n) count as if their largest entries were as large as A's.
@@ -106,7 +105,7 @@ class Moderated:
     model: StateSpaceModel
     rate: int
     gain: int
-    states: Array
+    states: AnyArray
 
     def value(self, size: float, where: str, rate_power: float = 0.0) -> float:
         """``size * 2^-gain * 2^(rate * rate_power)``: a norm of the model as given.
@@ -167,7 +166,7 @@ def moderated(model: StateSpaceModel, where: str) -> Moderated:
     return Moderated(scaled, rate, gain, t)
 
 
-def refuse_overflow(where: str, *arrays: Array) -> None:
+def refuse_overflow(where: str, *arrays: AnyArray) -> None:
     """Refuse what finite input became by multiplication: NaN and infinite entries.
 
     Raises
@@ -208,11 +207,11 @@ def times_power(matrix: Any, exponents: Any) -> Any:
         return np.ldexp(matrix, np.asarray(exponents, dtype=int))
 
 
-def _exponents(matrix: Array) -> Array:
+def _exponents(matrix: AnyArray) -> AnyArray:
     """Exponent of every entry, -inf for zeros."""
     return np.where(matrix == 0, -np.inf, np.frexp(matrix)[1])
 
 
-def _top(exponents: Array) -> int:
+def _top(exponents: AnyArray) -> int:
     top = exponents.max(initial=-np.inf)
     return int(top) if np.isfinite(top) else 0

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import refuse_overflow
 from robustlab.statespace import real_array
@@ -42,8 +43,6 @@ __all__ = [
     "exactly_stable",
 ]
 
-
-Array = NDArray[Any]
 
 # Relative residual from which on a Riccati solution is refined by Newton's method, and how many steps it gets.
 REFINED, NEWTON_STEPS = 1e-10, 4
@@ -63,8 +62,8 @@ class RiccatiSolution:
         Norm of the equation's left-hand side divided by the sum of the norms of its terms.
     """
 
-    X: Array
-    gain: Array
+    X: AnyArray
+    gain: AnyArray
     residual: float
 
 
@@ -118,7 +117,7 @@ def care(
     if n == 0:
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((m, 0)), 0.0)
     best: RiccatiSolution | None = None
-    solvers: tuple[Callable[..., Array | None], ...] = (_ordered_schur, _extended_pencil)
+    solvers: tuple[Callable[..., AnyArray | None], ...] = (_ordered_schur, _extended_pencil)
     for solve in solvers:
         X = solve(a, b, q, r, s)
         if X is None:
@@ -137,7 +136,7 @@ def care(
     raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
 
 
-def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6) -> Array | None:
+def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: float = 1e-6) -> AnyArray | None:
     r"""Stabilising solution of a Riccati equation with its quadratic term given whole: the inner loop of searches.
 
     .. math:: A^T X + X A - X G X + Q = 0, \qquad A - G X \text{ stable}
@@ -200,7 +199,7 @@ def hamiltonian_riccati(A: Array, G: Array, Q: Array, *, tolerance: float = 1e-6
     return X if residual <= tolerance else None
 
 
-def _hamiltonian_residual(A: Array, G: Array, Q: Array, X: Array) -> tuple[float, Array]:
+def _hamiltonian_residual(A: AnyArray, G: AnyArray, Q: AnyArray, X: AnyArray) -> tuple[float, AnyArray]:
     """Relative residual of the equation with the quadratic term given whole, and its left-hand side."""
     with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
         linear, quadratic = A.T @ X, X @ G @ X
@@ -209,7 +208,7 @@ def _hamiltonian_residual(A: Array, G: Array, Q: Array, X: Array) -> tuple[float
         return (float(np.linalg.norm(left) / size) if size else 0.0), left
 
 
-def balanced_eigenvalues(matrix: Array) -> Array | None:
+def balanced_eigenvalues(matrix: AnyArray) -> AnyArray | None:
     """Eigenvalues of a square matrix after balancing, shape (n,); None where it is not finite."""
     if not np.isfinite(matrix).all():
         return None
@@ -225,7 +224,7 @@ def _lapack() -> tuple[Any, Any]:
     return gebal, gees
 
 
-def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | None:
+def _extended_pencil(a: AnyArray, b: AnyArray, q: AnyArray, r: AnyArray, s: AnyArray) -> AnyArray | None:
     from scipy.linalg import LinAlgError, LinAlgWarning, solve_continuous_are
 
     with warnings.catch_warnings():
@@ -239,7 +238,7 @@ def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array 
     return X if np.isfinite(X).all() else None
 
 
-def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | None:
+def _ordered_schur(a: AnyArray, b: AnyArray, q: AnyArray, r: AnyArray, s: AnyArray) -> AnyArray | None:
     from scipy.linalg import LinAlgError, matrix_balance, schur
 
     n = a.shape[0]
@@ -262,7 +261,9 @@ def _ordered_schur(a: Array, b: Array, q: Array, r: Array, s: Array) -> Array | 
     return X if np.isfinite(X).all() else None
 
 
-def _checked_care(equation: tuple[Array, Array, Array, Array, Array], X: Array) -> RiccatiSolution | None:
+def _checked_care(
+    equation: tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray], X: AnyArray
+) -> RiccatiSolution | None:
     """Residual and gain of a candidate; None where it does not stabilise."""
     a, b, q, r, s = equation
     with np.errstate(over="ignore", invalid="ignore"):
@@ -280,7 +281,7 @@ def _checked_care(equation: tuple[Array, Array, Array, Array, Array], X: Array) 
 
 
 def _refined_care(
-    equation: tuple[Array, Array, Array, Array, Array], found: RiccatiSolution | None
+    equation: tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray], found: RiccatiSolution | None
 ) -> RiccatiSolution | None:
     """The solution after Newton's steps ``A_X^T dX + dX A_X + residual = 0``, as long as they help.
 
@@ -300,7 +301,7 @@ def _refined_care(
     return found
 
 
-def _newton_step(closed: Array, left: Array) -> Array | None:
+def _newton_step(closed: AnyArray, left: AnyArray) -> AnyArray | None:
     """Symmetric dX with ``closed^T dX + dX closed + left = 0``; None where there is none."""
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
@@ -314,7 +315,7 @@ def _newton_step(closed: Array, left: Array) -> Array | None:
     return 0.5 * (step + step.T) if np.isfinite(step).all() else None
 
 
-def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:
+def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> AnyArray:
     r"""Solution X of the Lyapunov equation, shape (n, n).
 
     .. math:: A X + X A^T + Q = 0 \qquad\text{or, discrete,}\qquad A X A^T - X + Q = 0
@@ -432,7 +433,7 @@ def dare(
 
 def gramians(
     A: ArrayLike, B: ArrayLike, C: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6
-) -> tuple[Array, Array]:
+) -> tuple[AnyArray, AnyArray]:
     r"""Both Gramians of a stable model, shapes (n, n); in continuous time from one Schur form.
 
     .. math:: A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0 \qquad\text{or, discrete,}\qquad
@@ -483,7 +484,7 @@ def gramians(
     return 0.5 * (P + P.T), 0.5 * (Q + Q.T)
 
 
-def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> Array:
+def lyapunov_factor(A: ArrayLike, B: ArrayLike, *, tolerance: float = 1e-8) -> AnyArray:
     r"""Triangular factor L, shape (n, n), of a controllability Gramian: the Gramian itself is never formed.
 
     .. math:: A X + X A^T + B B^T = 0, \qquad X = L L^T

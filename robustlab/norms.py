@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
@@ -27,7 +27,6 @@ __all__ = [
     "norm_as_given",
 ]
 
-Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 # Eigenvalues of a Jordan block of four may be off by this many times those of a matrix with a basis of eigenvectors.
 FAR = 1e12
@@ -202,7 +201,7 @@ def _point(m: StateSpaceModel, omega: float) -> complex:
     return 1j * omega if np.isfinite(omega) else complex(np.inf)
 
 
-def gain_rounding(A: Array, B: Array, C: Array, D: Array, s: complex) -> float:
+def gain_rounding(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex) -> float:
     r"""Bound of the rounding error of ``sigma_max(C (sI - A)^{-1} B + D)``, to first order; s may be infinite.
 
     With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
@@ -211,7 +210,7 @@ def gain_rounding(A: Array, B: Array, C: Array, D: Array, s: complex) -> float:
     return _terms(A, B, C, D, s)[1]
 
 
-def _terms(A: Array, B: Array, C: Array, D: Array, s: complex) -> tuple[float, float]:
+def _terms(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex) -> tuple[float, float]:
     """Size of what is added up to the gain at s, ``|C| |X| + |D|``, and `gain_rounding`."""
     n, size = len(A), np.abs(D)
     error = size
@@ -264,7 +263,7 @@ def _unstable(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     return HinfNorm(np.inf, np.nan, np.inf, np.inf, Status.CERTIFIED, f"pole {_text(worst)} is {word}")
 
 
-def _balanced(matrix: Array) -> Array:
+def _balanced(matrix: AnyArray) -> AnyArray:
     t = balancing_factors(matrix)
     return matrix / t[:, None] * t
 
@@ -294,7 +293,7 @@ def _well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     return StateSpaceModel(a, b, c / level, m.D), rate
 
 
-def _sigma(m: StateSpaceModel, omega: Array) -> Array:
+def _sigma(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
     """``sigma_max`` at each frequency, shape (n_omega,)."""
     response = frequency_response(m, omega)
     if not np.isfinite(response).all():
@@ -304,7 +303,7 @@ def _sigma(m: StateSpaceModel, omega: Array) -> Array:
     return np.linalg.svd(response, compute_uv=False)[:, 0]
 
 
-def _grid(m: StateSpaceModel, points: int) -> Array:
+def _grid(m: StateSpaceModel, points: int) -> AnyArray:
     """Zero, infinity, the poles' frequencies and resonances, and a logarithmic grid around them."""
     poles = m.poles()
     if m.is_discrete:
@@ -356,7 +355,7 @@ def _bracket(m: StateSpaceModel, rtol: float) -> tuple[float, float, float, bool
     return lower, at, upper, False
 
 
-def _candidates(m: StateSpaceModel, level: float) -> Array:
+def _candidates(m: StateSpaceModel, level: float) -> AnyArray:
     """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them."""
     root = np.sqrt(level)
     b, c, d = m.B / root, m.C / root, m.D / level
@@ -372,7 +371,7 @@ def _candidates(m: StateSpaceModel, level: float) -> Array:
     return np.concatenate([crossing, between, beyond])
 
 
-def _zoom(m: StateSpaceModel, omega: Array, sigma: Array) -> tuple[float, float]:
+def _zoom(m: StateSpaceModel, omega: AnyArray, sigma: AnyArray) -> tuple[float, float]:
     """Highest value near the highest local maxima of the points known so far, and its frequency."""
     order = np.argsort(omega, kind="stable")
     omega, sigma = omega[order], sigma[order]
@@ -523,7 +522,7 @@ def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
     )  # fmt: skip
 
 
-def _is_singular(matrix: Array, limit: float) -> bool:
+def _is_singular(matrix: AnyArray, limit: float) -> bool:
     """Whether the condition number stays above ``limit`` with every row as long: one fast pole is no singularity."""
     if not matrix.size or np.linalg.cond(matrix) <= limit:
         return False
@@ -531,7 +530,7 @@ def _is_singular(matrix: Array, limit: float) -> bool:
     return not length.all() or bool(np.linalg.cond(matrix / length) > limit)
 
 
-def _in_balanced_states(model: StateSpaceModel) -> tuple[Array, Array, Array, Array]:
+def _in_balanced_states(model: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Factors t, and A, B, C in the states ``x / t``: a condition number says something about poles there only."""
     t = balancing_factors(model.A)
     return t, model.A / t[:, None] * t, model.B / t[:, None], model.C * t

@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Traced
 from robustlab.statespace import MAX_NAME, real_array
 
 __all__ = ["Record"]
 
-Array = NDArray[np.float64]
 
 # A clock that jitters by less than this share of the sample time counts as uniform.
 UNIFORM_TOLERANCE = 1e-3

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean
 from robustlab.provenance import Traced
 
@@ -31,7 +32,6 @@ __all__ = [
     "signals",
 ]
 
-Array = NDArray[np.float64]
 MAX_STATES = 5000
 MAX_NAME = 200
 

@@ -22,6 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, StateSpaceModel, as_model
@@ -36,8 +37,6 @@ __all__ = [
     "observability_matrix",
 ]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Kind = Literal["controllability", "observability"]
 
 # Singular values of the scaled matrices, whose entries are at most 1: those above CLEAR are there, those below ROUNDING

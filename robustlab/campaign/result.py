@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.campaign.evaluation import Evaluator, decode_delta
 from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
@@ -35,8 +35,6 @@ __all__ = [
     "share_beyond",
 ]
 
-
-Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 SHARES = (0.5, 0.9, 0.99, 0.999)

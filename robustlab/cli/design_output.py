@@ -74,8 +74,7 @@ class Channels:
     def plant(self, file: str, nominal: bool = False) -> GeneralizedPlant:
         """The generalised plant of a file."""
         from robustlab.storage import load
-        from robustlab.synthesis import generalized_plant
-        from robustlab.synthesis.problem.partition import as_generalized_plant
+        from robustlab.synthesis.problem.partition import as_generalized_plant, generalized_plant
         from robustlab.uncertainty.lft import UncertainModel
 
         found: Any = load(file)

@@ -62,7 +62,7 @@ def hinf(
     """
     channels = Channels("synth hinf", n_meas, n_con, measurements, controls, disturbances, performance)
     check_target(out)
-    from robustlab.synthesis import hinf as design
+    from robustlab.synthesis.hinf.hinf_synthesis import hinf as design
 
     plant = channels.plant(file, nominal)
     with status_line("H-infinity", verbose) as report:
@@ -95,7 +95,7 @@ def h2(
     """
     channels = Channels("synth h2", n_meas, n_con, measurements, controls, disturbances, performance)
     check_target(out)
-    from robustlab.synthesis import h2 as design
+    from robustlab.synthesis.h2.h2_synthesis import h2 as design
 
     plant = channels.plant(file, nominal)
     with status_line("H2", verbose) as report:
@@ -124,7 +124,7 @@ def ncf(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load
-    from robustlab.synthesis import ncf as design
+    from robustlab.synthesis.hinf.loop_shaping import ncf as design
 
     check_target(out)
     model = _selected(as_model(load(file), file), inputs, outputs)
@@ -170,7 +170,7 @@ def dk(
     channels = Channels("synth dk", n_meas, n_con, measurements, controls, disturbances, performance)
     check_target(out)
     rows = None if blocks is None else rows_of_blocks(blocks)
-    from robustlab.synthesis import dk as design
+    from robustlab.synthesis.dk.dk_iteration import dk as design
 
     plant = channels.plant(file)
     with status_line("D-K", verbose) as report:
@@ -262,8 +262,12 @@ def mixsyn(
     from robustlab.statespace import as_model
     from robustlab.storage import load
     from robustlab.structural import drop_unconnected
-    from robustlab.synthesis import complementary_weight, control_weight, performance_weight
-    from robustlab.synthesis import mixsyn as design
+    from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as design
+    from robustlab.synthesis.specifications.weight_design import (
+        complementary_weight,
+        control_weight,
+        performance_weight,
+    )
 
     weights = (
         weight("--w1", w1, performance_weight),

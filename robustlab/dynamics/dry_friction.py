@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.simulation import CLOCK_ROUNDING, Hold, sampled_inputs
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
@@ -43,7 +44,6 @@ from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 __all__ = ["DryFriction", "FrictionEvent", "StickSlip", "simulate_with_friction"]
 
-Array = NDArray[np.float64]
 
 # An event is located to this many halvings of a sample step.
 HALVINGS = 46

@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.parameters import Parameter, overridden
-from robustlab.dynamics.plant_contract import Array, Plant
+from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.parameters import Parameter
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
@@ -23,7 +24,6 @@ from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 
 __all__ = [
-    "Array",
     "NonlinearPlant",
     "Plant",
     "SteppedPlant",
@@ -98,9 +98,6 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
     else:
         raise InputError("simulate: hold", f"{hold!r}", "'zoh', 'foh' or 'spline'")
     return InputSignal(t, coefficients, broken)
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

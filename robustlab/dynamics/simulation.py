@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
@@ -15,7 +16,6 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
 __all__ = ["Hold", "sampled_inputs", "simulate", "transition"]
 
-Array = NDArray[np.float64]
 Hold = Literal["zoh", "foh"]
 
 # Steps of the clock that differ by less than this share of the mean step count as equal: the rounding of time stamps.

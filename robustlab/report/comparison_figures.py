@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.comparison.comparison import Comparison
 from robustlab.identification.comparison.localisation import Bin, DirectionError
 from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
@@ -121,8 +122,6 @@ def _near(reference: Array, angle: Array) -> Array:
     unwrapped = np.unwrap(reference)
     return np.degrees(unwrapped + np.angle(np.exp(1j * (angle - unwrapped))))
 
-
-Array = NDArray[np.float64]
 
 DRAWN_POINTS = 2000  # a longer curve is drawn as the smallest and largest value of each of 1000 stretches
 BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency

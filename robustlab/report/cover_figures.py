@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["blocks_figure", "cloud_figure", "cover_figures", "weight_figure"]
 
-Array = NDArray[np.float64]
 
 SHOWN = 24  # parameters side by side
 MODELS = 60  # errors drawn one by one

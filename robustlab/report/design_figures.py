@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ __all__ = [
 ]
 
 
-Array = NDArray[np.float64]
 # Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
 DESIGNS = (
     (COLOURS["reference"], (0, (4, 1.5)), 1.4),

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.naming.discovery_result import Discovery, NamingStep
 from robustlab.identification.naming.discovery_text import compared, headline, in_words, with_interval
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
@@ -143,7 +144,6 @@ def _once(panels: list[Axes]) -> tuple[list[Artist], list[str]]:
     return list(found.values()), list(found)
 
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
 MODELS = {"nominal": COLOURS["worst"], "refitted": COLOURS["sample"], "updated": COLOURS["nominal"]}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["gain_figure", "mu_figure", "replay_figure", "shares_figure"]
 
-Array = NDArray[np.floating[Any]]
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
 SHOWN_BLOCKS = 16

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Story", "fall_in_words", "fall_percent", "story_figure"]
 
-Array = NDArray[np.float64]
 BEFORE, AFTER = COLOURS["worst"], COLOURS["nominal"]
 WORDS = ("before", "after")
 

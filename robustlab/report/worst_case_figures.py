@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
 from robustlab.worst_case_analysis.influence import Influence
 from robustlab.worst_case_analysis.statistics import ViolationProbability
@@ -115,9 +115,6 @@ def _range(values: np.ndarray, limit: float) -> tuple[float, float]:
     low, high = float(seen.min()), float(seen.max())
     margin = 0.04 * (high - low) or 0.05 * max(abs(high), 1e-12)
     return low - margin, high + margin
-
-
-Array = NDArray[np.float64]
 
 
 def exceedance_figure(

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
@@ -40,8 +40,6 @@ __all__ = [
     "export_controller",
 ]
 
-
-Array = NDArray[np.float64]
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
 RESERVED = (

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
@@ -65,7 +65,6 @@ class Problems:
             raise InputError(self.file, self.lines[0], None, self.hint, more)
 
 
-Array = NDArray[np.float64]
 Shape = tuple[int, ...]
 NAMES = ("A", "B", "C", "D")
 SIDES = ("state", "input", "output")

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
 from robustlab.dynamics.stewart.workspace import ConditionMap
 from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
@@ -25,7 +25,6 @@ __all__ = [
     "tracking_path_figure",
 ]
 
-Array = NDArray[np.float64]
 # Six lines in one panel: colours of Okabe and Ito, the second three dashed, so that they are told apart in grey too.
 SIX = [("#0072B2", "-"), ("#D55E00", "-"), ("#009E73", "-"), ("#56B4E9", "--"), ("#E69F00", "--"), ("#CC79A7", "--")]
 # Curves that lie on one another: wide, dashed and thin, dotted and thinner.

@@ -22,10 +22,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
-from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.plants.dc_motor import dc_motor
 from robustlab.dynamics.plants.linear_actuator import linear_actuator
 from robustlab.dynamics.simulation import simulate

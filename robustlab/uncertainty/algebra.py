@@ -23,8 +23,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.statespace import MAX_NAME, Signal, StateSpaceModel, append, as_model, real_array
 from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, ParameterRange, RealScalar, block_slices
@@ -45,9 +45,6 @@ __all__ = [
     "upper",
     "centred",
 ]
-
-
-Array = NDArray[np.float64]
 
 
 def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:

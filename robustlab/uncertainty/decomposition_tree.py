@@ -27,11 +27,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.uncertainty.laurent import Laurent, Monomial, times
 
 __all__ = ["ConstantLft", "Plan", "assemble", "plans"]
 
-Array = NDArray[np.float64]
 # A matrix of polynomials: monomial -> {(row, column): coefficient}.
 Terms = dict[Monomial, dict[tuple[int, int], Fraction]]
 

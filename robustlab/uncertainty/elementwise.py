@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
 from robustlab.statespace import MAX_NAME, MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks.base import RealScalar
@@ -38,7 +38,6 @@ __all__ = [
     "natural_magnitude",
 ]
 
-Array = NDArray[np.float64]
 
 # Rank factors may miss an entry of E by this share of its natural magnitude: above rounding, below the promised 1e-12.
 EXACT = 3e-14

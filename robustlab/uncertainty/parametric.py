@@ -14,8 +14,8 @@ from itertools import product as vertices_of
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
@@ -26,7 +26,6 @@ from robustlab.uncertainty.structured_reduction import reduction
 
 __all__ = ["as_range", "parametric"]
 
-Array = NDArray[np.float64]
 
 # The LFT must give every entry at random parameter values to this share of the largest value that it takes there.
 EXACT = 1e-9

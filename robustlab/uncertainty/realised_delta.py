@@ -23,8 +23,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
@@ -34,8 +34,6 @@ from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 __all__ = ["perturbed_model", "realise_delta"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Where only real values exist (omega = 0, the end of the axis), imaginary parts up to this share are rounding.
 REAL = 1e-7

@@ -18,16 +18,14 @@ import dataclasses
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, Indices
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import Block, FullBlock, block_slices
 
 __all__ = ["reduce_blocks"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # A reduced block must give the same F(delta) to this share of the entries' natural magnitude, or it is not reduced.
 UNCHANGED = 1e-10

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.result import Status
@@ -38,7 +38,6 @@ from robustlab.uncertainty.reduction import CANCELLED, UNCHANGED, reduce_blocks
 
 __all__ = ["Reduction", "reduction"]
 
-Array = NDArray[np.float64]
 
 POINTS = 8
 

@@ -28,7 +28,6 @@ from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.errors import InputError, did_you_mean, told_as
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model
@@ -37,7 +36,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["FORMS", "Form", "unstructured"]
 
-Array = NDArray[np.float64]
 Form = Literal[
     "additive",
     "input-multiplicative",

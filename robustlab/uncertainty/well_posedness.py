@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError
 from robustlab.result import Status
@@ -39,7 +40,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WellPosedness", "well_posedness"]
 
-Array = NDArray[np.float64]
 Matrix = NDArray[Any]
 
 MAX_BOXES = 2000

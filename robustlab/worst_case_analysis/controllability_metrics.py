@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, real_array
 from robustlab.uncertainty.lft import UncertainModel
@@ -116,8 +117,6 @@ def finite_gramians(ensemble: Ensemble, duration: float, norm: float) -> Array:
         phi = phi @ phi
     return 0.5 * (total + total.transpose(0, 2, 1))
 
-
-Array = NDArray[np.float64]
 
 # The nominal Gramian's reciprocal condition number (of its correlation form) below which its directions are rounding.
 SMALLEST_CONDITION = 1e-13

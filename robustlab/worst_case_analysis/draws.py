@@ -17,6 +17,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
@@ -30,8 +31,6 @@ __all__ = [
     "RealSet",
 ]
 
-
-Array = NDArray[np.float64]
 
 # "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
 MAX_LISTED = 16

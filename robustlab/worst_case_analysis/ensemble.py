@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.record import UNIFORM_TOLERANCE
@@ -151,7 +152,6 @@ def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
     return real_array("t", step * np.arange(n), 1, where)
 
 
-Array = NDArray[np.float64]
 Hold = Literal["zoh", "foh"]
 
 # Intermediate arrays hold about this many numbers.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid
 from robustlab.magnitude import refuse_overflow
@@ -36,8 +37,6 @@ __all__ = [
     "SpectralAbscissa",
 ]
 
-
-Array = NDArray[np.float64]
 
 GRID_POINTS = 48
 

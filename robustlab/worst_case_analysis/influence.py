@@ -21,11 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.worst_case_analysis.metrics import MetricBatch
 
 __all__ = ["FEWEST_SAMPLES", "Influence", "influence_of"]
 
-Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 32
 MOST_BINS = 32

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected
@@ -21,8 +22,6 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble
 
 __all__ = ["Evaluation", "Metric", "connected", "need_real", "need_stable", "selected"]
-
-Array = NDArray[np.float64]
 
 
 class Evaluation(NamedTuple):

@@ -12,8 +12,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
@@ -35,7 +36,6 @@ __all__ = [
 ]
 
 
-Array = NDArray[np.float64]
 UserFunction = Callable[[StateSpaceModel], float]
 
 # Name -> what it is. The largest value is the worst but where the text says otherwise.

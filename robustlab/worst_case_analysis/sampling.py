@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
@@ -26,7 +27,6 @@ from robustlab.worst_case_analysis.streaming import (
 
 __all__ = ["Responses", "Samples", "StreamedResponses", "sample"]
 
-Array = NDArray[np.float64]
 
 # A response is kept whole: samples x times x outputs.
 MAX_NUMBERS = 64_000_000

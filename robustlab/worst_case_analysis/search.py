@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
@@ -92,8 +93,6 @@ class DeltaBox:
         below = np.array([b.ratio for b in self.blocks if isinstance(b, RealScalar)])
         return np.where(theta < 0, below, 1.0) * diagonal
 
-
-Array = NDArray[np.float64]
 
 LABEL = "sampled: a lower bound of the true worst case"
 

@@ -20,13 +20,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.magnitude import refuse_overflow
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, transitions
 
 __all__ = ["delta_slope", "pole_slope", "response_slope", "steady_state_slope"]
-
-Array = NDArray[np.float64]
 
 
 def delta_slope(uncertain: UncertainModel, delta: Array, slope: Array) -> Array:

@@ -23,8 +23,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.result import Status
@@ -42,7 +43,6 @@ __all__ = [
     "violation_probability",
 ]
 
-Array = NDArray[np.float64]
 
 LABEL = "sampled: of deltas that are uniform and independent in their ranges; no statement on the worst case"
 AGREEMENT = 1e-6

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import Signal
@@ -20,7 +21,6 @@ from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, i
 
 __all__ = ["StreamedResponses", "blocks_of", "in_order", "stream"]
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 BINS, FEWEST_BINS, MOST_COUNTS = 256, 16, 4_000_000

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
@@ -26,7 +27,6 @@ from robustlab.worst_case_analysis.sensitivity import response_slope, steady_sta
 
 __all__ = ["Overshoot", "Peak", "PeakDeviation", "Rms", "SettlingTime", "TimeMetric", "settling_times"]
 
-Array = NDArray[np.float64]
 
 # A final value below this share of the response's size is zero: there is nothing to be relative to.
 NO_FINAL_VALUE = 1e-9

@@ -14,9 +14,10 @@ from robustlab.matrix_equations import hamiltonian_riccati
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import hinf, mixsyn
 from robustlab.synthesis.hinf import hinf_synthesis
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers, solve_conic
+from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.hinf.search import Portfolio, Search
 from robustlab.synthesis.nonsmooth.loop_gain import loop_gain
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation

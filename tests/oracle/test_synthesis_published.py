@@ -13,7 +13,11 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, lower_lft
-from robustlab.synthesis import h2, hinf, mixsyn, ncf, performance_weight
+from robustlab.synthesis.h2.h2_synthesis import h2
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.hinf.loop_shaping import ncf
+from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
+from robustlab.synthesis.specifications.weight_design import performance_weight
 
 SHARED = Path(__file__).parents[3] / "shared"
 COMPLEIB = SHARED / "data" / "compleib.h5"

@@ -19,9 +19,11 @@ from robustlab.report.design_figures import (
 from robustlab.report.figures import save_figure
 from robustlab.report.story_figures import Story, story_figure
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import hinf, mixsyn, performance_weight
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.problem.performance_limits import limits_in_words, limits_of
 from robustlab.synthesis.specifications.loop_curves import frequencies, loop_curves
+from robustlab.synthesis.specifications.weight_design import performance_weight
 
 OMEGA = np.geomspace(0.1, 100, 50)
 

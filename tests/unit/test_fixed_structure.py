@@ -15,10 +15,11 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import PID, Bandwidth, Damping, Decay, FixedOrder, RollOff, StableController
 from robustlab.synthesis.fixed.structure_starts import informed_starts
 from robustlab.synthesis.laws.controller_laws import model_of
+from robustlab.synthesis.laws.controller_structures import PID, FixedOrder
 from robustlab.synthesis.nonsmooth.descent import descend
+from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay, RollOff, StableController
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.problem.partition import as_generalized_plant
 

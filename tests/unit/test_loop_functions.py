@@ -8,8 +8,10 @@ import pytest
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import complementary_weight, control_weight, hinf, mixsyn, performance_weight
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.specifications.loop_functions import loop_functions, loop_functions_of
+from robustlab.synthesis.specifications.weight_design import complementary_weight, control_weight, performance_weight
 
 OMEGA = np.geomspace(1e-3, 1e3, 60)
 

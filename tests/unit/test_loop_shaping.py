@@ -11,7 +11,8 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
-from robustlab.synthesis import hinf, ncf
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.hinf.loop_shaping import ncf
 from robustlab.synthesis.specifications.loop_functions import loop_functions_of
 from robustlab.uncertainty.distances.coprime import four_block
 from robustlab.uncertainty.distances.gap_metric import nu_gap

@@ -9,7 +9,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import h2, h2_hinf
+from robustlab.synthesis.h2.h2_synthesis import h2
+from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf
 
 INTEGRATOR = StateSpaceModel(
     [[0.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],

@@ -10,7 +10,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import h2_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import lqg, lqr, place
+from robustlab.synthesis.h2.state_feedback import lqg, lqr, place
 
 INTEGRATORS = StateSpaceModel([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
 

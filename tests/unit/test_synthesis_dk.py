@@ -10,7 +10,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import DKSynthesis
+from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.dk.dk_iteration import structure_with_performance
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, Factor, unit_scalings
 from robustlab.synthesis.dk.riccati_level import scaled_loop

@@ -13,10 +13,11 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import GeneralizedPlant, hinf, mixsyn
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.nonsmooth.loop_gain import closed, loop_gain
 from robustlab.synthesis.problem.gamma_bounds import place_in_s, place_in_z, pointwise_bound
-from robustlab.synthesis.problem.partition import Realisation
+from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.synthesis.problem.stability import proved_stable
 

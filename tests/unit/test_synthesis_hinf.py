@@ -10,7 +10,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import Controller, GeneralizedPlant, Synthesis, hinf
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.problem.design import Controller, Synthesis
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 
 def output_feedback_problem(a: float) -> StateSpaceModel:

@@ -11,8 +11,8 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, series
-from robustlab.synthesis import complementary_weight, control_weight, mixsyn, performance_weight
-from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant
+from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant, mixsyn
+from robustlab.synthesis.specifications.weight_design import complementary_weight, control_weight, performance_weight
 
 OMEGA = np.geomspace(1e-4, 1e5, 200)
 

@@ -10,8 +10,8 @@ from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import GeneralizedPlant, generalized_plant, hinf
-from robustlab.synthesis.problem.partition import Realisation
+from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation, generalized_plant
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.uncertainty.blocks.base import RealScalar
 from robustlab.uncertainty.lft import UncertainModel

@@ -8,7 +8,7 @@ import scipy.linalg
 
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import mixsyn
+from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.problem.partition import Realisation
 from robustlab.synthesis.problem.verified_loop import DISTANCES, well_posed_neighbours
 

@@ -9,7 +9,7 @@ import pytest
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import generalized_plant
+from robustlab.synthesis.problem.partition import generalized_plant
 from robustlab.uncertainty.elementwise import STRUCTURES, by_cause, elementwise, endpoint_residual
 
 A = np.array([[-6.0, 7200.0], [-84.0, -3300.0]])

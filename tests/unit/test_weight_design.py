@@ -9,7 +9,14 @@ from scipy.signal import lfilter
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import check_weights, design_weights, makeweight, mixsyn, noise_weight, performance_weight
+from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
+from robustlab.synthesis.specifications.weight_design import (
+    check_weights,
+    design_weights,
+    makeweight,
+    noise_weight,
+    performance_weight,
+)
 
 LAG = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 

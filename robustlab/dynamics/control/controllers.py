@@ -35,8 +35,9 @@ from typing import Any
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.linearisation import linearise, trim
-from robustlab.dynamics.plant_contract import Array, Trim
+from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, real_array

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
-from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.stewart.direct_kinematics import nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.dynamics.stewart.workspace import check_pose, inside

@@ -18,8 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.ports.port_model import PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.plant_contract import Array
 
 __all__ = ["EFFECT"]
 

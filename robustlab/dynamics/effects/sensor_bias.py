@@ -12,9 +12,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.ports.port_model import PortModel
 
 __all__ = ["EFFECT"]

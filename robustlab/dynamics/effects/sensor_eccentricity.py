@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.spatial_wave import order_prior
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.ports.port_model import PortModel
 
 __all__ = ["EFFECT"]

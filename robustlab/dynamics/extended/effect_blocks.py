@@ -30,8 +30,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_linear_model import (
     effect_delay,
@@ -70,7 +70,6 @@ if TYPE_CHECKING:
 
 __all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks", "with_forces"]
 
-Array = NDArray[np.float64]
 
 # The nominal set must be the plant's own linear model to this share of its largest response.
 EXACT = 1e-8

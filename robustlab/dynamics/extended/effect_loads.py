@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.effect_blocks import NoiseInput, with_forces
@@ -34,7 +34,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["EffectLoads", "effect_loads", "resting_start"]
 
-Array = NDArray[np.float64]
 
 # The simulated states must be those of the linear part under the loads to this share of their size.
 EXACT = 1e-6

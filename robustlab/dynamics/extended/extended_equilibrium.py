@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.extended.law_forces import is_set_valued, rest_band
-from robustlab.dynamics.plant_contract import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import real_array
 

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.law_forces import extrapolated, is_set_valued, slopes
-from robustlab.dynamics.plant_contract import Array, Trim
+from robustlab.dynamics.plant_contract import Trim
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
 

@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
 from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import Array, NonlinearPlant, SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import Port, PortModel, linear_plant_of
 from robustlab.errors import InputError, did_you_mean
 from robustlab.result import Status

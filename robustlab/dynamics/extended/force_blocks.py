@@ -29,8 +29,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.ports.port_model import Port
@@ -54,7 +54,6 @@ __all__ = [
     "force_columns",
 ]
 
-Array = NDArray[np.float64]
 Amplitude = float | tuple[float, float]
 Dry = Literal["gain", "load", "both"]
 

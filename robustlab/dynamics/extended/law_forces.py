@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.plant_contract import Array
 
 __all__ = ["extrapolated", "holding_force", "is_set_valued", "rest_band", "slopes", "steady_force"]
 

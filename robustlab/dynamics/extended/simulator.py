@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.ports.port_model import PortModel, port_model
 from robustlab.errors import InputError
 

@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
-from robustlab.dynamics.plant_contract import Array
 from robustlab.dynamics.plants.dc_motor import PARAMETERS as MOTOR
 from robustlab.statespace import Signal, real_array
 

@@ -27,9 +27,9 @@ from typing import Literal
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
-from robustlab.dynamics.plant_contract import Array
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 

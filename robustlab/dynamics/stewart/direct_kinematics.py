@@ -41,6 +41,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.stewart.compilation import kernels
 from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -151,7 +152,6 @@ def twist(pose: ArrayLike, rates: ArrayLike) -> Array:
     return np.concatenate([rate[:3], turn @ rate[3:]])
 
 
-Array = NDArray[np.float64]
 LIMIT = 60
 
 

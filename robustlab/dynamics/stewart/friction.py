@@ -25,8 +25,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.dry_friction import DryFriction, FrictionEvent, StickSlip
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.simulation import sampled_inputs
@@ -38,7 +39,6 @@ from robustlab.statespace import real_array
 
 __all__ = ["friction_torques", "simulate_platform_with_friction"]
 
-Array = NDArray[np.float64]
 
 # Sweeps of the box programme; the nuts' own inertia dominates M, so a sweep gains about two digits.
 SWEEPS = 200

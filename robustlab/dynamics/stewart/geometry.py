@@ -26,8 +26,8 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.parameters import Parameter, Sign
 from robustlab.errors import InputError, did_you_mean
 
@@ -42,8 +42,6 @@ __all__ = [
     "machine_parameters",
 ]
 
-
-Array = NDArray[np.float64]
 
 _PAIR = np.repeat([0.0, 1.0, 2.0], 2) * (2 * np.pi / 3)
 _SIDE = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])  # of a leg, in its pair of platform points

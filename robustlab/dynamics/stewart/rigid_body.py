@@ -16,8 +16,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.stewart.compilation import kernels
 from robustlab.dynamics.stewart.workspace import SINGULAR, check_pose, real_array_of_one, singularity
 from robustlab.errors import NoTrustworthyNumber
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
 __all__ = ["bias_torque", "kinetic_energy", "mass_matrix", "nut_to_twist", "potential_energy", "trim_torque"]
-
-Array = NDArray[np.float64]
 
 
 def nut_to_twist(plant: StewartPlatform, pose: ArrayLike) -> Array:

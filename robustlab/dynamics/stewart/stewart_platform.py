@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import Array, InputSignal, NonlinearPlant, Trim
+from robustlab.dynamics.plant_contract import InputSignal, NonlinearPlant, Trim
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
 from robustlab.dynamics.stewart.direct_kinematics import LIMIT, direct_kinematics, poses_array
 from robustlab.dynamics.stewart.geometry import (

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.stewart.compilation import kernels
 from robustlab.dynamics.stewart.direct_kinematics import inverse_kinematics, poses_array, velocity_jacobian
 from robustlab.dynamics.stewart.geometry import Geometry
@@ -19,7 +20,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 
 __all__ = ["ConditionMap", "check_pose", "condition_map", "inside", "singularity", "workspace_grid"]
 
-Array = NDArray[np.float64]
 COORDINATES = ("tx", "ty", "tz", "ax", "ay", "az")
 # Lengths this little beyond a limit are within it: the rounding of a published limit pose.
 SLACK = 1e-9

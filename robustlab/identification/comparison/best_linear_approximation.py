@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.identification.comparison.localisation import log_bands, uniform_samples, welch_segments
@@ -38,8 +39,6 @@ from robustlab.statespace import StateSpaceModel
 
 __all__ = ["BestLinearApproximation", "arbitrary_bla", "held_response", "periodic_bla"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 EXCITED = 1e-10  # of the strongest line's power: weaker lines are rounding
 SIGNAL_TO_NOISE = 10.0  # power of a line's average input over that of its noise

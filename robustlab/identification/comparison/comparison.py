@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.best_linear_approximation import (
@@ -58,7 +59,6 @@ from robustlab.statespace import Signal
 
 __all__ = ["Comparison", "OutputGap", "ResidualTests", "WindowErrors", "compare"]
 
-Array = NDArray[np.float64]
 
 LAGS = 25
 SHORTEST_WINDOW = 20  # samples

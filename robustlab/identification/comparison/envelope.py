@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.identification.response.response import Evidence, response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
@@ -26,8 +26,6 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 
 __all__ = ["EnvelopeCoverage", "SignalCoverage", "cover", "deviations"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

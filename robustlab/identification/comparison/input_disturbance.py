@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.comparison.localisation import REST, Motion
 from robustlab.identification.comparison.noise_floor import Excess, NoiseFloor
 from robustlab.identification.response.response import Evidence, Response, Stretch
@@ -32,9 +33,6 @@ __all__ = [
     "NoiseGap",
     "noise_gaps",
 ]
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

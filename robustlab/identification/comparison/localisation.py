@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.identification.response.response import Evidence
 from robustlab.record import Record
 
@@ -30,7 +31,6 @@ __all__ = [
     "welch_segments",
 ]
 
-Array = NDArray[np.float64]
 
 SPEED_UNITS = ("m/s", "rad/s", "mm/s", "deg/s", "rpm", "1/min")
 POSITION_UNITS = ("m", "rad", "mm", "deg")

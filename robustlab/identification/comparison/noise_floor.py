@@ -28,15 +28,15 @@ from dataclasses import dataclass
 from math import lcm
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.response.response import Evidence
 from robustlab.record import Record
 
 __all__ = ["Excess", "NoiseFloor", "effective_dof", "noise_floor", "period_of"]
 
-Array = NDArray[np.float64]
 
 SHORTEST_PERIOD = 8  # samples
 EXACT = 1e-9  # of the range: differences below are rounding

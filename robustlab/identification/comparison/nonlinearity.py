@@ -23,12 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.comparison.noise_floor import NoiseFloor
 from robustlab.identification.response.response import Evidence
 
 __all__ = ["EvenOdd", "HarmonicShares", "even_odd", "harmonic_shares", "judged_lines"]
 
-Array = NDArray[np.float64]
 
 EXCITED = 1e-6  # of the strongest line's power: excited
 QUIET_BETWEEN = 1e-9  # not excited, among excited lines

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.response.response import Evidence
 
 __all__ = ["InputCorrelation", "Whiteness", "autocorrelation", "input_correlation", "whiteness"]
 
-Array = NDArray[np.float64]
 
 BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples lie within
 # Directions of the lagged input below this share of its largest eigenvalue are not excited.

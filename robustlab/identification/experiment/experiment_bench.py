@@ -8,8 +8,8 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.identification.experiment.experiment_menu import Excitation, experiment_menu
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
@@ -20,7 +20,6 @@ from robustlab.record import Record
 
 __all__ = ["Bench", "Entry", "Limits", "Pair", "SAFE", "Trial", "distances", "noise_of", "preference", "trials_of"]
 
-Array = NDArray[np.float64]
 
 SAFE = 10.0  # noise sigmas
 REFITTED = 5  # entries of the menu

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from robustlab.arrays import Array
 
 __all__ = ["Excitation", "Piece", "experiment_menu"]
 
-Array = NDArray[np.float64]
 
 SHORTEST_PERIOD = 4.0  # samples of the fastest sine
 HEATING = 7  # lengths of an ordinary experiment that the winding is warmed for

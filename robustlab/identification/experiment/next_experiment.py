@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.experiment.experiment_bench import (
     SAFE,
@@ -48,7 +48,6 @@ from robustlab.identification.response.response import Evidence
 
 __all__ = ["NextExperiment", "Pair", "Tried", "propose_experiment"]
 
-Array = NDArray[np.float64]
 
 CANNOT_TELL = 3.0  # noise sigmas
 LONGEST = 5000  # samples of an experiment

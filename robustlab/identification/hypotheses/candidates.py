@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -28,8 +29,6 @@ __all__ = [
     "stated_tolerances",
 ]
 
-
-Array = NDArray[np.float64]
 
 ORDERS = 3  # spatial lines tried
 FINEST_LINES = 1500  # per range of the position

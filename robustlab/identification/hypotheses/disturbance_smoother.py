@@ -37,6 +37,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.response.response import Evidence
@@ -45,7 +46,6 @@ from robustlab.statespace import StateSpaceModel, real_array
 
 __all__ = ["Jump", "SmoothedRecord", "smooth_disturbance"]
 
-Array = NDArray[np.float64]
 WHERE = "smooth_disturbance"
 
 GRID = 9  # bandwidths tried before the search

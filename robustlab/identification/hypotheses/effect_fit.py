@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -35,7 +36,6 @@ from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 
 __all__ = ["Candidate", "Fit", "Hypothesis", "NoiseModel", "Nuisance", "Problem", "simulated_outputs"]
 
-Array = NDArray[np.float64]
 
 STEP = 2e-3  # of a standardised parameter, for differences
 START_STEP = 0.02  # of a window's start

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
@@ -18,7 +19,6 @@ from robustlab.statespace import StateSpaceModel
 
 __all__ = ["PreparedRecord", "prepare", "start_std", "window_length"]
 
-Array = NDArray[np.float64]
 
 WINDOWS_WANTED = 12
 SHORTEST, LONGEST = 40, 480  # samples of a window

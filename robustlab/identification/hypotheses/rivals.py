@@ -11,13 +11,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem, simulated_outputs
 
 __all__ = ["predicted", "refit_distance"]
-
-Array = NDArray[np.float64]
 
 
 def predicted(problem: Problem, fit: Fit) -> Problem:

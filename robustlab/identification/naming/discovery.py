@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.extended.simulator import Windows
@@ -61,7 +61,6 @@ if TYPE_CHECKING:
 
 __all__ = ["discover"]
 
-Array = NDArray[np.float64]
 
 HELD_OUT_EVERY = 4  # without a held-out record, every fourth window is kept from the fit
 INTERVAL = 1.96  # standard deviations of a 95 % interval

@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from robustlab.identification.response.response import Evidence
 from robustlab.result import Status
 
@@ -31,7 +28,6 @@ __all__ = [
     "Verdict",
 ]
 
-Array = NDArray[np.float64]
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 
 

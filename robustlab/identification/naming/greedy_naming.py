@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.ranking import AR_ORDER, Ranked, Ranking, first_noise, rank, whitening
@@ -27,7 +27,6 @@ __all__ = [
     "white",
 ]
 
-Array = NDArray[np.float64]
 
 MOST_EFFECTS = 5
 SETTLING = 15  # iterations of the reported fits

@@ -12,13 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
 
 __all__ = ["BEYOND_NOISE", "Ranking", "Ranked", "first_noise", "noise_ratio", "rank", "whitening"]
 
-Array = NDArray[np.float64]
 
 WORKERS = 2
 # Where the errors are noise, the third order makes them white; where something is still missing, whose small and fast

@@ -32,6 +32,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
@@ -61,8 +62,6 @@ __all__ = [
     "remaining_lines",
 ]
 
-
-Array = NDArray[np.float64]
 
 BLOCKS = 32  # over all records
 MOST_SAMPLES = 6000  # over all records; the force is smooth, so every so manieth sample tells it

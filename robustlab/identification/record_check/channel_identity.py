@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, Mask
 from robustlab.identification.response.windowed_response import ResponseWindows, explained
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
@@ -39,8 +39,6 @@ __all__ = [
     "unit_factors",
 ]
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Fits = Sequence[ResponseWindows]
 
 # Of a channel in no known unit: thousands, hundreds, degrees, turns, turns a minute.

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.record import Record
 
 __all__ = ["ChannelSummary", "RecordCheck", "channel_warnings", "check_record", "clipped_runs"]
 
-Array = NDArray[np.float64]
 
 SHORTEST_CLIP = 5  # samples that must stand still at the end of the range
 FEWEST_LEVELS = 20  # a signal with fewer levels (a switch, a coarse sensor) cannot be judged

@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError
 from robustlab.identification.response.response import Evidence
 from robustlab.record import Record
 
 __all__ = ["Gap", "UniformRecord", "clock_step", "join_clocks", "uniform"]
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Samples further apart than this many sample times have one missing between them.
 NEAR = 1.5

@@ -19,8 +19,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.identification.response.response import Evidence
@@ -35,7 +35,6 @@ __all__ = [
     "compare_steady_state",
 ]
 
-Array = NDArray[np.float64]
 
 QUANTITIES = ("voltage", "speed", "current", "torque")
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a speed -> unit of the torque or force against it

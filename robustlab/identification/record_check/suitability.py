@@ -26,8 +26,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.record_check.channel_identity import Contradiction, contradictions
 from robustlab.identification.record_check.record_quality import CLIPPED_SHARE, clipped_runs
@@ -38,7 +38,6 @@ from robustlab.record import Record
 
 __all__ = ["Finding", "Suitability", "quantisation_step", "suitability"]
 
-Array = NDArray[np.float64]
 
 # Kinds whose cure is another record, not a correction of this one: exit code 4 instead of 3.
 TOO_POOR = ("too-short", "unexcited")

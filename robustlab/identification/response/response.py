@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.record import Record
@@ -25,8 +25,6 @@ __all__ = [
     "Evidence",
 ]
 
-
-Array = NDArray[np.float64]
 
 # A pole slower than this share of the fastest one counts as an integrator.
 INTEGRATOR = 1e-9

@@ -18,14 +18,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, Mask
 from robustlab.dynamics.simulation import transition
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["ResponseWindows", "explained", "response_windows"]
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 DEAD_VISCOSITY = 50.0  # viscous damping that slows a machine down by more than this is none
 LONGEST_DELAY, DELAYS = 0.02, 4  # s, and how many up to it

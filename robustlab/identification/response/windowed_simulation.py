@@ -34,6 +34,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.response.response import Evidence, Response, Stretch
 from robustlab.record import UNIFORM_TOLERANCE
 
@@ -168,8 +169,6 @@ def weighted_least_squares(free: Array, error: Array, weight: Array) -> tuple[Ar
     std = np.sqrt(variance * ((right / sigma[:, None]) ** 2).sum(axis=0)) / scale
     return x0, std, rank
 
-
-Array = NDArray[np.float64]
 
 # Entries of the free response below this share of its largest column carry no information on the state.
 NO_INFORMATION = 1e-10

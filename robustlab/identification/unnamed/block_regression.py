@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import real_array
 
@@ -29,7 +30,6 @@ __all__ = [
     "role",
 ]
 
-Array = NDArray[np.float64]
 WHERE = "unnamed effect"
 
 FEWEST_BLOCKS = 8

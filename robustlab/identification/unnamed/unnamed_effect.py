@@ -31,6 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.identification.response.response import Evidence
 from robustlab.identification.unnamed.block_regression import (
@@ -58,7 +59,6 @@ __all__ = [
     "structure_left",
 ]
 
-Array = NDArray[np.float64]
 WHERE = "unnamed effect"
 
 BLOCKS = 24

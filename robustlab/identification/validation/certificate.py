@@ -23,14 +23,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.response.response import Evidence
 from robustlab.identification.validation.sampled_problem import SampledProblem
 
 __all__ = ["Multipliers", "largest_disproved", "lagrangian_maximum"]
 
-Array = NDArray[np.float64]
 
 # A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.
 FLOOR = 1e-7

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.identification.validation.sampled_problem import Recorded
 from robustlab.identification.validation.window_fit import WindowFit
@@ -30,7 +31,6 @@ from robustlab.uncertainty.blocks.base import RealScalar
 
 __all__ = ["Parameters", "smallest_parameters"]
 
-Array = NDArray[np.float64]
 
 SPARE = 0.25
 WIDEST = 1e3  # parameters beyond this many times their range are not tried

@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "pull_after", "toeplitz", "trace_norm_bound"]
+from robustlab.arrays import Array
 
-Array = NDArray[np.float64]
+__all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "pull_after", "toeplitz", "trace_norm_bound"]
 
 
 def toeplitz(h: Array) -> Array:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.line_programme import SpectralSizes, smallest_by_lines
@@ -24,8 +25,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["fits_frequency_domain", "validate_by_lines"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 SMALLEST = 1e-6
 

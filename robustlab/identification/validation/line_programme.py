@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.spectral_problem import SpectralProblem
@@ -79,9 +80,6 @@ def solved_cones(P: Any, cost: Any, A: Any, b: Any, cones: list[Any], budget: Bu
         budget.strike()
     return found
 
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 ROUNDS = 30
 SLACK = 1e-9

@@ -9,12 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.identification.response.response import Evidence
 from robustlab.result import Status
 
 __all__ = ["BlockSize", "Validation"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

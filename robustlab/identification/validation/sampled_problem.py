@@ -23,6 +23,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.identification.comparison.envelope import deviations
 from robustlab.identification.response.response import response_of
@@ -85,7 +86,6 @@ def states(A: Array, drive: Array, first: Array) -> Array:
     return (local[:, :size] + free).reshape(-1, n_x)[:n]
 
 
-Array = NDArray[np.float64]
 NoiseNorm = Literal["peak", "rms"]
 
 # Responses below this share of the largest one are rounding.

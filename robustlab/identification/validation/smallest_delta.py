@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.certificate import largest_disproved
@@ -44,7 +45,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["DeltaKind", "validate"]
 
-Array = NDArray[np.float64]
 DeltaKind = Literal["time-invariant", "time-varying"]
 
 # What a validation may cost: about two minutes.

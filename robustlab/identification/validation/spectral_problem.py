@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.identification.comparison.best_linear_approximation import held_response
@@ -40,8 +41,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["FrequencyData", "SpectralProblem", "Spectrum", "spectrum_of_record", "spectrum_of_response"]
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Below this share of the largest one z is rounding: Delta cannot act there.
 SILENT = 1e-10

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.identification.validation.contraction_kernel import (
     Barrier,
@@ -42,7 +43,6 @@ from robustlab.identification.validation.sampled_problem import SampledProblem
 
 __all__ = ["PulseResponses", "smallest_pulse_responses"]
 
-Array = NDArray[np.float64]
 
 STEPS = 200
 # A step keeps at least this share of the way to the boundary before it.

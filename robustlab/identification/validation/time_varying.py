@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.certificate import Multipliers, lagrangian_maximum, largest_disproved
@@ -33,7 +34,6 @@ from robustlab.identification.validation.sampled_problem import SampledProblem
 
 __all__ = ["Contractions", "smallest_contractions"]
 
-Array = NDArray[np.float64]
 
 # The solver is asked for slightly less noise than allowed, so that its answer is within the bound when replayed.
 MARGIN = 1e-7

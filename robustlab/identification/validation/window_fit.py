@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import Recorded, held, powers, shown, states
@@ -25,7 +25,6 @@ from robustlab.uncertainty.blocks.base import RealScalar
 
 __all__ = ["WindowFit", "Windows", "chebyshev"]
 
-Array = NDArray[np.float64]
 
 ENOUGH = 1e-9
 EXCHANGES = 60

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_exponents, balancing_factors
 from robustlab.statespace import StateSpaceModel
@@ -16,7 +16,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["check_nominal", "continuous", "coupled_blocks", "frequencies", "model_frequency", "seed_frequencies"]
 
-Array = NDArray[np.floating[Any]]
 
 # Entries of M that are larger than this are refused.
 MOST = 1e100

@@ -21,6 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import Budget
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
@@ -36,8 +37,6 @@ from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices
 
 __all__ = ["GainProblem", "Improved", "MarginProblem", "MatrixProblem", "Proof", "Region", "tighten"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 BATCH = 16  # regions solved together
 INSIDE = 0.98  # level aimed at in a region, so that its D, G hold on an interval worth having

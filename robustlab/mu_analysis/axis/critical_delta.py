@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
@@ -41,8 +41,6 @@ __all__ = [
     "pole_block_sensitivities",
 ]
 
-
-Array = NDArray[np.floating[Any]]
 
 INSIDE = 0.95
 
@@ -162,9 +160,6 @@ def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:
     for i in range(1, len(t)):
         states[i] = step @ states[i - 1]
     return states @ model.C.T
-
-
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Array:

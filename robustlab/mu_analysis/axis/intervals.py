@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import balancing_factors
@@ -28,8 +28,6 @@ from robustlab.uncertainty.blocks.base import Block
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # The Hamiltonian is that of a beta smaller by this much: a double root blurred by rounding costs far less.
 SLACK = 1e-5

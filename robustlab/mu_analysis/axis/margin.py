@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.mu_analysis.axis.branch_and_bound import Region
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.result import Status
 
 __all__ = ["Margin"]
-
-Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)

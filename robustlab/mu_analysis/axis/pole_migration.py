@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
@@ -30,8 +31,6 @@ from robustlab.uncertainty.blocks.base import Block, RealScalar
 
 __all__ = ["Destabilising", "first_crossing", "perturbed_state_matrix", "search_work", "smallest_destabilising"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 LEADING = 15  # steps that lead a pole to the axis
 FOLLOWING = 30  # steps along the axis

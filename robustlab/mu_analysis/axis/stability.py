@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
@@ -40,7 +40,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WORK", "margin_within", "robust_stability"]
 
-Array = NDArray[np.floating[Any]]
 
 # What a proof may cost: about a minute.
 WORK = 60 * MILLION

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
@@ -36,8 +37,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # What a proof may cost: about a minute.
 WORK = 60 * MILLION

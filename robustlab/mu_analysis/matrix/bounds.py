@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import ComplexArray
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.matrix.certificate import has_structure
@@ -20,7 +21,6 @@ from robustlab.uncertainty.blocks.base import Block, RealScalar, as_blocks, stru
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
 
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # What branch and bound may cost, for all matrices of a stack together: about a minute.
 WORK = 60 * MILLION

@@ -12,18 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices
 
 __all__ = ["Box", "block_entries", "box_matrices", "box_model", "centre_matrix", "gauge", "lowest", "root_box"]
-
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.scalings import hermitian
 from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices
 
@@ -35,8 +36,6 @@ __all__ = [
     "singularity",
 ]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 EPS = float(np.finfo(float).eps)
 
 

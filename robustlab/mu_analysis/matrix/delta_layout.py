@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
 
 __all__ = ["DeltaLayout", "delta_layout"]
-
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
-Mask = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,18 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.box import Box, centre_matrix
 from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices
 
 __all__ = ["Gain", "ascend", "ascend_corners", "gain_at", "largest_gain"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 ASCENTS = 40  # steps of an ascent
 RISE = 1e-7  # an ascent ends where a step gains less than this share

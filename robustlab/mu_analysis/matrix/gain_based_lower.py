@@ -27,8 +27,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout
 from robustlab.mu_analysis.matrix.minimum_norm import unit_rows
 
@@ -39,9 +39,6 @@ __all__ = [
     "power_directions",
 ]
 
-
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 SWEEPS = 2
 # Vertices of so many real parameters are all tried.

@@ -20,11 +20,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.decomposition import Component, components, expand
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
@@ -40,8 +40,6 @@ from robustlab.uncertainty.blocks.base import Block, block_slices, structure_siz
 
 __all__ = ["SINGULAR", "lower_bound", "lower_bounds"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 Found = tuple[float, ComplexArray | None]
 
 # Relative smallest singular value below which I - M Delta counts as singular.

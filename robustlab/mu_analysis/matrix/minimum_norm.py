@@ -8,11 +8,10 @@ and the last ones only restore singularity near the Delta reached.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout
 
 __all__ = [
@@ -27,8 +26,6 @@ __all__ = [
     "unit_rows",
 ]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # Steps, undamped, at the beginning of a path.
 FREE = 6

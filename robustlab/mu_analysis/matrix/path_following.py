@@ -16,17 +16,14 @@ Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Lin
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian
 
 __all__ = ["minimise"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 RHO = 0.3  # weight of the barrier that keeps D away from singular
 NEAR = 0.3  # squared Newton decrement below which a point counts as centred

@@ -21,11 +21,12 @@ Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Lin
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace
 from robustlab.uncertainty.blocks.base import FullBlock
 
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["minimise"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 START = 1.3  # t at which the path begins, for M of norm 1: D = I, G = 0 is feasible there
 

@@ -11,17 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array, ComplexArray
 from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
 
 __all__ = ["ScalingSpace", "hermitian", "scaling_space"]
-
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 def hermitian(X: NDArray) -> NDArray:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import ComplexArray
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, did_you_mean, told_as
 from robustlab.mu_analysis.matrix.bounds import MuBounds, matrix_stack
@@ -34,8 +35,6 @@ from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, a
 
 __all__ = ["skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
 
-Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 ROUNDS = 14
 # Factors by which a level is raised until its D, G prove it.

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import ComplexArray
 from robustlab.mu_analysis.matrix.certificate import certified_level, certified_levels
 from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, expand
 from robustlab.mu_analysis.matrix.scalings import scaling_space
@@ -17,7 +16,6 @@ from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, bloc
 
 __all__ = ["UpperBound", "compile_kernels", "points_below", "points_work", "upper_bounds"]
 
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 # Ratios of D between one component and the next; the smaller, the less their coupling costs.
 RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)

@@ -98,7 +98,7 @@ def cascade(step: CascadeStep, work: Workspace) -> Outcome:
     from robustlab.dynamics.control.controlled_plant import actuator_cascade
     from robustlab.dynamics.control.controllers import two_layer
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-    from robustlab.synthesis import Controller
+    from robustlab.synthesis.problem.design import Controller
 
     plant = work.values[step.of]
     if isinstance(plant, StewartPlatform):

@@ -23,7 +23,11 @@ __all__ = ["close_loop", "designed", "dk", "fixed", "h2", "hinf", "mixsyn", "ncf
 def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
     """A mixed-sensitivity controller, verified in the loop rebuilt from it."""
     import robustlab as rl
-    from robustlab.synthesis import complementary_weight, control_weight, performance_weight
+    from robustlab.synthesis.specifications.weight_design import (
+        complementary_weight,
+        control_weight,
+        performance_weight,
+    )
 
     model = work.values[step.of]
     makers = ((step.W1, performance_weight), (step.W2, control_weight), (step.W3, complementary_weight))

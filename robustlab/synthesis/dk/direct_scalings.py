@@ -16,18 +16,16 @@ Fletcher, *Practical Methods of Optimization* (1987), section 14.4 (minimax by s
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, DynamicScalings
 from robustlab.synthesis.dk.riccati_level import Branches, Level, LevelSearch
 from robustlab.synthesis.dk.robust_loop import RobustProblem
 
 __all__ = ["grown", "minimised"]
 
-Array = NDArray[Any]
 
 DECREASE = 1e-3  # share of the promised decrease that a step has to bring
 LINE_STEPS = 10
@@ -52,13 +50,13 @@ class _Objective:
         self.search: LevelSearch = problem.search(scalings)
         self.centre = scalings.parameters()
 
-    def level(self, theta: Array, guess: float) -> Level | None:
+    def level(self, theta: AnyArray, guess: float) -> Level | None:
         """The smallest level; None outside the range, or where there is none."""
         if np.abs(theta - self.centre).max(initial=0.0) > RANGE:
             return None
         return self.search.smallest(theta, guess)
 
-    def branches(self, theta: Array, level: Level) -> Branches | None:
+    def branches(self, theta: AnyArray, level: Level) -> Branches | None:
         """The branches at and little below the level."""
         return self.search.branches(theta, level, WITHIN, MOST)
 
@@ -103,7 +101,7 @@ def minimised(
     return scalings.with_parameters(x), level.beta
 
 
-def _multipliers(branches: Branches, H: Array) -> tuple[Array, float]:
+def _multipliers(branches: Branches, H: AnyArray) -> tuple[AnyArray, float]:
     """Weights of the branches in the best step, shape (m,), and the change of log beta that it promises (<= 0).
 
     The dual ``max_lambda values^T lambda - lambda^T Q lambda / 2`` on the simplex, ``Q = slopes H slopes^T``, solved
@@ -131,8 +129,8 @@ def _multipliers(branches: Branches, H: Array) -> tuple[Array, float]:
 
 
 def _line_search(
-    objective: _Objective, x: Array, level: Level, direction: Array, predicted: float
-) -> tuple[Array, Level] | None:
+    objective: _Objective, x: AnyArray, level: Level, direction: AnyArray, predicted: float
+) -> tuple[AnyArray, Level] | None:
     """The longest step of a falling sequence that reaches a share of the promised decrease; None where none does."""
     start, t = float(np.log(level.beta)), 1.0
     for _ in range(LINE_STEPS):
@@ -145,7 +143,7 @@ def _line_search(
     return None
 
 
-def _change(before: Branches, after: Branches, multipliers: Array) -> Array:
+def _change(before: Branches, after: Branches, multipliers: AnyArray) -> AnyArray:
     """Change of the slope of the Lagrangian; branches are recognised by their slopes."""
     result = np.zeros(before.slopes.shape[1])
     for weight, slope in zip(multipliers, before.slopes, strict=True):
@@ -155,7 +153,7 @@ def _change(before: Branches, after: Branches, multipliers: Array) -> Array:
     return result
 
 
-def _updated(H: Array, s: Array, y: Array, first: bool) -> Array:
+def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
     """BFGS update of the inverse Hessian, damped so that it stays positive definite."""
     if first and s @ y > 0:
         H = np.eye(len(s)) * float(s @ y) / float(y @ y)
@@ -198,7 +196,7 @@ def grown(
     return best
 
 
-def _candidates(scalings: DynamicScalings, places: Array) -> list[DynamicScalings]:
+def _candidates(scalings: DynamicScalings, places: AnyArray) -> list[DynamicScalings]:
     """All enlargements by one section of a factor or of a G."""
     found: list[DynamicScalings] = []
     for i, part in enumerate(scalings.parts):

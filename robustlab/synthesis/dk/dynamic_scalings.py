@@ -29,11 +29,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
 
 __all__ = [
@@ -46,8 +45,7 @@ __all__ = [
     "unit_scalings",
 ]
 
-Array = NDArray[Any]
-Realisation = tuple[Array, Array, Array, Array]
+Realisation = tuple[AnyArray, AnyArray, AnyArray, AnyArray]
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class Factor:
         """States, input, output and direct term of d(s), sections in series."""
         return _realised(self)
 
-    def log_modulus(self, omega: Array) -> Array:
+    def log_modulus(self, omega: AnyArray) -> AnyArray:
         """``log |d(j omega)|``, shape (n_omega,)."""
         result = np.full(len(omega), self.log_gain)
         for section in self.sections:
@@ -130,7 +128,7 @@ def _section(values: tuple[float, ...]) -> Realisation:
     return A, np.array([[0.0], [w_p]]), np.array([[1 - d, two_z * w_p / w_z - d * two_p]]), np.array([[d]])
 
 
-def _log_modulus(values: tuple[float, ...], omega: Array) -> Array:
+def _log_modulus(values: tuple[float, ...], omega: AnyArray) -> AnyArray:
     with np.errstate(over="ignore"):
         ratio = omega / np.exp(values[0])
         if len(values) == 1:
@@ -163,7 +161,7 @@ class CoprimePair:
         """One order higher; where p = q it leaves G as it is."""
         return CoprimePair(_extended(self.sections, log_p, log_q))
 
-    def realisation(self) -> tuple[Array, Array, Array, Array]:
+    def realisation(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
         return _coprime(self)
 
@@ -208,7 +206,7 @@ class BlockScaling:
         """States of all G."""
         return sum(pair.n_states for pair in self.g)
 
-    def triangular(self) -> Array:
+    def triangular(self) -> AnyArray:
         """T, shape (r, r)."""
         r = len(self.factors)
         T = np.eye(r)
@@ -243,7 +241,7 @@ class DynamicScalings:
         """Whether there is a G."""
         return any(part.g_states for part in self.parts)
 
-    def parameters(self) -> Array:
+    def parameters(self) -> AnyArray:
         """All free parameters, shape (n_theta,)."""
         values: list[float] = []
         for part in self.parts:
@@ -253,7 +251,7 @@ class DynamicScalings:
             values += [value for pair in part.g for section in pair.sections for value in section]
         return np.array(values)
 
-    def with_parameters(self, theta: Array) -> DynamicScalings:
+    def with_parameters(self, theta: AnyArray) -> DynamicScalings:
         """The same form with other parameters."""
         values = iter(theta)
         parts = []
@@ -308,7 +306,7 @@ class DynamicScalings:
         back = np.linalg.inv(self._mixing(0))
         return A, B, back @ C, back @ D
 
-    def coprime(self) -> tuple[Array, Array, Array, Array]:
+    def coprime(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """``(A, B, F, C)`` with ``G_M = I + F (sI - A)^-1 B`` (q x q) and ``G_N = C (sI - A)^-1 B`` (p x q)."""
         q, p = structure_size(self.blocks)
         pieces = []
@@ -331,7 +329,7 @@ class DynamicScalings:
     def _mixes(self) -> bool:
         return any(part.mixing for part in self.parts)
 
-    def _mixing(self, side: int) -> Array:
+    def _mixing(self, side: int) -> AnyArray:
         T = np.eye(structure_size(self.blocks)[side])
         for _, part, where in self._with_slices():
             if part.mixing:
@@ -372,7 +370,7 @@ def _placed(pieces: list[tuple[Realisation, slice, slice]], rows: int, cols: int
 
 
 @lru_cache(maxsize=4096)
-def _coprime(pair: CoprimePair) -> tuple[Array, Array, Array, Array]:
+def _coprime(pair: CoprimePair) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     halves = [[section[: len(section) // 2] for section in pair.sections]]
     halves.append([section[len(section) // 2 :] for section in pair.sections])
     (A_v, B_v, C_v), (A_u, B_u, C_u) = (_all_pass(half) for half in halves)
@@ -382,7 +380,7 @@ def _coprime(pair: CoprimePair) -> tuple[Array, Array, Array, Array]:
     return A, np.vstack([B_u, B_v]), np.hstack([C_u, C_v]) / 2, np.hstack([C_u, -C_v]) / 2
 
 
-def _all_pass(sections: list[tuple[float, ...]]) -> tuple[Array, Array, Array]:
+def _all_pass(sections: list[tuple[float, ...]]) -> tuple[AnyArray, AnyArray, AnyArray]:
     """States, input, output of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
     n = sum(map(len, sections))
     A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))

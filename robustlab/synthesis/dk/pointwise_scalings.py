@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
@@ -17,7 +16,6 @@ from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
 
 __all__ = ["MuCurve", "as_complex", "mu_curve"]
 
-Array = NDArray[Any]
 
 FIRST, ROUNDS, ADDED = 40, 3, 24
 CHUNK = 8  # frequencies between two looks at the budget
@@ -38,12 +36,12 @@ class MuCurve:
         The bounds there.
     """
 
-    omega: Array
-    response: Array
+    omega: AnyArray
+    response: AnyArray
     bounds: tuple[UpperBound, ...]
 
     @property
-    def levels(self) -> Array:
+    def levels(self) -> AnyArray:
         """The upper bounds, shape (n_omega,)."""
         return np.array([bound.beta for bound in self.bounds])
 
@@ -58,7 +56,7 @@ def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
     return tuple(ComplexScalar(b.name, b.repeats) if isinstance(b, RealScalar) else b for b in blocks)
 
 
-def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: Array | None = None) -> MuCurve:
+def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: AnyArray | None = None) -> MuCurve:
     """The curve of a stable continuous loop on frequencies that follow it.
 
     The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
@@ -90,8 +88,8 @@ def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, fir
 
 
 def _spread(
-    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, budget: Budget
-) -> tuple[Array, Array, list[UpperBound]]:
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
+) -> tuple[AnyArray, AnyArray, list[UpperBound]]:
     """The bounds at every so-many-th frequency first, as far as the budget goes; frequencies rise again."""
     stride = max(1, len(omega) // CHUNK)
     order = np.concatenate([np.arange(start, len(omega), stride) for start in range(stride)])
@@ -102,10 +100,10 @@ def _spread(
 
 
 def _until(
-    loop: StateSpaceModel, blocks: Sequence[Block], omega: Array, budget: Budget
-) -> tuple[Array, list[UpperBound]]:
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
+) -> tuple[AnyArray, list[UpperBound]]:
     """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
-    responses: list[Array] = []
+    responses: list[AnyArray] = []
     bounds: list[UpperBound] = []
     for begin in range(0, len(omega), CHUNK):
         if bounds and budget.over:
@@ -118,6 +116,6 @@ def _until(
     return np.concatenate(responses), bounds
 
 
-def _at(loop: StateSpaceModel, blocks: Sequence[Block], omega: Array) -> tuple[Array, list[UpperBound]]:
+def _at(loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray) -> tuple[AnyArray, list[UpperBound]]:
     response = frequency_response(loop, omega)
     return response, upper_bounds(response, blocks, TOLERANCE)

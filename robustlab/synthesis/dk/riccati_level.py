@@ -23,11 +23,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.matrix_equations import balanced_eigenvalues, care
@@ -49,8 +48,6 @@ __all__ = [
 ]
 
 
-Array = NDArray[Any]
-
 # After Newton's steps of `care`. At 1e-3 the test passed levels that nothing could prove, and failed on others.
 RESIDUAL = 1e-7
 # Step of the logarithmic parameters in the derivative of the frozen quadratic forms, which are smooth.
@@ -69,12 +66,12 @@ class _Pair:
     for each the direction ``S q`` where ``Y = S S^T`` and q is a unit eigenvector of ``S^T X S``.
     """
 
-    X: Array
-    F: Array
-    Y: Array
-    L: Array
-    eigenvalues: Array
-    directions: Array
+    X: AnyArray
+    F: AnyArray
+    Y: AnyArray
+    L: AnyArray
+    eigenvalues: AnyArray
+    directions: AnyArray
 
     @property
     def coupling(self) -> float:
@@ -89,8 +86,8 @@ class Branches:
     ``values`` has shape (m,), the largest first; ``slopes`` (m, n_theta). The level has a kink where two meet.
     """
 
-    values: Array
-    slopes: Array
+    values: AnyArray
+    slopes: AnyArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,12 +123,12 @@ class LevelSearch:
     """
 
     def __init__(
-        self, plant: Callable[[Array, float], PlantMatrices], scaling: Scaling, budget: Budget | None = None
+        self, plant: Callable[[AnyArray, float], PlantMatrices], scaling: Scaling, budget: Budget | None = None
     ) -> None:
         self._plant, self.scaling = plant, scaling
         self.budget = Budget() if budget is None else budget
 
-    def smallest(self, theta: Array, start: float, rtol: float = RTOL) -> Level | None:
+    def smallest(self, theta: AnyArray, start: float, rtol: float = RTOL) -> Level | None:
         """The smallest level near ``start``; None where none is found.
 
         Above it rho(X Y) < 1. It is bracketed by growing steps, and found by false position (Illinois) on log rho.
@@ -164,7 +161,7 @@ class LevelSearch:
             return None
         return Level(best[0], low[1] is not None, best[1])
 
-    def branches(self, theta: Array, level: Level, within: float, most: int) -> Branches | None:
+    def branches(self, theta: AnyArray, level: Level, within: float, most: int) -> Branches | None:
         """The largest eigenvalues of X Y as functions of theta; None where the level is not smooth.
 
         Parameters
@@ -198,7 +195,7 @@ class LevelSearch:
         found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
         return found if len(sound) and sound[0] else None
 
-    def controller(self, theta: Array, beta: float) -> StateSpaceModel | None:
+    def controller(self, theta: AnyArray, beta: float) -> StateSpaceModel | None:
         """The central controller at this level, for the plant without D22; None where there is none."""
         try:
             pair = self._test(theta, beta)
@@ -211,10 +208,10 @@ class LevelSearch:
         except (NoTrustworthyNumber, InputError, np.linalg.LinAlgError):
             return None
 
-    def _scaled(self, theta: Array, beta: float) -> PlantMatrices:
+    def _scaled(self, theta: AnyArray, beta: float) -> PlantMatrices:
         return self.scaling.apply(self._plant(theta, beta))
 
-    def _test(self, theta: Array, beta: float) -> _Pair | None:
+    def _test(self, theta: AnyArray, beta: float) -> _Pair | None:
         self.budget.spend(TEST_WORK + dense(len(self.scaling.states), 4))
         try:
             p = self._scaled(theta, beta)
@@ -230,7 +227,7 @@ class LevelSearch:
         values, vectors = values[::-1] / self.scaling.gain**2, vectors[:, ::-1]
         return _Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
 
-    def _frozen(self, theta: Array, level: Level, most: int) -> Callable[[Array, float], Array]:
+    def _frozen(self, theta: AnyArray, level: Level, most: int) -> Callable[[AnyArray, float], AnyArray]:
         """``tr(V_X M_X) + tr(V_Y M_Y)`` of each eigenvalue with X, Y, V fixed: its derivatives are those of rho."""
         pair, gain = level.pair, self.scaling.gain
         p = self._scaled(theta, level.beta)
@@ -241,7 +238,7 @@ class LevelSearch:
             seen = pair.X @ direction / np.sqrt(rho * gain**2)
             weights.append((_adjoint(A_X, pair.F, direction), _adjoint(A_Y, pair.L, seen)))
 
-        def value(at: Array, log_beta: float) -> Array:
+        def value(at: AnyArray, log_beta: float) -> AnyArray:
             q = self._scaled(at, float(np.exp(log_beta)))
             M_X, M_Y = _form(q, pair.X, gain), _form(_dual(q), pair.Y, gain)
             return np.array([(V_X * M_X).sum() + (V_Y * M_Y).sum() for V_X, V_Y in weights]) / gain**2
@@ -249,7 +246,7 @@ class LevelSearch:
         return value
 
 
-def _root(Y: Array) -> Array:
+def _root(Y: AnyArray) -> AnyArray:
     """S with ``Y = S S^T``, by way of a unit diagonal: entries of Y of very different size keep their digits."""
     size = np.sqrt(np.maximum(np.diag(Y), 0.0))
     back = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
@@ -261,7 +258,7 @@ def _dual(p: PlantMatrices) -> PlantMatrices:
     return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
 
 
-def _quadratic(p: PlantMatrices, gamma: float) -> tuple[Array, Array, Array, Array, Array, int]:
+def _quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray, int]:
     """A, B, Q, R, S of the state-feedback Riccati equation at gamma, and the number of disturbances."""
     B, row = np.hstack([p.B1, p.B2]), np.hstack([p.D11, p.D12])
     n_w = p.B1.shape[1]
@@ -270,7 +267,9 @@ def _quadratic(p: PlantMatrices, gamma: float) -> tuple[Array, Array, Array, Arr
     return p.A, B, p.C1.T @ p.C1, 0.5 * (R + R.T), p.C1.T @ row, n_w
 
 
-def _solution(A: Array, B: Array, Q: Array, R: Array, S: Array, n_w: int) -> tuple[Array, Array] | None:
+def _solution(
+    A: AnyArray, B: AnyArray, Q: AnyArray, R: AnyArray, S: AnyArray, n_w: int
+) -> tuple[AnyArray, AnyArray] | None:
     r"""Stabilising positive semidefinite solution and its gain; None where R or X has the wrong signs.
 
     X is semidefinite where the plant is stable with the control that is best without disturbances,
@@ -291,7 +290,7 @@ def _solution(A: Array, B: Array, Q: Array, R: Array, S: Array, n_w: int) -> tup
     return found.X, found.gain
 
 
-def _adjoint(closed: Array, gain: Array, direction: Array) -> Array:
+def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
     """``[I; F] Lambda [I F^T]`` with ``A_X Lambda + Lambda A_X^T + d d^T = 0``."""
     from scipy.linalg import solve_continuous_lyapunov
 
@@ -303,7 +302,7 @@ def _adjoint(closed: Array, gain: Array, direction: Array) -> Array:
     return tall @ weight @ tall.T
 
 
-def _form(p: PlantMatrices, X: Array, gamma: float) -> Array:
+def _form(p: PlantMatrices, X: AnyArray, gamma: float) -> AnyArray:
     """``[A^T X + X A + Q, X B + S; ., R]``, symmetric."""
     A, B, Q, R, S, _ = _quadratic(p, gamma)
     drift, cross = X @ A, X @ B + S

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid, frequency_response
@@ -41,8 +42,6 @@ __all__ = [
     "nominal_start",
 ]
 
-
-Array = NDArray[Any]
 
 # A central controller at the smallest level itself is ill-conditioned: the level is backed off until the proof agrees.
 # The last ones are for plants of such spread that digits are lost in the controller.
@@ -114,7 +113,7 @@ class RobustProblem:
     def search(self, scalings: DynamicScalings, alternative: bool = False) -> LevelSearch:
         """Search for the smallest level of scalings of this form; ``alternative``: with another numerical scaling."""
 
-        def at(theta: Array, beta: float) -> PlantMatrices:
+        def at(theta: AnyArray, beta: float) -> PlantMatrices:
             return scaled_plant(self.matrices, scalings.with_parameters(theta), beta)
 
         scaled = at(scalings.parameters(), 1.0)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.synthesis.dk.dynamic_scalings import (
     BlockScaling,
@@ -21,7 +20,6 @@ from robustlab.uncertainty.blocks.base import Block, FullBlock, block_slices, st
 
 __all__ = ["fit_factor", "fitted_scalings", "scaled_peaks"]
 
-Array = NDArray[Any]
 
 MAX_FACTOR_ORDER = 5
 # Exponent of the mean over frequency that stands for the peak: it also rewards lowering the second-highest peak.
@@ -107,7 +105,7 @@ def _orders(scalings: DynamicScalings) -> list[int]:
     return [f.order for part in scalings.parts for f in part.factors]
 
 
-def fit_factor(omega: Array, log_d: Array, weights: Array, before: Factor | None = None) -> Factor:
+def fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None = None) -> Factor:
     r"""Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares.
 
     A constant where ``before`` is None; else of one order more than ``before``, with the better of two starts: the new
@@ -127,7 +125,7 @@ def fit_factor(omega: Array, log_d: Array, weights: Array, before: Factor | None
         bottom, top = _bounds(start, low, high)
         values = np.clip(start.parameters(), bottom + 1e-6, top - 1e-6)
 
-        def residual(x: Array, form: Factor = start) -> Array:
+        def residual(x: AnyArray, form: Factor = start) -> AnyArray:
             return weights * (form.with_parameters(iter(x)).log_modulus(omega) - log_d)
 
         found = least_squares(residual, values, bounds=(bottom, top), max_nfev=60)
@@ -137,7 +135,7 @@ def fit_factor(omega: Array, log_d: Array, weights: Array, before: Factor | None
     return best[1]
 
 
-def scaled_peaks(curve: MuCurve, scalings: DynamicScalings) -> Array:
+def scaled_peaks(curve: MuCurve, scalings: DynamicScalings) -> AnyArray:
     """``sigma_max(D_z M D_w^{-1})`` at the curve's frequencies, shape (n_omega,)."""
     from robustlab.frequency import frequency_response
     from robustlab.statespace import StateSpaceModel
@@ -147,13 +145,13 @@ def scaled_peaks(curve: MuCurve, scalings: DynamicScalings) -> Array:
     return np.linalg.svd(left @ curve.response @ right, compute_uv=False)[:, 0]
 
 
-def _score(peaks: Array) -> tuple[float, float]:
+def _score(peaks: AnyArray) -> tuple[float, float]:
     """Logarithm of a power mean of the peaks, and the largest peak."""
     top = float(peaks.max(initial=1e-300))
     return float(np.log(top) + np.log(np.mean((peaks / top) ** SHARPNESS)) / SHARPNESS), top
 
 
-def _bounds(factor: Factor, low: float, high: float) -> tuple[Array, Array]:
+def _bounds(factor: Factor, low: float, high: float) -> tuple[AnyArray, AnyArray]:
     """Frequencies within reach of the data, damping between 0.02 and 50."""
     bottom, top = [-60.0], [60.0]
     for section in factor.sections:
@@ -163,7 +161,7 @@ def _bounds(factor: Factor, low: float, high: float) -> tuple[Array, Array]:
     return np.array(bottom), np.array(top)
 
 
-def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[Array]], list[tuple[float, ...]]]:
+def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[AnyArray]], list[tuple[float, ...]]]:
     """For each block its ``log d(omega)`` a factor, and the constant mixing of a repeated scalar.
 
     T comes from the real part of D at the highest level, ``Re D = T^T diag T``; what is left of D elsewhere is fitted
@@ -174,7 +172,7 @@ def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[Array]]
     D = np.stack([bound.Dw for bound in curve.bounds])
     base = np.zeros(len(D)) if one is None else np.log(D[:, slices[one][0].start, slices[one][0].start].real)
     top = int(np.argmax(curve.levels))
-    targets: list[list[Array]] = []
+    targets: list[list[AnyArray]] = []
     mixings: list[tuple[float, ...]] = []
     for i, (block, (w, _)) in enumerate(zip(blocks, slices, strict=True)):
         r = block.rows
@@ -196,7 +194,7 @@ def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[Array]]
 
 
 def _worst(
-    scalings: DynamicScalings, omega: Array, targets: list[list[Array]], weights: Array
+    scalings: DynamicScalings, omega: AnyArray, targets: list[list[AnyArray]], weights: AnyArray
 ) -> list[tuple[int, int]]:
     """The factors that fit worst."""
     errors = [

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_continuous, h2_norm, hinf_norm
@@ -29,7 +29,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["fixed_structure"]
 
-Array = NDArray[Any]
 WHERE = "synth fixed"
 WORK = 60 * MILLION
 
@@ -141,7 +140,9 @@ def fixed_structure(
                 )
             given = _given(law, start)
 
-            def robust_run(members: Sequence[GeneralizedPlant], more: Sequence[Array], part: Budget) -> FixedSynthesis:
+            def robust_run(
+                members: Sequence[GeneralizedPlant], more: Sequence[AnyArray], part: Budget
+            ) -> FixedSynthesis:
                 return task.run(members, [("given", p) for p in (*more, *given)], part)
 
             return robust_design(first, robust_run, budget, say)
@@ -202,10 +203,10 @@ class _Bounded:
     def sizes(self) -> tuple[int, int, int]:
         return self.inner.sizes
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         return self.inner.packed(p)
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         return self.inner.pullback(p, G)
 
 
@@ -233,14 +234,14 @@ def _place(name: str, names: list[str]) -> int:
     return names.index(name)
 
 
-def _given(law: Law, start: Any) -> list[Array]:
+def _given(law: Law, start: Any) -> list[AnyArray]:
     """Starts that were given, as parameters; what a start leaves out is the structure's own."""
     if start is None:
         return []
     if isinstance(start, (FixedSynthesis, Mapping)):
         start = [start]
     names = [p.name for p in law.parameters]
-    found: list[Array] = []
+    found: list[AnyArray] = []
     for item in start:
         values = item.values if isinstance(item, FixedSynthesis) else item
         if not isinstance(values, Mapping):
@@ -270,7 +271,7 @@ class _Task:
     say: Callable[[str], None]
 
     def run(
-        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, Array]], budget: Budget
+        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, AnyArray]], budget: Budget
     ) -> FixedSynthesis:
         """Search and verification for these plants."""
         problem = DesignProblem(plants, self.law, self.objective, self.limits, budget)

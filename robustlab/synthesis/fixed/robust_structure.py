@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
@@ -22,8 +22,7 @@ from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = ["robust_design"]
 
-Array = NDArray[Any]
-Design = Callable[[Sequence[GeneralizedPlant], Sequence[Array], Budget], FixedSynthesis]
+Design = Callable[[Sequence[GeneralizedPlant], Sequence[AnyArray], Budget], FixedSynthesis]
 
 ROUNDS = 12
 # Worst-case gain over the scenarios' gain at which the scenarios count as enough.
@@ -52,7 +51,7 @@ def robust_design(
     deltas: list[Mapping[str, Any]] = [{}]
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
     best: FixedSynthesis | None = None
-    known: list[Array] = []
+    known: list[AnyArray] = []
     for number in range(ROUNDS):
         if best is not None and budget.over:
             break

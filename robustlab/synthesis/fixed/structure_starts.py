@@ -7,11 +7,11 @@ still. Here the static gain is kept and B_K made nonzero, so that the norm is th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
@@ -28,7 +28,6 @@ from robustlab.synthesis.reduction.model_reduction import reduce_model
 
 __all__ = ["informed_starts"]
 
-Array = NDArray[Any]
 
 # Random starts of the static search; shares of the work that is left for it and for the full order, and most for that.
 STATIC_STARTS = 6
@@ -47,7 +46,7 @@ def informed_starts(
     seed: int,
     budget: Budget,
     progress: Callable[[str], None],
-) -> list[tuple[str, Array]]:
+) -> list[tuple[str, AnyArray]]:
     """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
 
     Parameters
@@ -64,7 +63,7 @@ def informed_starts(
     if not isinstance(law, AffineLaw) or not _is_given_order(law):
         return []
     problem = DesignProblem(plants, law, objective, limits)
-    found: list[tuple[str, Array]] = []
+    found: list[tuple[str, AnyArray]] = []
     if _free(law)[law.sizes[0] :, law.sizes[0] :].any():
         D = _static_gain(plants, law, objective, seed, budget.share(STATIC_SHARE), progress)
         if D is not None:
@@ -93,7 +92,7 @@ def _is_given_order(law: AffineLaw) -> bool:
     return bool(free[:k, k:].all() and free[k:, :k].all() and free[:k, :k][near].all())
 
 
-def _held(law: AffineLaw, theta: Array) -> Array:
+def _held(law: AffineLaw, theta: AnyArray) -> AnyArray:
     """Parameters whose packed matrices are theta, as far as the law has its entries and bounds."""
     p = np.zeros(len(law.parameters))
     p[law.index] = theta[law.row, law.column] / law.weight
@@ -107,7 +106,7 @@ def _static_gain(
     seed: int,
     budget: Budget,
     progress: Callable[[str], None],
-) -> Array | None:
+) -> AnyArray | None:
     """The best static gain with the law's free entries of D_K; None where none stabilises all plants."""
     k, first = law.sizes[0], plants[0]
     static = StaticGain(_free(law)[k:, k:]).law(first.measurements, first.controls, first.model.dt)
@@ -120,7 +119,7 @@ def _static_gain(
     return static.packed(best.p) if np.isfinite(best.gamma) else None
 
 
-def _extended(problem: DesignProblem, law: AffineLaw, theta: Array, order: int, seed: int) -> Array:
+def _extended(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int) -> AnyArray:
     """Packed matrices of a controller of a lower order with further stable states that act on nothing yet."""
     k, n_u, n_y = law.sizes
     more = k - order

@@ -16,15 +16,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["Channel", "CommonLyapunov", "solver_work"]
 
-Array = NDArray[Any]
 
 # Solver endings whose numbers are worth a look; the rebuilt loop decides.
 ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
@@ -37,24 +36,24 @@ SIZE = 1e-7
 class Channel:
     """One performance channel: columns of w and rows of z in the plant's matrices."""
 
-    B1: Array
-    C1: Array
-    D11: Array
-    D12: Array
-    D21: Array
+    B1: AnyArray
+    C1: AnyArray
+    D11: AnyArray
+    D12: AnyArray
+    D21: AnyArray
 
 
 @dataclass(frozen=True, eq=False)
 class _Unknowns:
     """X, Y, the transformed controller, and the bound Q of the H2 channel's output covariance."""
 
-    X: Array
-    Y: Array
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    Q: Array
+    X: AnyArray
+    Y: AnyArray
+    A: AnyArray
+    B: AnyArray
+    C: AnyArray
+    D: AnyArray
+    Q: AnyArray
 
 
 def solver_work(n: int, n_h2: int, n_hinf: int) -> tuple[float, float]:
@@ -90,7 +89,16 @@ class CommonLyapunov:
     """
 
     def __init__(
-        self, A: Array, B2: Array, C2: Array, h2: Channel, hinf: Channel, gain: Array, budget: Budget, *, discrete: bool
+        self,
+        A: AnyArray,
+        B2: AnyArray,
+        C2: AnyArray,
+        h2: Channel,
+        hinf: Channel,
+        gain: AnyArray,
+        budget: Budget,
+        *,
+        discrete: bool,
     ) -> None:
         self.A, self.B2, self.C2, self.h2, self.hinf = A, B2, C2, h2, hinf
         self.gain, self.budget, self.discrete = gain, budget, discrete
@@ -117,7 +125,7 @@ class CommonLyapunov:
         q = self.h2.C1.shape[0]
         return n * (n + 1) + n * n + n * n_y + n_u * n + free + q * (q + 1) // 2
 
-    def _unknowns(self, x: Array) -> _Unknowns:
+    def _unknowns(self, x: AnyArray) -> _Unknowns:
         n, n_u, n_y, q = len(self.A), self.B2.shape[1], self.C2.shape[0], self.h2.C1.shape[0]
         sizes = [n * (n + 1) // 2] * 2 + [n * n, n * n_y, n_u * n]
         sizes += [self.unseen.shape[1] * n_y, n_u * self.unfed.shape[1]]
@@ -128,14 +136,14 @@ class CommonLyapunov:
             _symmetric(Q, q),
         )  # fmt: skip
 
-    def _closed(self, v: _Unknowns, c: Channel) -> tuple[Array, Array, Array, Array]:
+    def _closed(self, v: _Unknowns, c: Channel) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         A, B2, C2 = self.A, self.B2, self.C2
         a = np.block([[A @ v.X + B2 @ v.C, A + B2 @ v.D @ C2], [v.A, v.Y @ A + v.B @ C2]])
         b = np.vstack([c.B1 + B2 @ v.D @ c.D21, v.Y @ c.B1 + v.B @ c.D21])
         out = np.hstack([c.C1 @ v.X + c.D12 @ v.C, c.C1 + c.D12 @ v.D @ C2])
         return a, b, out, c.D11 + c.D12 @ v.D @ c.D21
 
-    def _inequalities(self, x: Array, w_share: float, z_share: float) -> list[Array]:
+    def _inequalities(self, x: AnyArray, w_share: float, z_share: float) -> list[AnyArray]:
         """Symmetric matrices that have to be positive semidefinite."""
         v = self._unknowns(x)
         n = len(self.A)
@@ -215,19 +223,19 @@ def _channels(channel: Channel) -> int:
     return channel.B1.shape[1] + channel.C1.shape[0]
 
 
-def _null_space(matrix: Array) -> Array:
+def _null_space(matrix: AnyArray) -> AnyArray:
     _, s, Vt = np.linalg.svd(matrix)
     rank = int((s > 1e-12 * max(float(s.max(initial=0.0)), 1.0)).sum())
     return Vt[rank:].T
 
 
-def _symmetric(entries: Array, n: int) -> Array:
+def _symmetric(entries: AnyArray, n: int) -> AnyArray:
     matrix = np.zeros((n, n))
     matrix[np.triu_indices(n)] = entries
     return matrix + np.triu(matrix, 1).T
 
 
-def _triangle(matrix: Array) -> Array:
+def _triangle(matrix: AnyArray) -> AnyArray:
     """Upper triangle by columns, off-diagonal entries times the root of two, as Clarabel's cone asks."""
     rows, columns = np.triu_indices(len(matrix))
     order = np.lexsort((rows, columns))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import moderated
@@ -31,7 +31,6 @@ from robustlab.synthesis.problem.verified_loop import rebuilt_loop, separated_mo
 
 __all__ = ["WORK", "H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 
-Array = NDArray[Any]
 
 WORK = 60 * MILLION
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
@@ -265,7 +264,7 @@ def _in_modes(plant: GeneralizedPlant, trial: _Trial) -> _Trial | None:
 def _ladder(
     plant: GeneralizedPlant,
     shifted: PlantMatrices,
-    start: Array,
+    start: AnyArray,
     scaling: Scaling,
     trials: list[_Trial],
     budget: Budget,
@@ -304,7 +303,7 @@ def _ladder(
     return False
 
 
-def _least_direct(D: Array, axis: int) -> float:
+def _least_direct(D: AnyArray, axis: int) -> float:
     """Smallest singular value over the columns (axis 1) or rows (axis 0) of a direct path; 0 where it is too thin."""
     if D.shape[1 - axis] < D.shape[axis]:
         return 0.0
@@ -312,7 +311,7 @@ def _least_direct(D: Array, axis: int) -> float:
 
 
 def _trial(
-    plant: GeneralizedPlant, scaling: Scaling, regularised: PlantMatrices, start: Array, eps: float
+    plant: GeneralizedPlant, scaling: Scaling, regularised: PlantMatrices, start: AnyArray, eps: float
 ) -> _Trial | None:
     dt = plant.model.dt
     try:
@@ -356,7 +355,7 @@ def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
 # --- the direct term and the assumptions ---------------------------------------------------------------------------
 
 
-def cancelling_gain(p: PlantMatrices, dt: float, where: str) -> Array:
+def cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:
     """D_K with ``D11 + D12 D_K D21 = 0``, of smallest norm; zero in discrete time, where nothing has to vanish."""
     _, _, n_u, _, n_y = p.sizes
     if dt or not p.D11.any():
@@ -374,7 +373,7 @@ def cancelling_gain(p: PlantMatrices, dt: float, where: str) -> Array:
     return gain
 
 
-def cancelled_direct_term(loop: StateSpaceModel, D11: Array, D_K: Array) -> StateSpaceModel | None:
+def cancelled_direct_term(loop: StateSpaceModel, D11: AnyArray, D_K: AnyArray) -> StateSpaceModel | None:
     """The loop with D = 0 where D is rounding of the cancellation of D11 by D_K; None where it is more."""
     allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(D_K).max(initial=0.0))
     if np.abs(loop.D).max(initial=0.0) > allowed:
@@ -383,7 +382,7 @@ def cancelled_direct_term(loop: StateSpaceModel, D11: Array, D_K: Array) -> Stat
     return StateSpaceModel(loop.A, loop.B, loop.C, nothing, 0.0, loop.inputs, loop.outputs, loop.states)
 
 
-def _with_gain(p: PlantMatrices, gain: Array) -> PlantMatrices:
+def _with_gain(p: PlantMatrices, gain: AnyArray) -> PlantMatrices:
     """The plant with ``u = gain y + v`` closed around it, v its new control, and D11 cancelled."""
     if not gain.any():
         return p

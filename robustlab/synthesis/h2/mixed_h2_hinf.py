@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
@@ -25,7 +25,6 @@ from robustlab.synthesis.problem.verified_loop import rebuilt_loop
 
 __all__ = ["MixedSynthesis", "h2_hinf"]
 
-Array = NDArray[Any]
 Names = Sequence[str]
 WORK = 60 * MILLION
 H2_REL = 1.0005  # loss of the H2 designs where they have to be kept finite
@@ -270,7 +269,7 @@ class _Mixed:
         rows = getattr(self.channels, kind)[0]
         return [self.plant.model.output_names[i] for i in rows]
 
-    def _judge(self, K: StateSpaceModel, how: str, D22: Array | None = None) -> tuple[H2Norm, HinfNorm] | None:
+    def _judge(self, K: StateSpaceModel, how: str, D22: AnyArray | None = None) -> tuple[H2Norm, HinfNorm] | None:
         """Norms of both channels of the rebuilt loop; K is kept where they are sound and the bound holds."""
         nothing = np.zeros_like(self.plant.D22)
         self.budget.spend(dense(self.plant.model.n_states + K.n_states, 11))  # both norms

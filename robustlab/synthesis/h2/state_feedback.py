@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import balancing_exponents, is_moderate, refuse_overflow
 from robustlab.matrix_equations import RiccatiSolution, care, dare
@@ -23,7 +24,6 @@ from robustlab.synthesis.problem.verified_loop import surely_stable
 
 __all__ = ["StateFeedback", "lqg", "lqr", "place"]
 
-Array = NDArray[Any]
 
 # Eigenvalues of a weight below this share of its largest count as zero.
 RANK = 1e-13
@@ -49,11 +49,11 @@ class StateFeedback:
         Solution of the Riccati equation: the optimal cost from the state x is ``x^T X x``; None for pole placement.
     """
 
-    K: Array
-    poles: Array
+    K: AnyArray
+    poles: AnyArray
     status: Status
     reason: str
-    X: Array | None = None
+    X: AnyArray | None = None
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -250,7 +250,7 @@ def lqg(
 # --- checks ----------------------------------------------------------------------------------------------------------
 
 
-def _weight(where: str, given: ArrayLike, n: int) -> Array:
+def _weight(where: str, given: ArrayLike, n: int) -> AnyArray:
     matrix = real_array(where.rsplit(": ", 1)[-1], given, 2, where.split(":", 1)[0])
     if matrix.shape != (n, n):
         raise InputError(where, f"shape {matrix.shape}", f"{(n, n)}")
@@ -259,13 +259,13 @@ def _weight(where: str, given: ArrayLike, n: int) -> Array:
     return 0.5 * (matrix + matrix.T)
 
 
-def _semidefinite(where: str, matrix: Array) -> None:
+def _semidefinite(where: str, matrix: AnyArray) -> None:
     values = np.linalg.eigvalsh(matrix)
     if len(values) and values[0] < -RANK * len(values) * max(float(np.abs(values).max()), 1e-300):
         raise InputError(where, f"eigenvalue {values[0]:.3g}", "a positive semidefinite matrix")
 
 
-def _definite(where: str, matrix: Array, meanings: list[str]) -> None:
+def _definite(where: str, matrix: AnyArray, meanings: list[str]) -> None:
     values, vectors = np.linalg.eigh(matrix)
     if len(values) and values[0] <= RANK * max(float(values[-1]), 0.0):
         worst = int(np.argmax(np.abs(vectors[:, 0])))
@@ -274,7 +274,7 @@ def _definite(where: str, matrix: Array, meanings: list[str]) -> None:
         raise InputError(where, f"{word}: {meanings[worst]}", "a positive definite matrix", hint)
 
 
-def _root(matrix: Array) -> Array:
+def _root(matrix: AnyArray) -> AnyArray:
     """F with ``F^T F = matrix``, as many rows as its rank, at least one."""
     values, vectors = np.linalg.eigh(matrix)
     kept = values > RANK * max(float(values.max(initial=0.0)), 0.0)
@@ -283,11 +283,11 @@ def _root(matrix: Array) -> Array:
     return np.sqrt(values[kept])[:, None] * vectors[:, kept].T
 
 
-def _closed(g: StateSpaceModel, K: Array) -> StateSpaceModel:
+def _closed(g: StateSpaceModel, K: AnyArray) -> StateSpaceModel:
     return StateSpaceModel(g.A - g.B @ K, g.B, np.eye(g.n_states), np.zeros((g.n_states, g.n_inputs)), g.dt)
 
 
-def _ordinary(g: StateSpaceModel) -> tuple[Array, Array, NDArray[np.int64]]:
+def _ordinary(g: StateSpaceModel) -> tuple[AnyArray, AnyArray, NDArray[np.int64]]:
     """A and B in states and controls of order one where their entries are extreme, and the exponents of K that undo it.
 
     ``K = 2^w K' T^-1`` for ``x = T x'``, ``u = 2^w u'``.
@@ -309,7 +309,7 @@ def _unsolvable(g: StateSpaceModel, error: NoTrustworthyNumber) -> tuple[str, st
     return f"{error.found}; a mode there may cost nothing in Q", "a cost that sees every mode on the boundary"
 
 
-def _wanted(g: StateSpaceModel, poles: Any) -> Array:
+def _wanted(g: StateSpaceModel, poles: Any) -> AnyArray:
     try:
         wanted = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
     except (TypeError, ValueError):
@@ -325,7 +325,7 @@ def _wanted(g: StateSpaceModel, poles: Any) -> Array:
     return wanted
 
 
-def _largest_distance(one: Array, other: Array) -> float:
+def _largest_distance(one: AnyArray, other: AnyArray) -> float:
     """Largest distance in the best matching of two sets of equally many points."""
     from scipy.optimize import linear_sum_assignment
 

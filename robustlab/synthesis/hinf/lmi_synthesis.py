@@ -17,15 +17,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
 __all__ = ["LmiOutcome", "lmi_controllers", "solve_conic"]
 
-Array = NDArray[Any]
 
 # The semidefinite programs have n (n + 1) unknowns: beyond this many states they outlast any patience.
 MOST_STATES = 30
@@ -125,7 +124,7 @@ def _work(n: int) -> float:
 
 def _projection(
     p: PlantMatrices, level: float | None, coupling: float, budget: Budget
-) -> tuple[float | None, Array | None, Array | None, LmiOutcome]:
+) -> tuple[float | None, AnyArray | None, AnyArray | None, LmiOutcome]:
     """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``."""
     import cvxpy as cp
 
@@ -148,7 +147,7 @@ def _projection(
     return value, np.asarray(R.value), np.asarray(S.value), outcome
 
 
-def _outer_factors(p: PlantMatrices) -> tuple[Array, Array]:
+def _outer_factors(p: PlantMatrices) -> tuple[AnyArray, AnyArray]:
     """``N_R`` and ``N_S``: null spaces of ``[B2' D12']`` and ``[C2 D21]``, with identities for w and z."""
     from scipy.linalg import block_diag, null_space
 
@@ -158,7 +157,7 @@ def _outer_factors(p: PlantMatrices) -> tuple[Array, Array]:
     return np.asarray(block_diag(by_control, np.eye(m))), np.asarray(block_diag(by_measurement, np.eye(q)))
 
 
-def _reconstructed(p: PlantMatrices, R: Array, S: Array, gamma: float, budget: Budget) -> Realisation | None:
+def _reconstructed(p: PlantMatrices, R: AnyArray, S: AnyArray, gamma: float, budget: Budget) -> Realisation | None:
     """Controller of full order for given R and S: the bounded real LMI, linear in it, at the largest margin."""
     import cvxpy as cp
     from scipy.linalg import block_diag

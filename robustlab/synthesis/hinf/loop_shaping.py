@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_discrete
@@ -35,7 +35,6 @@ from robustlab.uncertainty.distances.coprime import (
 
 __all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_performance"]
 
-Array = NDArray[Any]
 
 # How much the verified gamma may exceed the one asked for.
 KEPT = 1.001
@@ -57,8 +56,8 @@ class ObserverForm:
     Sefton, Glover 1990; Skogestad, Postlethwaite 2005, eqs 9.95 to 9.97.
     """
 
-    F: Array
-    H: Array
+    F: AnyArray
+    H: AnyArray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

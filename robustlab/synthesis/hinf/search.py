@@ -15,11 +15,11 @@ and large noises on y and x, and with them poles that are slower by orders of ma
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
@@ -39,8 +39,6 @@ __all__ = [
 ]
 
 
-Array = NDArray[Any]
-
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # A central controller at gamma itself is ill-conditioned: gamma is backed off until the gain of the loop agrees.
 COARSE, FINE = (1e-2, 0.1), (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
@@ -58,8 +56,8 @@ NEGLIGIBLE = 1e-7
 class Regularisation:
     """Weights of the added channels in scaled units: on u (per control), noise on y (per measurement), on x, into x."""
 
-    u: Array | float = 0.0
-    y: Array | float = 0.0
+    u: AnyArray | float = 0.0
+    y: AnyArray | float = 0.0
     x_out: float = 0.0
     x_in: float = 0.0
 
@@ -120,7 +118,7 @@ class Search:
         scaling: Scaling,
         budget: Budget,
         floor: float = 0.0,
-        D22: Array | None = None,
+        D22: AnyArray | None = None,
     ) -> None:
         self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
         self.scaling, self.plant = scaling, scaling.apply(plant)
@@ -131,7 +129,7 @@ class Search:
         # Optima of the regularised problems scaled by the best loop, as (share, gamma).
         self.optima: list[tuple[float, float]] = []
         # Channel gains of the loop they were last asked for.
-        self._gains: tuple[Candidate, tuple[Array, Array, Array, Array] | None] | None = None
+        self._gains: tuple[Candidate, tuple[AnyArray, AnyArray, AnyArray, AnyArray] | None] | None = None
 
     @property
     def best(self) -> Candidate | None:
@@ -228,7 +226,7 @@ class Search:
             float(state_share * share * x_in),
         )
 
-    def _channel_gains(self, candidate: Candidate) -> tuple[Array, Array, Array, Array] | None:
+    def _channel_gains(self, candidate: Candidate) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray] | None:
         """Peak gains in scaled units on a grid: w to each u, noise on each y to z, w to x, x disturbance to z."""
         n, n_w, n_u, n_z, n_y = self.plant.sizes
         self.budget.spend(dense(n + len(candidate.K.A), 2))

@@ -6,11 +6,10 @@ Best read with Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import care, hamiltonian_riccati
@@ -18,7 +17,6 @@ from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
 __all__ = ["RiccatiPair", "TwoRiccatiProblem"]
 
-Array = NDArray[Any]
 
 # An exact X = 0 comes out as noise of this size in a plant scaled to order one; it must not count as indefinite.
 PSD_TOLERANCE = 1e-6
@@ -36,8 +34,8 @@ class RiccatiPair:
     """Solutions X, Y >= 0 at gamma, and ``coupling = rho(X Y) / gamma^2``: the test is passed where it is below 1."""
 
     gamma: float
-    X: Array
-    Y: Array
+    X: AnyArray
+    Y: AnyArray
     coupling: float
 
 
@@ -198,15 +196,15 @@ class TwoRiccatiProblem:
 class _Equation:
     """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``."""
 
-    def __init__(self, A: Array, B: Array, C: Array, D: Array, n_disturbances: int) -> None:
+    def __init__(self, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_disturbances: int) -> None:
         self.A, self.B, self.Q, self.S, self.R = A, B, C.T @ C, C.T @ D, D.T @ D
         self.disturbance = np.zeros(D.shape[1])
         self.disturbance[:n_disturbances] = 1.0
 
-    def _weight(self, gamma: float) -> Array:
+    def _weight(self, gamma: float) -> AnyArray:
         return self.R - gamma**2 * np.diag(self.disturbance)
 
-    def solution(self, gamma: float, careful: bool) -> Array | None:
+    def solution(self, gamma: float, careful: bool) -> AnyArray | None:
         """Stabilising positive semidefinite solution, or None."""
         R = self._weight(gamma)
         try:
@@ -229,6 +227,6 @@ class _Equation:
             return None
         return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
-    def gain(self, gamma: float, X: Array) -> Array:
+    def gain(self, gamma: float, X: AnyArray) -> AnyArray:
         """``-R^-1 (B' X + S')``."""
         return -np.linalg.solve(self._weight(gamma), self.B.T @ X + self.S.T)

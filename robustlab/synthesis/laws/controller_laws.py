@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.statespace import StateSpaceModel
 
 __all__ = [
@@ -26,8 +26,6 @@ __all__ = [
     "SumLaw",
     "unpacked",
 ]
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -70,22 +68,22 @@ class Law(Protocol):
         """``(n_states, n_controls, n_measurements)``."""
         ...
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         """``[A_K, B_K; C_K, D_K]``, shape (n_states + n_controls, n_states + n_measurements)."""
         ...
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """``sum(G * dTheta/dp_j)`` for every parameter; G has the shape of the packed matrices."""
         ...
 
 
-def unpacked(theta: Array, n_states: int) -> tuple[Array, Array, Array, Array]:
+def unpacked(theta: AnyArray, n_states: int) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """``(A_K, B_K, C_K, D_K)`` of packed matrices."""
     k = n_states
     return theta[:k, :k], theta[:k, k:], theta[k:, :k], theta[k:, k:]
 
 
-def model_of(law: Law, p: Array, dt: float, inputs: Any = None, outputs: Any = None) -> StateSpaceModel:
+def model_of(law: Law, p: AnyArray, dt: float, inputs: Any = None, outputs: Any = None) -> StateSpaceModel:
     """The controller as a model."""
     k = law.sizes[0]
     return StateSpaceModel(*unpacked(law.packed(p), k), dt, inputs, outputs, [f"k{i + 1}" for i in range(k)])
@@ -97,19 +95,19 @@ class AffineLaw:
 
     parameters: tuple[Parameter, ...]
     sizes: tuple[int, int, int]
-    base: Array
-    index: Array
-    row: Array
-    column: Array
-    weight: Array
+    base: AnyArray
+    index: AnyArray
+    row: AnyArray
+    column: AnyArray
+    weight: AnyArray
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         """See `Law`."""
         theta = self.base.astype(np.result_type(self.base, p))
         np.add.at(theta, (self.row, self.column), self.weight * p[self.index])
         return theta
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """See `Law`."""
         return np.bincount(self.index, self.weight * G[self.row, self.column], len(self.parameters))
 
@@ -153,7 +151,7 @@ class FilteredLaw:
     tau: Parameter
     first: int
     dt: float
-    derivative: Array  # parameters that are derivative gains
+    derivative: AnyArray  # parameters that are derivative gains
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -171,10 +169,10 @@ class FilteredLaw:
             return self.dt / (tau + self.dt), -self.dt / (tau + self.dt) ** 2
         return 1 / tau, -1 / tau**2
 
-    def _scaled(self, p: Array) -> Array:
+    def _scaled(self, p: AnyArray) -> AnyArray:
         return np.where(self.derivative, p[:-1] / (p[-1] + self.dt), p[:-1])
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         """See `Law`."""
         theta = self.law.packed(self._scaled(p))
         k, n_y = self.sizes[0], self.sizes[2]
@@ -185,7 +183,7 @@ class FilteredLaw:
             theta[i, k + j % n_y] = rate
         return theta
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """See `Law`."""
         inner = self.law.pullback(self._scaled(p), G)
         tau = p[-1] + self.dt
@@ -216,7 +214,7 @@ class DiagonalLaw:
         """States of all parts, all controls, all measurements."""
         return sum(part.sizes[0] for part in self.parts), self.n_controls, self.n_measurements
 
-    def _places(self) -> list[tuple[Law, slice, Array, Array]]:
+    def _places(self) -> list[tuple[Law, slice, AnyArray, AnyArray]]:
         """Of every part its parameters, its rows and its columns in the packed matrices."""
         k, state, first, found = self.sizes[0], 0, 0, []
         for part, u, y in zip(self.parts, self.controls, self.measurements, strict=True):
@@ -227,7 +225,7 @@ class DiagonalLaw:
             state, first = state + part.sizes[0], first + count
         return found
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         """See `Law`."""
         k = self.sizes[0]
         theta = np.zeros((k + self.n_controls, k + self.n_measurements), dtype=np.result_type(float, p))
@@ -235,7 +233,7 @@ class DiagonalLaw:
             theta[rows[:, None], columns] += part.packed(p[own])
         return theta
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """See `Law`."""
         return np.concatenate(
             [part.pullback(p[own], G[rows[:, None], columns]) for part, own, rows, columns in self._places()]
@@ -265,11 +263,11 @@ class SumLaw:
         """See `Law`."""
         return self._side_by_side.sizes
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         """See `Law`."""
         return self._side_by_side.packed(p)
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """See `Law`."""
         return self._side_by_side.pullback(p, G)
 
@@ -291,11 +289,11 @@ class SeriesLaw:
         """See `Law`."""
         return self.first.sizes[0] + self.second.sizes[0], self.second.sizes[1], self.first.sizes[2]
 
-    def _parts(self, p: Array) -> tuple[Array, Array]:
+    def _parts(self, p: AnyArray) -> tuple[AnyArray, AnyArray]:
         count = len(self.first.parameters)
         return p[:count], p[count:]
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         """See `Law`."""
         one, two = self._parts(p)
         a1, b1, c1, d1 = unpacked(self.first.packed(one), self.first.sizes[0])
@@ -303,7 +301,7 @@ class SeriesLaw:
         top = np.hstack([a1, np.zeros((len(a1), len(a2))), b1])
         return np.vstack([top, np.hstack([b2 @ c1, a2, b2 @ d1]), np.hstack([d2 @ c1, c2, d2 @ d1])])
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """See `Law`."""
         one, two = self._parts(p)
         i, j = self.first.sizes[0], self.second.sizes[0]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal
 from robustlab.synthesis.laws.controller_laws import (
@@ -44,7 +45,6 @@ __all__ = [
 ]
 
 
-Array = NDArray[Any]
 Signals = tuple[Signal, ...]
 WHERE = "fixed structure"
 
@@ -230,7 +230,7 @@ class MultichannelPID(Structure):
                 derivative.append(term == "D")
         return self._filtered(builder, n_i, np.array(derivative), dt) if n_d else builder.law()
 
-    def _filtered(self, builder: AffineBuilder, first: int, derivative: Array, dt: float) -> Law:
+    def _filtered(self, builder: AffineBuilder, first: int, derivative: AnyArray, dt: float) -> Law:
         if self.tau is None:
             raise InputError(
                 f"{WHERE}: tau",
@@ -458,10 +458,10 @@ class _Prefixed:
     def sizes(self) -> tuple[int, int, int]:
         return self.inner.sizes
 
-    def packed(self, p: Array) -> Array:
+    def packed(self, p: AnyArray) -> AnyArray:
         return self.inner.packed(p)
 
-    def pullback(self, p: Array, G: Array) -> Array:
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         return self.inner.pullback(p, G)
 
 

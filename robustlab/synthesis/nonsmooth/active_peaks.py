@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from robustlab.arrays import AnyArray
 
 __all__ = [
     "Piece",
@@ -27,8 +27,6 @@ __all__ = [
     "bfgs",
 ]
 
-
-Array = NDArray[Any]
 
 RADIUS, SMALLEST_RADIUS, LARGEST_RADIUS = 3e-2, 1e-8, 0.5
 # Predicted decreases below this share of the value end the search.
@@ -43,20 +41,20 @@ class Piece:
     """
 
     value: float
-    gradient: Array
+    gradient: AnyArray
     limit: bool = False
 
 
 def sequential_linear(
-    value_of: Callable[[Array], float],
-    pieces_of: Callable[[Array, float, float], list[Piece]],
-    x: Array,
-    low: Array,
-    high: Array,
+    value_of: Callable[[AnyArray], float],
+    pieces_of: Callable[[AnyArray, float, float], list[Piece]],
+    x: AnyArray,
+    low: AnyArray,
+    high: AnyArray,
     *,
     max_steps: int = 60,
     late: Callable[[], bool] = lambda: False,
-) -> tuple[Array, float]:
+) -> tuple[AnyArray, float]:
     """The best point found from x within the bounds, and its value.
 
     Parameters
@@ -96,8 +94,8 @@ def sequential_linear(
 
 
 def _step(
-    pieces: list[Piece], size: Array, radius: float, x: Array, low: Array, high: Array
-) -> tuple[Array, float] | None:
+    pieces: list[Piece], size: AnyArray, radius: float, x: AnyArray, low: AnyArray, high: AnyArray
+) -> tuple[AnyArray, float] | None:
     from scipy.optimize import linprog
 
     top = max((p.value for p in pieces if not p.limit), default=0.0)
@@ -119,7 +117,7 @@ def _step(
 
 
 # ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.
-Function = Callable[[Array, float], tuple[float, Array | None]]
+Function = Callable[[AnyArray, float], tuple[float, AnyArray | None]]
 
 DECREASE, CURVATURE = 1e-4, 0.5
 LINE_STEPS = 25
@@ -131,22 +129,22 @@ STALL_STEPS = 8
 class Descent:
     """Where a descent ended: point, value, gradient there, steps, values on the way, inverse Hessian to go on with."""
 
-    x: Array
+    x: AnyArray
     value: float
-    gradient: Array
+    gradient: AnyArray
     steps: int
     values: tuple[float, ...]
-    inverse: Array
+    inverse: AnyArray
 
 
 def bfgs(
     function: Function,
-    x: Array,
+    x: AnyArray,
     *,
     max_steps: int = 500,
     rtol: float = 1e-9,
     stop_below: float = -np.inf,
-    inverse: Array | None = None,
+    inverse: AnyArray | None = None,
     late: Callable[[], bool] = lambda: False,
 ) -> Descent | None:
     """Descent from x; None where the function has no finite value there.
@@ -184,11 +182,11 @@ def bfgs(
     return Descent(x, value, gradient, steps, tuple(values), inverse)
 
 
-def _steepest(gradient: Array, length: float) -> Array:
+def _steepest(gradient: AnyArray, length: float) -> AnyArray:
     return np.eye(len(gradient)) * (length / max(float(np.linalg.norm(gradient)), 1e-300))
 
 
-def _updated(inverse: Array, s: Array, y: Array, fresh: bool) -> tuple[Array, bool]:
+def _updated(inverse: AnyArray, s: AnyArray, y: AnyArray, fresh: bool) -> tuple[AnyArray, bool]:
     sy = float(s @ y)
     # y^T y vanishes where the entries of y are smaller than the root of the smallest number.
     if not sy > 1e-14 * float(np.linalg.norm(s) * np.linalg.norm(y)) or not y @ y > 0:
@@ -203,16 +201,16 @@ def _updated(inverse: Array, s: Array, y: Array, fresh: bool) -> tuple[Array, bo
 
 def _line_search(
     function: Function,
-    x: Array,
+    x: AnyArray,
     value: float,
-    direction: Array,
+    direction: AnyArray,
     slope: float,
     stop_below: float,
     late: Callable[[], bool],
-) -> tuple[Array, float, Array] | None:
+) -> tuple[AnyArray, float, AnyArray] | None:
     """A point of sufficient decrease, and, where one is found, of a slope that has risen; None without decrease."""
     step, low, high = 1.0, 0.0, np.inf
-    best: tuple[Array, float, Array] | None = None
+    best: tuple[AnyArray, float, AnyArray] | None = None
     for _ in range(LINE_STEPS):
         new = x + step * direction
         level = value + DECREASE * step * slope

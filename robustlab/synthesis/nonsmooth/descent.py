@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
@@ -17,7 +15,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrice
 
 __all__ = ["descend", "law_around"]
 
-Array = NDArray[Any]
 
 # Condition number of the modes of A_K up to which they are taken as coordinates.
 MODES_WELL_APART = 1e6
@@ -72,7 +69,7 @@ def descend(
     return model_of(law, q, K0.dt, K0.inputs, K0.outputs)
 
 
-def law_around(K: StateSpaceModel) -> tuple[AffineLaw, Array]:
+def law_around(K: StateSpaceModel) -> tuple[AffineLaw, AnyArray]:
     """A law that contains K, in coordinates with few parameters, and its parameters for K."""
     A, B, C = _modal(K)
     k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs
@@ -90,12 +87,12 @@ def law_around(K: StateSpaceModel) -> tuple[AffineLaw, Array]:
     return builder.law(), np.array(values)
 
 
-def _modal(K: StateSpaceModel) -> tuple[Array, Array, Array]:
+def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
     """A, B, C with A in real modal form, or as given where the modes are not well apart."""
     if not K.n_states:
         return K.A, K.B, K.C
     values, vectors = np.linalg.eig(K.A)
-    columns: list[Array] = []
+    columns: list[AnyArray] = []
     for value, vector in zip(values, vectors.T, strict=True):
         if value.imag > 0:
             columns += [vector.real, vector.imag]

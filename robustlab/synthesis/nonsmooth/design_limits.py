@@ -6,19 +6,16 @@ Each is a function c that must be negative, without unit: ``c = -1`` is far insi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily, Pole
 from robustlab.synthesis.nonsmooth.peak_gain import LoopMatrices, bilinear, crossings, resolvent_point
 
 __all__ = ["Bandwidth", "Damping", "Decay", "Limit", "RollOff", "StableController"]
-
-Array = NDArray[Any]
 
 
 def _positive(what: str, value: float, most: float = np.inf) -> None:
@@ -28,7 +25,7 @@ def _positive(what: str, value: float, most: float = np.inf) -> None:
         )
 
 
-def _continuous_poles(poles: Array, dt: float) -> Array:
+def _continuous_poles(poles: AnyArray, dt: float) -> AnyArray:
     """Poles in rad/s: ``log(z)/dt`` of those of a sampled loop."""
     if not dt:
         return poles
@@ -49,7 +46,7 @@ class Limit:
         """The c of a finished design; negative or zero where the limit is kept."""
         raise NotImplementedError
 
-    def evaluate(self, family: LoopFamily, theta: Array, rate: float, dt: float) -> tuple[float, Array] | None:
+    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
         """The c and its gradient by the packed controller in the time unit ``1/rate``; None without a value."""
         raise NotImplementedError
 
@@ -58,7 +55,7 @@ class Limit:
 class _PoleLimit(Limit):
     """A limit of every pole of the loop."""
 
-    def measure(self, s: Array) -> Array:
+    def measure(self, s: AnyArray) -> AnyArray:
         """The c of poles s in rad/s."""
         raise NotImplementedError
 
@@ -71,13 +68,13 @@ class _PoleLimit(Limit):
         poles = plant_loop.poles()
         return float(self.measure(_continuous_poles(poles, plant_loop.dt)).max()) if len(poles) else -1.0
 
-    def evaluate(self, family: LoopFamily, theta: Array, rate: float, dt: float) -> tuple[float, Array] | None:
+    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
         """See `Limit`."""
         unit = 1.0 if dt else rate
         found = family.pole(theta, lambda poles: self.measure(_continuous_poles(unit * poles, dt)))
         return None if found is None else self._of(found, unit, dt)
 
-    def _of(self, found: Pole, unit: float, dt: float) -> tuple[float, Array]:
+    def _of(self, found: Pole, unit: float, dt: float) -> tuple[float, AnyArray]:
         s = complex(_continuous_poles(np.array([unit * found.value]), dt)[0])
         by_pole = self.slope(s) * (1 / (found.value * dt) if dt and found.value else unit)
         return float(self.measure(np.array([s]))[0]), np.real(by_pole * found.G)
@@ -97,7 +94,7 @@ class Decay(_PoleLimit):
         """See `Limit`."""
         return f"decay rate >= {self.rate:g} 1/s"
 
-    def measure(self, s: Array) -> Array:
+    def measure(self, s: AnyArray) -> AnyArray:
         """See `_PoleLimit`."""
         return np.real(s) / self.rate + 1
 
@@ -120,7 +117,7 @@ class Damping(_PoleLimit):
         """See `Limit`."""
         return f"damping >= {self.ratio:g}"
 
-    def measure(self, s: Array) -> Array:
+    def measure(self, s: AnyArray) -> AnyArray:
         """See `_PoleLimit`."""
         return self.ratio + np.real(s) / np.maximum(np.abs(s), 1e-300)
 
@@ -144,7 +141,7 @@ class Bandwidth(_PoleLimit):
         """See `Limit`."""
         return f"poles within {self.frequency:g} rad/s"
 
-    def measure(self, s: Array) -> Array:
+    def measure(self, s: AnyArray) -> AnyArray:
         """See `_PoleLimit`."""
         return np.abs(s) / self.frequency - 1
 
@@ -166,7 +163,7 @@ class StableController(Limit):
         """See `Limit`."""
         return K.spectral_abscissa() if K.n_states else -1.0
 
-    def evaluate(self, family: LoopFamily, theta: Array, rate: float, dt: float) -> tuple[float, Array] | None:
+    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
         """See `Limit`."""
         from scipy.linalg import eig
 
@@ -218,7 +215,7 @@ class RollOff(Limit):
         low = np.tan(min(frequency * dt / 2, np.pi / 2 - 1e-9)) if discrete else frequency
         eye = np.eye(len(K.A))
 
-        def sigma(omega: Array) -> Array:
+        def sigma(omega: AnyArray) -> AnyArray:
             gain = mapped.C @ np.linalg.solve(1j * omega[:, None, None] * eye - mapped.A, mapped.B + 0j) + mapped.D
             return np.linalg.svd(gain, compute_uv=False)[:, 0]
 
@@ -236,7 +233,7 @@ class RollOff(Limit):
             omega = np.concatenate([cross, 0.5 * (cross[:-1] + cross[1:])])
         return best, at
 
-    def evaluate(self, family: LoopFamily, theta: Array, rate: float, dt: float) -> tuple[float, Array] | None:
+    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
         """See `Limit`; theta is the controller in the plant's own signals but in the time unit ``1/rate``."""
         k = family.order
         K = LoopMatrices(theta[:k, :k], theta[:k, k:], theta[k:, :k], theta[k:, k:])

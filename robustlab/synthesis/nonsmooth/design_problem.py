@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.synthesis.laws.controller_laws import Law, Parameter
 from robustlab.synthesis.nonsmooth.active_peaks import Piece
@@ -19,7 +18,6 @@ from robustlab.synthesis.problem.scaling import Scaling, equilibrated
 
 __all__ = ["DesignProblem", "common_scaling"]
 
-Array = NDArray[Any]
 
 # Share of the range between two bounds that a start keeps away from them.
 INSIDE = 1e-3
@@ -139,7 +137,7 @@ class DesignProblem:
         self.start = np.array([c.variable(float(start[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
         self.centre = self.start + np.array([everything[j].centre for j in self.free])
 
-    def _natural_sizes(self, p: Array) -> Array:
+    def _natural_sizes(self, p: AnyArray) -> AnyArray:
         """Changes of the parameters that change the scaled controller by one."""
         base = self.law.packed(p)
         sizes = np.ones(len(p))
@@ -152,28 +150,28 @@ class DesignProblem:
 
     # --- variables, parameters, controllers --------------------------------------------------------------------------
 
-    def parameters(self, v: Array) -> tuple[Array, Array]:
+    def parameters(self, v: AnyArray) -> tuple[AnyArray, AnyArray]:
         """All parameters, and the derivatives of the free ones with respect to v."""
         pairs = np.array([c.value(x) for c, x in zip(self.coordinates, v, strict=True)]).reshape(-1, 2)
         p = self.fixed.copy()
         p[self.free] = pairs[:, 0]
         return p, pairs[:, 1]
 
-    def variables(self, p: Array) -> Array:
+    def variables(self, p: AnyArray) -> AnyArray:
         """Search variables of given parameters."""
         return np.array([c.variable(float(p[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
 
-    def theta(self, p: Array) -> Array:
+    def theta(self, p: AnyArray) -> AnyArray:
         """The packed controller of the scaled plant."""
         return self.law.packed(p) * self._rows * self._columns
 
-    def by_parameters(self, p: Array, G: Array) -> Array:
+    def by_parameters(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """Gradient with respect to the free parameters from that with respect to the scaled packed controller."""
         return self.law.pullback(p, G * self._rows * self._columns)[self.free]
 
     # --- what is made small ------------------------------------------------------------------------------------------
 
-    def instability(self, v: Array) -> tuple[float, Array | None]:
+    def instability(self, v: AnyArray) -> tuple[float, AnyArray | None]:
         """Largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
         self.budget.spend(self._work)
         p, slopes = self.parameters(v)
@@ -186,7 +184,7 @@ class DesignProblem:
             worst, at = (value, G) if value > worst else (worst, at)
         return worst, self.by_parameters(p, at) * slopes
 
-    def violation(self, v: Array) -> tuple[float, Array | None]:
+    def violation(self, v: AnyArray) -> tuple[float, AnyArray | None]:
         """Largest of the limits' values with its gradient; infinite where a loop is not stable, -1 without limits."""
         self.budget.spend(self._work)
         p, slopes = self.parameters(v)
@@ -196,9 +194,9 @@ class DesignProblem:
         worst, G = max(self.limit_values(theta), key=lambda pair: pair[0], default=(-1.0, np.zeros_like(theta)))
         return worst, self.by_parameters(p, G) * slopes if np.isfinite(worst) else None
 
-    def limit_values(self, theta: Array) -> list[tuple[float, Array]]:
+    def limit_values(self, theta: AnyArray) -> list[tuple[float, AnyArray]]:
         """The c and the gradient of every limit and plant; an infinite c where there is no value."""
-        found: list[tuple[float, Array]] = []
+        found: list[tuple[float, AnyArray]] = []
         nothing = np.inf, np.zeros_like(theta)
         for limit in self.limits:
             if isinstance(limit, StableController):
@@ -220,18 +218,18 @@ class DesignProblem:
         """How many values a limit has in `limit_values`."""
         return 1 if isinstance(limit, (RollOff, StableController)) else len(self.families)
 
-    def norm(self, v: Array, give_up_above: float = np.inf) -> tuple[float, Array | None]:
+    def norm(self, v: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
         """Largest norm of the scaled loops with its gradient; infinite where a limit is not kept."""
         p, slopes = self.parameters(v)
         value, G = self._norm_at(p, give_up_above)
         return value, None if G is None else self.by_parameters(p, G) * slopes
 
-    def _norm_at(self, p: Array, give_up_above: float) -> tuple[float, Array | None]:
+    def _norm_at(self, p: AnyArray, give_up_above: float) -> tuple[float, AnyArray | None]:
         self.budget.spend(self._work)
         theta = self.theta(p)
         if any(value >= 0 for value, _ in self.limit_values(theta)):
             return np.inf, None
-        worst: tuple[float, Array | None] = -np.inf, None
+        worst: tuple[float, AnyArray | None] = -np.inf, None
         for family in self.families:
             found = family.norm(theta, give_up_above) if self.objective == "hinf" else family.h2_norm(theta)
             if not np.isfinite(found[0]) or found[0] >= give_up_above:
@@ -240,19 +238,19 @@ class DesignProblem:
                 worst = found
         return worst
 
-    def value_at(self, q: Array) -> float:
+    def value_at(self, q: AnyArray) -> float:
         """The norm at given free parameters."""
         p = self.fixed.copy()
         p[self.free] = q
         return self._norm_at(p, np.inf)[0]
 
-    def pieces(self, q: Array, value: float, radius: float) -> list[Piece]:
+    def pieces(self, q: AnyArray, value: float, radius: float) -> list[Piece]:
         """All peaks near the top as functions of the free parameters; a limit near its end counts as one."""
         p = self.fixed.copy()
         p[self.free] = q
         self.budget.spend(2 * self._work)
         theta = self.theta(p)
-        found: list[tuple[float, Array]] = []
+        found: list[tuple[float, AnyArray]] = []
         for family in self.families:
             if self.objective == "hinf":
                 found += family.active(theta, value, 0.1, 0.02 + 0.5 * radius)
@@ -266,7 +264,7 @@ class DesignProblem:
                 pieces.append(Piece(c, self.by_parameters(p, G), limit=True))
         return pieces
 
-    def barrier(self, z: Array, mu: float) -> tuple[float, Array | None]:
+    def barrier(self, z: AnyArray, mu: float) -> tuple[float, AnyArray | None]:
         r"""``ln gamma + mu * (entropies and logarithmic barriers)`` at ``z = (v, ln gamma)``, with its gradient."""
         v, log_gamma = z[:-1], float(z[-1])
         if not -300 < log_gamma < 300:
@@ -290,7 +288,7 @@ class DesignProblem:
         return log_gamma + mu * total, gradient
 
 
-def _h2_barrier(family: LoopFamily, theta: Array, gamma: float) -> tuple[float, Array, float] | None:
+def _h2_barrier(family: LoopFamily, theta: AnyArray, gamma: float) -> tuple[float, AnyArray, float] | None:
     """``-ln(1 - h^2/gamma^2)`` of an H2 norm h with its gradients; None where h is not below gamma."""
     norm, G = family.h2_norm(theta)
     if G is None or not norm < gamma:

@@ -21,17 +21,15 @@ Mustafa, Glover, *Minimum entropy H-infinity control* (1990); the derivatives ar
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.lapack import lapack
 from robustlab.synthesis.nonsmooth.peak_gain import LoopMatrices
 
 __all__ = ["Entropy", "entropy"]
 
-Array = NDArray[Any]
 
 # Residual of the Riccati equation relative to its terms above which a solution counts as none.
 RESIDUAL = 1e-7
@@ -43,10 +41,10 @@ class Entropy:
 
     value: float
     by_gamma: float
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+    A: AnyArray
+    B: AnyArray
+    C: AnyArray
+    D: AnyArray
 
 
 def entropy(loop: LoopMatrices, gamma: float, s0: float = 1.0) -> Entropy | None:
@@ -101,7 +99,7 @@ def entropy(loop: LoopMatrices, gamma: float, s0: float = 1.0) -> Entropy | None
     )
 
 
-def _stabilising(a: Array, b: Array, c: Array, d: Array, r_inv: Array) -> Array | None:
+def _stabilising(a: AnyArray, b: AnyArray, c: AnyArray, d: AnyArray, r_inv: AnyArray) -> AnyArray | None:
     """X from the stable invariant subspace of the Hamiltonian; None where there is none or A is not stable."""
     n = len(a)
     a1 = a + b @ (r_inv @ (d.T @ c)) if d.any() else a
@@ -127,7 +125,7 @@ def _stabilising(a: Array, b: Array, c: Array, d: Array, r_inv: Array) -> Array 
     return x if residual <= RESIDUAL * max(np.abs(t).max() for t in (*terms, low)) else None
 
 
-def _lyapunov(a: Array, q: Array) -> Array | None:
+def _lyapunov(a: AnyArray, q: AnyArray) -> AnyArray | None:
     """``A Y + Y A^T + Q = 0`` for a stable A."""
     t, _, _, _, z, _, info = lapack().dgees(lambda re, im: 0, a)
     if info:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.lapack import lapack
 from robustlab.synthesis.nonsmooth.entropy import entropy
 from robustlab.synthesis.nonsmooth.peak_gain import (
@@ -31,7 +31,6 @@ from robustlab.synthesis.problem.partition import PlantMatrices
 
 __all__ = ["LoopFamily", "Pole", "packed"]
 
-Array = NDArray[Any]
 
 # An I - D22 Theta with a larger condition number is no loop to look at.
 ILL_POSED = 1e10
@@ -41,7 +40,7 @@ DEFECTIVE = 1e-14
 BLUR = 1e-13
 
 
-def packed(A: Array, B: Array, C: Array, D: Array) -> Array:
+def packed(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> AnyArray:
     """``[A, B; C, D]``."""
     return np.vstack([np.hstack([A, B]), np.hstack([C, D])])
 
@@ -51,7 +50,7 @@ class Pole:
     """A pole of the loop with ``G``: a change dTheta moves it by the sum of ``G * dTheta`` (complex)."""
 
     value: complex
-    G: Array
+    G: AnyArray
 
 
 class LoopFamily:
@@ -69,7 +68,7 @@ class LoopFamily:
         True for a sampled plant.
     """
 
-    def __init__(self, plant: PlantMatrices, D22: Array, order: int, discrete: bool) -> None:
+    def __init__(self, plant: PlantMatrices, D22: AnyArray, order: int, discrete: bool) -> None:
         n, n_w, n_u, n_z, n_y = plant.sizes
         k = order
         zeros = np.zeros
@@ -92,7 +91,7 @@ class LoopFamily:
 
     # --- the loop ----------------------------------------------------------------------------------------------------
 
-    def without_direct_term(self, theta: Array) -> tuple[Array, Array | None, Array | None] | None:
+    def without_direct_term(self, theta: AnyArray) -> tuple[AnyArray, AnyArray | None, AnyArray | None] | None:
         """``(Theta (I - D22 Theta)^-1, L, R)``, its change ``L dTheta R``; None where the loop is not well posed."""
         if self.D22 is None:
             return theta, None, None
@@ -103,12 +102,12 @@ class LoopFamily:
         left = np.eye(theta.shape[0]) + theta @ right @ self.D22
         return theta @ right, left, right
 
-    def loop(self, theta: Array) -> LoopMatrices | None:
+    def loop(self, theta: AnyArray) -> LoopMatrices | None:
         """The loop's matrices; None where it is not well posed."""
         effective = self.without_direct_term(theta)
         return None if effective is None else self._loop(effective[0])
 
-    def _loop(self, theta: Array) -> LoopMatrices:
+    def _loop(self, theta: AnyArray) -> LoopMatrices:
         tc, td = theta @ self.C, theta @ self.D21
         return LoopMatrices(
             self.A + self.B @ tc, self.B1 + self.B @ td, self.C1 + self.D12 @ tc, self.D11 + self.D12 @ td
@@ -116,14 +115,14 @@ class LoopFamily:
 
     # --- poles -------------------------------------------------------------------------------------------------------
 
-    def poles(self, theta: Array) -> Array | None:
+    def poles(self, theta: AnyArray) -> AnyArray | None:
         """Poles of the loop; None where it is not well posed or not finite."""
         loop = self.loop(theta)
         if loop is None or not np.isfinite(loop.A).all():
             return None
         return np.linalg.eigvals(loop.A) if len(loop.A) else np.zeros(0, complex)
 
-    def pole(self, theta: Array, measure: Any) -> Pole | None:
+    def pole(self, theta: AnyArray, measure: Any) -> Pole | None:
         """The pole with the largest ``measure(poles)`` and its derivative; None where there is none."""
         from scipy.linalg import eig
 
@@ -142,7 +141,7 @@ class LoopFamily:
         G = np.outer(u.conj() @ self.B, self.C @ v) / product
         return Pole(complex(values[k]), self._chained(G, effective[1], effective[2]))
 
-    def abscissa(self, theta: Array) -> tuple[float, Array | None]:
+    def abscissa(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
         """Spectral abscissa (discrete: largest modulus minus one) and its gradient with respect to Theta."""
         if not len(self.A):
             return -np.inf, np.zeros_like(theta)
@@ -156,7 +155,7 @@ class LoopFamily:
 
     # --- norms -------------------------------------------------------------------------------------------------------
 
-    def norm(self, theta: Array, give_up_above: float = np.inf) -> tuple[float, Array | None]:
+    def norm(self, theta: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
         """H-infinity norm and its gradient; ``(inf, None)`` for a loop that is not stable.
 
         Above ``give_up_above`` the value may be a lower bound and the gradient is None.
@@ -174,7 +173,7 @@ class LoopFamily:
             return np.inf, None
         return max(value, found[0][0]), found[0][1]
 
-    def active(self, theta: Array, value: float, share: float, band: float) -> list[tuple[float, Array]]:
+    def active(self, theta: AnyArray, value: float, share: float, band: float) -> list[tuple[float, AnyArray]]:
         """Singular values near the norm ``value``, each with its gradient: all peaks above ``(1 - share) value``."""
         effective = self.without_direct_term(theta)
         loop = None if effective is None else self._loop(effective[0])
@@ -189,8 +188,12 @@ class LoopFamily:
         return found
 
     def _stacked_gradients(
-        self, loop: LoopMatrices, effective: tuple[Array, Array | None, Array | None], omegas: Array, least: float
-    ) -> list[tuple[float, Array]]:
+        self,
+        loop: LoopMatrices,
+        effective: tuple[AnyArray, AnyArray | None, AnyArray | None],
+        omegas: AnyArray,
+        least: float,
+    ) -> list[tuple[float, AnyArray]]:
         """What `_gradients` gives, for many frequencies at once."""
         if not len(omegas):
             return []
@@ -206,15 +209,19 @@ class LoopFamily:
             return []
         left, s, right = np.linalg.svd(gain, full_matrices=False)
         rows, columns = self.D12 + c @ x[:, :, m:], self.D21 + self.C @ x[:, :, :m]
-        found: list[tuple[float, Array]] = []
+        found: list[tuple[float, AnyArray]] = []
         for i, k in np.argwhere((s > least) & (s > 0.5 * s[:, :1])):
             row, column = left[i, :, k].conj() @ rows[i], columns[i] @ right[i, k].conj()
             found.append((float(s[i, k]), np.real(self._chained(np.outer(row, column), effective[1], effective[2]))))
         return found
 
     def _gradients(
-        self, loop: LoopMatrices, effective: tuple[Array, Array | None, Array | None], omega: float, least: float
-    ) -> list[tuple[float, Array]] | None:
+        self,
+        loop: LoopMatrices,
+        effective: tuple[AnyArray, AnyArray | None, AnyArray | None],
+        omega: float,
+        least: float,
+    ) -> list[tuple[float, AnyArray]] | None:
         """Singular values at one frequency above ``least`` (at least the largest one) with their gradients."""
         a, b, c, d = loop
         direct = not np.isfinite(omega) and not self.discrete
@@ -227,7 +234,7 @@ class LoopFamily:
             if info or not np.isfinite(gain).all():
                 return None
             left, s, right = np.linalg.svd(gain, full_matrices=False)
-        found: list[tuple[float, Array]] = []
+        found: list[tuple[float, AnyArray]] = []
         for k in range(len(s)):
             if k and s[k] <= max(least, 0.5 * s[0]):
                 break
@@ -241,7 +248,7 @@ class LoopFamily:
                 break
         return found
 
-    def h2_norm(self, theta: Array) -> tuple[float, Array | None]:
+    def h2_norm(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
         r"""H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable.
 
         With the Gramians P and Q, :math:`d\,\|T\|_2^2 = 2\,\mathrm{tr}[Q (dA\,P + dB\,B^T) + dC\,P C^T]`; discrete,
@@ -274,7 +281,7 @@ class LoopFamily:
         norm = np.sqrt(square)
         return norm, self._chained(G / max(norm, 1e-300), effective[1], effective[2])
 
-    def entropy(self, theta: Array, gamma: float) -> tuple[float, Array, float] | None:
+    def entropy(self, theta: AnyArray, gamma: float) -> tuple[float, AnyArray, float] | None:
         """Entropy at this level with its gradients with respect to Theta and to gamma; None at or below the norm."""
         effective = self.without_direct_term(theta)
         loop = None if effective is None else self._loop(effective[0])
@@ -292,5 +299,5 @@ class LoopFamily:
         return found.value, self._chained(G, effective[1], effective[2]), found.by_gamma
 
     @staticmethod
-    def _chained(G: Array, left: Array | None, right: Array | None) -> Array:
+    def _chained(G: AnyArray, left: AnyArray | None, right: AnyArray | None) -> AnyArray:
         return G if left is None or right is None else left.T @ G @ right.T

@@ -5,17 +5,14 @@ What leaves a search is verified by `robustlab.norms.hinf_norm`; this only ranks
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.matrix_equations import balanced_eigenvalues
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
 __all__ = ["closed", "loop_gain", "responses", "trial_frequencies"]
 
-Array = NDArray[Any]
 
 ACCURACY = 1e-5
 LEVELS = 12
@@ -33,7 +30,7 @@ def closed(p: PlantMatrices, K: Realisation) -> Realisation:
     )
 
 
-def trial_frequencies(poles: Array) -> Array:
+def trial_frequencies(poles: AnyArray) -> AnyArray:
     """Zero, the poles' frequencies and resonances, and a coarse grid around them."""
     size = np.abs(poles)
     size = size[size > 0]
@@ -41,7 +38,7 @@ def trial_frequencies(poles: Array) -> Array:
         return np.array([0.0, 1.0])
     low, high = size.min() / 10, size.max() * 10
     points = int(np.clip(GRID_PER_DECADE * np.log10(high / low), 8, LARGEST_GRID))
-    upper: Array = poles[np.imag(poles) >= 0]
+    upper: AnyArray = poles[np.imag(poles) >= 0]
     resonance = np.sqrt(np.maximum(np.imag(upper) ** 2 - np.real(upper) ** 2, 0.0))
     omega = np.sort(np.concatenate([np.abs(upper), np.imag(upper), resonance, np.geomspace(low, high, points)]))
     omega = omega[omega > 0]
@@ -49,7 +46,7 @@ def trial_frequencies(poles: Array) -> Array:
     return np.concatenate([[0.0], omega[np.append(True, np.diff(omega) > 1e-6 * omega[1:])]])
 
 
-def responses(loop: Realisation, omega: Array) -> Array:
+def responses(loop: Realisation, omega: AnyArray) -> AnyArray:
     """``C (jw - A)^-1 B + D`` at each frequency, shape (n_omega, n_z, n_w); infinite where w hits a pole."""
     n = loop.A.shape[0]
     if n == 0:
@@ -64,7 +61,7 @@ def responses(loop: Realisation, omega: Array) -> Array:
         return np.full((len(omega), *loop.D.shape), np.inf + 0j)
 
 
-def _largest(loop: Realisation, omega: Array) -> float:
+def _largest(loop: Realisation, omega: AnyArray) -> float:
     response = responses(loop, omega)
     if not np.isfinite(response).all():
         return np.inf
@@ -100,7 +97,7 @@ def loop_gain(loop: Realisation, limit: float = np.inf) -> float:
     return gain if gain <= limit else np.inf
 
 
-def _crossings(loop: Realisation, level: float) -> Array:
+def _crossings(loop: Realisation, level: float) -> AnyArray:
     """Frequencies at which a singular value may cross the level, and points between them."""
     if level <= 0:
         return np.zeros(0)

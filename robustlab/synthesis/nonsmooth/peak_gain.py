@@ -6,16 +6,15 @@ loop; a discrete loop is mapped by the bilinear rule first (`bilinear`).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.lapack import lapack
 
 __all__ = ["LoopMatrices", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "resolvent_point"]
 
-Array = NDArray[Any]
 
 # Relative height above the largest value met at which the Hamiltonian is asked for crossings.
 LEVEL = 1e-8
@@ -31,10 +30,10 @@ REFINEMENTS = 8
 class LoopMatrices(NamedTuple):
     """Bare matrices of a closed loop from w to z."""
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+    A: AnyArray
+    B: AnyArray
+    C: AnyArray
+    D: AnyArray
 
 
 def bilinear(loop: LoopMatrices) -> LoopMatrices | None:
@@ -90,11 +89,11 @@ class _Modal:
             self.b = np.linalg.solve(vectors + 1e-12 * np.eye(n), b.astype(complex))
         self.c = c @ vectors
 
-    def response(self, omega: Array) -> Array:
+    def response(self, omega: AnyArray) -> AnyArray:
         """Gain matrices at finite frequencies, shape (n_omega, n_z, n_w)."""
         return (self.c[None] / (1j * omega[:, None, None] - self.poles)) @ self.b + self.d
 
-    def sigma(self, omega: Array, above: float = 0.0) -> Array:
+    def sigma(self, omega: AnyArray, above: float = 0.0) -> AnyArray:
         """Largest singular values; where the Frobenius norm shows that it is at most ``above``, that norm."""
         gain = self.response(omega)
         size = np.linalg.norm(gain, axis=(1, 2))
@@ -215,7 +214,7 @@ class PeakFinder:
             found.append(modal.refined(float(omega[k]), float(low), float(high)))
         return [*dict.fromkeys(found), *direct]
 
-    def _frequencies(self, modal: _Modal, grid: int = GRID) -> Array:
+    def _frequencies(self, modal: _Modal, grid: int = GRID) -> AnyArray:
         poles = modal.poles[modal.poles.imag >= 0]
         size = np.abs(poles)
         resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
@@ -224,7 +223,7 @@ class PeakFinder:
         return np.unique(omega)
 
 
-def crossings(loop: LoopMatrices, level: float) -> Array:
+def crossings(loop: LoopMatrices, level: float) -> AnyArray:
     """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
     a, b, c, d = loop
     root = np.sqrt(level)

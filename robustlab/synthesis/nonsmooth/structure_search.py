@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.synthesis.nonsmooth.active_peaks import Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 
 __all__ = ["Start", "central_path", "multi_start", "polished", "stabilised"]
 
-Array = NDArray[Any]
 
 # The abscissa (in scaled time) at which a start counts as stable, and the steps that move it further inside.
 STABLE = -1e-6
@@ -62,7 +61,7 @@ class Start:
     kind: str
     instability: float
     gamma: float
-    p: Array
+    p: AnyArray
     values: tuple[float, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -70,16 +69,16 @@ class Start:
         return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
 
-def stabilised(problem: DesignProblem, v: Array) -> tuple[Array, float]:
+def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
     """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
 
     The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
     """
 
-    def loops(x: Array, _: float) -> tuple[float, Array | None]:
+    def loops(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
         return problem.instability(x)
 
-    def limits(x: Array, _: float) -> tuple[float, Array | None]:
+    def limits(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
         return problem.violation(x)
 
     v, value = _below_zero(problem, loops, v)
@@ -88,7 +87,7 @@ def stabilised(problem: DesignProblem, v: Array) -> tuple[Array, float]:
     return _below_zero(problem, limits, v)
 
 
-def _below_zero(problem: DesignProblem, function: Function, v: Array) -> tuple[Array, float]:
+def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tuple[AnyArray, float]:
     """Descent until the function is negative, and a few steps further."""
     value = function(v, np.inf)[0]
     if value < STABLE:
@@ -100,7 +99,9 @@ def _below_zero(problem: DesignProblem, function: Function, v: Array) -> tuple[A
     return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
 
 
-def central_path(problem: DesignProblem, v: Array, weights: Sequence[float] = BARRIER) -> tuple[Array, list[float]]:
+def central_path(
+    problem: DesignProblem, v: AnyArray, weights: Sequence[float] = BARRIER
+) -> tuple[AnyArray, list[float]]:
     """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
     best, at = problem.norm(v)[0], v
     values = [best]
@@ -109,7 +110,7 @@ def central_path(problem: DesignProblem, v: Array, weights: Sequence[float] = BA
     z = np.append(v, np.log(HEADROOM * best))
     for mu in weights:
 
-        def function(x: Array, _: float, mu: float = mu) -> tuple[float, Array | None]:
+        def function(x: AnyArray, _: float, mu: float = mu) -> tuple[float, AnyArray | None]:
             return problem.barrier(x, mu)
 
         found = bfgs(function, z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL, late=problem.late)
@@ -123,12 +124,12 @@ def central_path(problem: DesignProblem, v: Array, weights: Sequence[float] = BA
     return at, values
 
 
-def _descended(problem: DesignProblem, v: Array) -> tuple[Array, float]:
+def _descended(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
     found = bfgs(problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL, late=problem.late)
     return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
 
 
-def polished(problem: DesignProblem, p: Array) -> tuple[Array, float]:
+def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
     """Parameters improved by sequential linear programs and descents in turn."""
     free = problem.free
     low = np.array([c.parameter.low for c in problem.coordinates])
@@ -154,7 +155,7 @@ def polished(problem: DesignProblem, p: Array) -> tuple[Array, float]:
     return p, value
 
 
-def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> Array:
+def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> AnyArray:
     """A random start; ``uneven`` ones spread their parameters over decades, because channels differ that much."""
     count = len(problem.free)
     spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
@@ -169,15 +170,15 @@ class _Runner:
     """A start on its way down: its variables, scaled norm, and the descent's inverse Hessian to go on with."""
 
     start: Start
-    v: Array
+    v: AnyArray
     value: float
-    inverse: Array | None = None
+    inverse: AnyArray | None = None
     stands: bool = False
 
 
 def multi_start(
     problem: DesignProblem,
-    given: Sequence[tuple[str, Array]],
+    given: Sequence[tuple[str, AnyArray]],
     starts: int,
     seed: int,
     progress: Callable[[str], None],
@@ -210,7 +211,7 @@ def multi_start(
     return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), progress)
 
 
-def _entered(problem: DesignProblem, kind: str, v: Array) -> _Runner:
+def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> _Runner:
     """A start made stable; with limits, or where it is not a random one, taken along the central path."""
     v, instability = stabilised(problem, v)
     if instability >= STABLE:

@@ -15,11 +15,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from robustlab.arrays import AnyArray
 
 __all__ = ["DoubleDouble", "inverse"]
 
-Array = NDArray[Any]
 SPLIT = 134217729.0  # 2^27 + 1
 
 
@@ -31,20 +31,20 @@ class DoubleDouble:
 
     unit = 2.0**-103
 
-    def __init__(self, high: Array, low: Array | None = None) -> None:
+    def __init__(self, high: AnyArray, low: AnyArray | None = None) -> None:
         self.high = high
         self.low = np.zeros_like(high) if low is None else low
 
     @classmethod
-    def of(cls, matrices: Array) -> DoubleDouble:
+    def of(cls, matrices: AnyArray) -> DoubleDouble:
         """Complex or real double matrices, exactly."""
         return cls(np.stack([np.real(matrices), np.imag(matrices)]).astype(float))
 
-    def rounded(self) -> Array:
+    def rounded(self) -> AnyArray:
         """The nearest complex doubles."""
         return self.high[0] + 1j * self.high[1]
 
-    def __abs__(self) -> Array:
+    def __abs__(self) -> AnyArray:
         return np.hypot(self.high[0], self.high[1])
 
     def __getitem__(self, index: Any) -> DoubleDouble:
@@ -76,7 +76,7 @@ class DoubleDouble:
         return total
 
 
-def inverse(A: DoubleDouble) -> tuple[DoubleDouble, Array]:
+def inverse(A: DoubleDouble) -> tuple[DoubleDouble, AnyArray]:
     """Inverse and logarithm of the determinant (k,) of every matrix, by Gauss-Jordan elimination with row exchanges.
 
     NaN where a pivot is zero.
@@ -112,31 +112,31 @@ def _reciprocal(x: DoubleDouble) -> DoubleDouble:
     return found
 
 
-def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+def _two_sum(a: AnyArray, b: AnyArray) -> tuple[AnyArray, AnyArray]:
     s = a + b
     t = s - a
     return s, (a - (s - t)) + (b - t)
 
 
-def _normal(s: Array, e: Array) -> tuple[Array, Array]:
+def _normal(s: AnyArray, e: AnyArray) -> tuple[AnyArray, AnyArray]:
     t = s + e
     return t, e - (t - s)
 
 
-def _sum(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
+def _sum(a: AnyArray, a_low: AnyArray, b: AnyArray, b_low: AnyArray) -> tuple[AnyArray, AnyArray]:
     s, e = _two_sum(a, b)
     t, f = _two_sum(a_low, b_low)
     s, e = _normal(s, e + t)
     return _normal(s, e + f)
 
 
-def _halves(a: Array) -> tuple[Array, Array]:
+def _halves(a: AnyArray) -> tuple[AnyArray, AnyArray]:
     c = SPLIT * a
     high = c - (c - a)
     return high, a - high
 
 
-def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
+def _product(a: AnyArray, a_low: AnyArray, b: AnyArray, b_low: AnyArray) -> tuple[AnyArray, AnyArray]:
     p = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
     e = ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2

@@ -16,18 +16,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.magnitude import LARGEST, is_moderate
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 
 __all__ = ["GammaBound", "place_in_s", "place_in_z", "pointwise_bound"]
 
-Array = NDArray[Any]
 
 RADII, ANGLES = 48, (0.0, 0.5, 1.0, 1.35, 1.5, np.pi / 2)
 REFINEMENTS, REFINED, CONFIRMED = 4, 3, 12
@@ -122,7 +120,7 @@ def place_in_z(dt: float) -> Callable[[complex], str]:
     return place
 
 
-def _points(p: PlantMatrices) -> Array:
+def _points(p: PlantMatrices) -> AnyArray:
     """Points of the closed right half plane: polar grid, mirror images and neighbours of the poles."""
     poles = np.linalg.eigvals(p.A) if p.A.size else np.zeros(0)
     size = np.abs(poles)[np.abs(poles) > AT_ZERO]
@@ -146,7 +144,7 @@ def _at_zeros(p: PlantMatrices, scaling: Scaling) -> tuple[complex, float]:
     return best
 
 
-def _zero_directions(A: Array, B: Array, C: Array, D: Array) -> list[tuple[complex, Array]]:
+def _zero_directions(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> list[tuple[complex, AnyArray]]:
     """Zeros of a square system in the open right half plane, with the unit row v for which ``v G(zero) = 0``."""
     from scipy.linalg import eigvals
 
@@ -156,7 +154,7 @@ def _zero_directions(A: Array, B: Array, C: Array, D: Array) -> list[tuple[compl
     whole, shift = np.block([[A, B], [C, D]]).astype(complex), np.zeros((n + m, n + m))
     shift[:n, :n] = np.eye(n)
     zeros, poles = np.asarray(eigvals(whole, shift, check_finite=False)), np.linalg.eigvals(A)
-    found: list[tuple[complex, Array]] = []
+    found: list[tuple[complex, AnyArray]] = []
     for zero in zeros[np.isfinite(zeros)]:
         size = abs(zero)
         if zero.real <= 1e-9 * size or size > 1e8 * np.linalg.norm(whole) or np.abs(poles - zero).min() < 1e-6 * size:
@@ -169,7 +167,7 @@ def _zero_directions(A: Array, B: Array, C: Array, D: Array) -> list[tuple[compl
     return found
 
 
-def _around(centre: complex, points: Array) -> Array:
+def _around(centre: complex, points: AnyArray) -> AnyArray:
     """Points between the centre and its neighbours, in the closed right half plane."""
     distance = np.abs(points - centre)
     step = distance[distance > 0].min(initial=np.inf)
@@ -181,7 +179,7 @@ def _around(centre: complex, points: Array) -> Array:
     return np.concatenate([np.maximum(near.real, 0.0) + 1j * near.imag, on_axis])
 
 
-def _bounds(p: PlantMatrices, s: Array) -> Array:
+def _bounds(p: PlantMatrices, s: AnyArray) -> AnyArray:
     n, n_w, _, n_z, _ = p.sizes
     B, C = np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
     D = np.block([[p.D11, p.D12], [p.D21, np.zeros((p.D21.shape[0], p.D12.shape[1]))]])
@@ -200,7 +198,7 @@ def _bounds(p: PlantMatrices, s: Array) -> Array:
     return np.where(usable & calm, _parrott(P[:, :n_z, :n_w], P[:, :n_z, n_w:], P[:, n_z:, :n_w]), 0.0)
 
 
-def _parrott(P11: Array, P12: Array, P21: Array) -> Array:
+def _parrott(P11: AnyArray, P12: AnyArray, P21: AnyArray) -> AnyArray:
     left = _unreached(P12)
     right = _unreached(P21.conj().transpose(0, 2, 1))
     parts = [left.conj().transpose(0, 2, 1) @ P11, P11 @ right]
@@ -208,7 +206,7 @@ def _parrott(P11: Array, P12: Array, P21: Array) -> Array:
     return np.maximum(*values)
 
 
-def _unreached(M: Array) -> Array:
+def _unreached(M: AnyArray) -> AnyArray:
     """Orthonormal basis of the complement of the columns of each M; zero where M is too ill-conditioned to tell."""
     rows, columns = M.shape[1:]
     if rows <= columns:

@@ -30,8 +30,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import times_power
@@ -46,7 +46,6 @@ from robustlab.synthesis.problem.verified_loop import balanced_states
 
 __all__ = ["AGREEMENT", "SecondVoice", "h2_voice", "hinf_voice", "norm_doubt", "separate_responses"]
 
-Array = NDArray[Any]
 
 # Relative disagreement, and relative error bound, from which on a norm counts as not verified.
 AGREEMENT = 1e-3
@@ -187,8 +186,8 @@ def norm_doubt(
 
 
 def separate_responses(
-    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, omega: Array
-) -> tuple[Array, Array, Array]:
+    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, omega: AnyArray
+) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Frequencies, the loop's response (k, n_z, n_w) there, and bounds of the 2-norm of its error; frequencies on a
     pole have moved aside.
     """
@@ -203,15 +202,15 @@ class _Values(NamedTuple):
     difference (0 where it was not asked for), and the size of the terms of T.
     """
 
-    omega: Array
-    T: Array
-    T_error: Array
-    gain: Array
-    error: Array
-    rouche: Array
-    size: Array
+    omega: AnyArray
+    T: AnyArray
+    T_error: AnyArray
+    gain: AnyArray
+    error: AnyArray
+    rouche: AnyArray
+    size: AnyArray
 
-    def at(self, index: Array) -> _Values:
+    def at(self, index: AnyArray) -> _Values:
         return _Values(*(part[index] for part in self))
 
     def joined(self, other: _Values) -> _Values:
@@ -237,7 +236,7 @@ class _Separate:
 
     # --- where -------------------------------------------------------------------------------------------------------
 
-    def corners(self) -> Array:
+    def corners(self) -> AnyArray:
         """Frequencies of all poles and of their resonances, increasing."""
         poles = np.concatenate(self.poles)
         re, im = np.abs(np.real(poles)), np.abs(np.imag(poles))
@@ -246,7 +245,7 @@ class _Separate:
         own = own[np.isfinite(own) & (own > 0)]
         return own[own > 1e-20 * own[-1]] if len(own) else np.ones(1)
 
-    def frequencies(self, peaks: Iterable[float]) -> Array:
+    def frequencies(self, peaks: Iterable[float]) -> AnyArray:
         """Increasing; infinity last where time is continuous, else the Nyquist frequency."""
         own = self.corners()
         points = int(np.clip(PER_DECADE * np.log10(own[-1] / own[0] * 1e3), 8, MOST_POINTS))
@@ -261,13 +260,15 @@ class _Separate:
 
     # --- what --------------------------------------------------------------------------------------------------------
 
-    def values(self, omega: Array, polynomial: bool = False, everywhere: bool = False, scale: float = 0.0) -> _Values:
+    def values(
+        self, omega: AnyArray, polynomial: bool = False, everywhere: bool = False, scale: float = 0.0
+    ) -> _Values:
         """In ordinary precision, and with more digits where that is not enough; frequencies on a pole move aside.
 
         ``scale`` is the largest gain known so far: smaller ones need no digits, unless they are asked for everywhere.
         """
 
-        def wide(found: _Values) -> Array:
+        def wide(found: _Values) -> AnyArray:
             if everywhere:
                 return np.asarray(~(found.error <= QUICK_EVERYWHERE * found.gain))
             top = max(np.max(found.gain[np.isfinite(found.gain)], initial=0.0), scale)
@@ -294,7 +295,7 @@ class _Separate:
             aside = self._evaluated(self._aside(found.omega[doubtful]), DoubleDouble, polynomial)
             return found.at(~doubtful).joined(aside)
 
-    def _affordable(self, found: _Values, which: Array, polynomial: bool) -> Array:
+    def _affordable(self, found: _Values, which: AnyArray, polynomial: bool) -> AnyArray:
         """All of them; of too many those at the ends and those of the largest gains, the others are left out."""
         n = self.loop.n_states if polynomial else max(self.P.n_states, self.K.n_states)
         most = int(max(CAREFUL_WORK / max(n, 1) ** 3, 12))
@@ -304,19 +305,19 @@ class _Separate:
         order = np.lexsort((-gain, ~((omega == 0) | np.isinf(omega))))
         return np.sort(which[order[:most]])
 
-    def _aside(self, omega: Array) -> Array:
+    def _aside(self, omega: AnyArray) -> AnyArray:
         poles = self.poles[0]
         distance = np.abs(1j * omega[:, None] - poles).min(axis=1) if len(poles) else np.ones(len(omega))
         moved = np.maximum(omega + ASIDE * distance, omega * (1 + 1e-12))
         return np.where(moved < np.pi / self.dt, moved, omega * (1 - ASIDE)) if self.dt else moved
 
-    def _evaluated(self, omega: Array, kind: type[_Doubles] | type[DoubleDouble], polynomial: bool) -> _Values:
+    def _evaluated(self, omega: AnyArray, kind: type[_Doubles] | type[DoubleDouble], polynomial: bool) -> _Values:
         size = max(self.P.n_states, self.K.n_states, self.loop.n_states * polynomial, 1)
         step = max(1, int(CHUNK / size**2))
         parts = [self._chunk(omega[i : i + step], kind, polynomial) for i in range(0, len(omega), step)]
         return parts[0] if len(parts) == 1 else _Values(*(np.concatenate(p) for p in zip(*parts, strict=True)))
 
-    def _chunk(self, omega: Array, kind: Any, polynomial: bool) -> _Values:
+    def _chunk(self, omega: AnyArray, kind: Any, polynomial: bool) -> _Values:
         s = np.exp(1j * omega * self.dt) if self.dt else _on_axis(omega)
         P, K = _response(self.P, s, kind), _response(self.K, s, kind)
         z, w, y, u = slice(0, self.n_z), slice(0, self.n_w), slice(self.n_z, None), slice(self.n_w, None)
@@ -349,7 +350,7 @@ class _Doubles:
     unit = 2.0**-51
 
     @staticmethod
-    def of(matrices: Array) -> Array:
+    def of(matrices: AnyArray) -> AnyArray:
         return np.asarray(matrices, dtype=complex)
 
 
@@ -358,17 +359,17 @@ class _Inverse(NamedTuple):
 
     matrix: Any
     inverse: Any
-    residual: Array  # bounds of the moduli of I - A X
+    residual: AnyArray  # bounds of the moduli of I - A X
     rounding: float  # of a product with A, relative to that of the moduli
-    log_det: Array
-    log_det_error: Array
+    log_det: AnyArray
+    log_det_error: AnyArray
 
 
 class _Response(NamedTuple):
     value: Any
-    error: Array
-    log_det: Array
-    log_det_error: Array
+    error: AnyArray
+    log_det: AnyArray
+    log_det_error: AnyArray
 
 
 def _inverted(matrix: Any, kind: Any) -> _Inverse:
@@ -392,7 +393,7 @@ def _inverted(matrix: Any, kind: Any) -> _Inverse:
     return _Inverse(matrix, found, residual, rounding, log_det, error)
 
 
-def _through(c: Any, a: _Inverse, b: Any, a_error: Array | float = 0.0, b_error: Array | float = 0.0) -> _Through:
+def _through(c: Any, a: _Inverse, b: Any, a_error: AnyArray | float = 0.0, b_error: AnyArray | float = 0.0) -> _Through:
     """``c A^-1 b`` with bounds of its entries' errors, those of A and b themselves included.
 
     ``c A^-1 b - c x = c A^-1 (b - A x)``, and ``c A^-1 = c X (I - (I - A X))^-1``: the error is judged by how far
@@ -410,12 +411,12 @@ def _through(c: Any, a: _Inverse, b: Any, a_error: Array | float = 0.0, b_error:
 
 
 class _Through(NamedTuple):
-    size: Array  # bounds of the moduli of x
+    size: AnyArray  # bounds of the moduli of x
     value: Any
-    error: Array
+    error: AnyArray
 
 
-def _enclosed(G: Array, v: Array) -> Array:
+def _enclosed(G: AnyArray, v: AnyArray) -> AnyArray:
     """E with ``v + G E <= E`` up to rounding, which bounds every e with ``e <= v + G e``; inf where none is found."""
     e, found = v, np.full(v.shape, np.inf)
     for steps in (3, ENCLOSING):  # few are enough, unless exact zeros of v are reached by long chains only
@@ -428,13 +429,13 @@ def _enclosed(G: Array, v: Array) -> Array:
     return found
 
 
-def _shifted(m: StateSpaceModel, s: Array, kind: Any) -> _Inverse:
+def _shifted(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Inverse:
     """Of sI - A at every s; an infinite s counts as zero."""
     diagonal = np.where(np.isfinite(s), s, 0.0)[:, None, None] * np.eye(m.n_states)
     return _inverted(kind.of(diagonal) - kind.of(np.broadcast_to(m.A, diagonal.shape)), kind)
 
 
-def _response(m: StateSpaceModel, s: Array, kind: Any) -> _Response:
+def _response(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Response:
     k, infinite = len(s), ~np.isfinite(s)
     b, c, d = (kind.of(np.broadcast_to(x, (k, *x.shape))) for x in (m.B, m.C, m.D))
     if not m.n_states:
@@ -447,7 +448,7 @@ def _response(m: StateSpaceModel, s: Array, kind: Any) -> _Response:
     return _Response(value, error, a.log_det, a.log_det_error)
 
 
-def _chosen(where: Array, one: Any, other: Any) -> Any:
+def _chosen(where: AnyArray, one: Any, other: Any) -> Any:
     if isinstance(one, DoubleDouble):
         mask = where[None, :, None, None]
         return DoubleDouble(np.where(mask, one.high, other.high), np.where(mask, one.low, other.low))
@@ -456,7 +457,7 @@ def _chosen(where: Array, one: Any, other: Any) -> Any:
 
 def _closed(
     P: _Response, K: _Response, z: slice, w: slice, y: slice, u: slice, kind: Any
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
     """T with the bounds of its entries' errors and the sizes of its terms, and log det(I - P22 K) with its error."""
     (k, n_u, n_y), (n_z, n_w) = K.error.shape, P.error[0, z, w].shape
     n = n_y + n_u
@@ -486,24 +487,24 @@ def _put(matrix: Any, rows: slice, columns: slice, part: Any) -> None:
         matrix[:, rows, columns] = part
 
 
-def _in_s(poles: Array, dt: float) -> Array:
+def _in_s(poles: AnyArray, dt: float) -> AnyArray:
     return np.log(poles[np.abs(poles) > 1e-12]) / dt if dt else poles
 
 
-def _frobenius(stack: Array) -> Array:
+def _frobenius(stack: AnyArray) -> AnyArray:
     """Norm of each matrix, without overflow or underflow of squares."""
     size = np.abs(stack).max(axis=(1, 2))
     scale = np.where(np.isfinite(size) & (size > 0), size, 1.0)
     return scale * np.linalg.norm(stack / scale[:, None, None], axis=(1, 2))
 
 
-def _on_axis(omega: Array) -> Array:
+def _on_axis(omega: AnyArray) -> AnyArray:
     s = np.full(len(omega), np.inf + 0j)
     s[np.isfinite(omega)] = 1j * omega[np.isfinite(omega)]
     return s
 
 
-def _between(omega: Array, gain: Array) -> Array:
+def _between(omega: AnyArray, gain: AnyArray) -> AnyArray:
     """Frequencies between the highest local maxima and their neighbours."""
     if len(omega) < 3 or not np.isfinite(gain).all():
         return np.zeros(0)
@@ -560,7 +561,7 @@ def _by_quadrature(separate: _Separate, claimed: float) -> tuple[float, float, f
         blur = float(np.sqrt(scale * _difference(grid, direct, separate.loop, unit)))
         return claimed, _in_units_given(blur, unit, separate.gain, power), rouche, len(grid.omega)
 
-    def squares(omega: Array) -> tuple[Array, Array]:
+    def squares(omega: AnyArray) -> tuple[AnyArray, AnyArray]:
         found = separate.values(omega, everywhere=True)
         T, error = _frobenius(found.T - direct), _frobenius(found.T_error)
         return times_power(T, -unit) ** 2, times_power(error, -unit) ** 2
@@ -582,7 +583,7 @@ def _in_units_given(size: float, unit: int, gain: int, power: float) -> float:
     return float(times_power(size * 2.0 ** (power - whole), unit - gain + whole))
 
 
-def _difference(grid: _Values, direct: Array, loop: StateSpaceModel, unit: int) -> float:
+def _difference(grid: _Values, direct: AnyArray, loop: StateSpaceModel, unit: int) -> float:
     """Integral over omega of the squared difference between the true and the rebuilt loop's response, over 4^unit."""
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
     omega = grid.omega[finite]

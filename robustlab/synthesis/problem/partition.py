@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks.base import Block
@@ -26,8 +27,6 @@ __all__ = [
     "generalized_plant",
     "require_performance",
 ]
-
-Array = NDArray[np.float64]
 
 
 class Realisation(NamedTuple):

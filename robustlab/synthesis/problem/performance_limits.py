@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, RobustlabError, told_as
 from robustlab.matrix_equations import lyapunov
 from robustlab.norms import bilinear_to_continuous
@@ -28,8 +29,6 @@ __all__ = [
     "limits_of",
 ]
 
-
-Array = NDArray[Any]
 
 # A zero of the pencil counts where G loses rank there by this much, relative to its size nearby.
 RANK_LOSS = 1e-7
@@ -55,8 +54,8 @@ class Mode:
     """
 
     value: complex
-    output: Array
-    input: Array
+    output: AnyArray
+    input: AnyArray
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
@@ -111,7 +110,7 @@ class PerformanceLimits:
     delay: float
     dt: float
 
-    def poisson_weight(self, zero: complex, omega: Any) -> Array:
+    def poisson_weight(self, zero: complex, omega: Any) -> AnyArray:
         r"""The weight with which a zero x + jy sees the frequencies, shape of ``omega`` (continuous time).
 
         .. math:: W(z, \omega) = \frac{x}{x^2 + (y - \omega)^2} + \frac{x}{x^2 + (y + \omega)^2}
@@ -270,7 +269,7 @@ def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
 # --- zeros and poles --------------------------------------------------------------------------------------------------
 
 
-def transmission_zeros(G: Any) -> Array:
+def transmission_zeros(G: Any) -> AnyArray:
     """Finite invariant zeros of a model, shape (n_zeros,): where ``[A - s I, B; C, D]`` loses rank.
 
     Generalised eigenvalues of the system pencil; of a non-square model those of two random square ones, as far as G
@@ -285,7 +284,7 @@ def transmission_zeros(G: Any) -> Array:
     return found
 
 
-def _pencil_zeros(A: Array, B: Array, C: Array, D: Array) -> Array:
+def _pencil_zeros(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> AnyArray:
     """Zeros of a square system; a non-square one is squared by random combinations of its larger side."""
     from scipy.linalg import eig
 
@@ -306,7 +305,7 @@ def _pencil_zeros(A: Array, B: Array, C: Array, D: Array) -> Array:
     return zeros[np.isfinite(zeros)]
 
 
-def _pencil(A: Array, B: Array, C: Array, D: Array) -> tuple[float, Array, Array]:
+def _pencil(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> tuple[float, AnyArray, AnyArray]:
     """Size of A, and the system pencil in that unit of frequency with input and output of size one."""
     n, k = len(A), D.shape[0]
     b, c = max(np.linalg.norm(B), 1e-300), max(np.linalg.norm(C), 1e-300)
@@ -316,7 +315,7 @@ def _pencil(A: Array, B: Array, C: Array, D: Array) -> tuple[float, Array, Array
     return size, np.block([[A / size, B / b], [C / c, D * size / (b * c)]]), mass
 
 
-def _rosenbrock(g: StateSpaceModel, s: complex) -> Array:
+def _rosenbrock(g: StateSpaceModel, s: complex) -> AnyArray:
     return np.block([[g.A - s * np.eye(g.n_states), g.B], [g.C, g.D]])
 
 
@@ -326,7 +325,7 @@ def _loses_rank(g: StateSpaceModel, s: complex) -> bool:
     return bool(at[-1] / at[0] < RANK_LOSS * max(beside[-1] / beside[0], 1e-12) / 1e-2)
 
 
-def _outside(values: Array, discrete: bool) -> NDArray[np.bool_]:
+def _outside(values: AnyArray, discrete: bool) -> NDArray[np.bool_]:
     if discrete:
         return np.abs(values) > 1 + BOUNDARY
     return np.real(values) > BOUNDARY * np.abs(values).max(initial=0.0)
@@ -359,7 +358,7 @@ def _unstable_poles(g: StateSpaceModel) -> list[Mode]:
     return sorted(found, key=lambda m: (abs(m.value), m.value.imag))
 
 
-def _unit(vector: Array) -> Array:
+def _unit(vector: AnyArray) -> AnyArray:
     size = np.linalg.norm(vector)
     return vector / size if size else vector
 
@@ -391,7 +390,7 @@ def _peaks(zeros: list[Mode], poles: list[Mode], g: StateSpaceModel, delay: floa
     return peak, float(max(peak, *each))
 
 
-def _zero_part(m: StateSpaceModel, zeros: list[Mode]) -> tuple[Array, Array]:
+def _zero_part(m: StateSpaceModel, zeros: list[Mode]) -> tuple[AnyArray, AnyArray]:
     """``(A_z, Y)`` with ``X A + Y C = A_z X``, ``X B + Y D = 0``: the unstable zeros and their output directions.
 
     ``zeros`` are those of a non-square continuous plant, which are taken as they are.
@@ -408,7 +407,7 @@ def _zero_part(m: StateSpaceModel, zeros: list[Mode]) -> tuple[Array, Array]:
     every = transmission_zeros(m)
     edge = BOUNDARY * float(np.abs(every).max(initial=0.0)) / size
 
-    def chosen(alpha: Array, beta: Array) -> NDArray[np.bool_]:
+    def chosen(alpha: AnyArray, beta: AnyArray) -> NDArray[np.bool_]:
         finite = np.abs(beta) > np.abs(alpha) / FAR
         value = np.divide(alpha, beta, out=np.zeros_like(alpha), where=finite)
         return finite & (np.real(value) > edge)
@@ -421,14 +420,14 @@ def _zero_part(m: StateSpaceModel, zeros: list[Mode]) -> tuple[Array, Array]:
     return size * S.T, Z[n:, :k].T / c
 
 
-def _inverse_root(Q: Array) -> Array:
+def _inverse_root(Q: AnyArray) -> AnyArray:
     """R with ``R R^H = Q^+``, on the range of a positive semidefinite matrix."""
     values, vectors = np.linalg.eigh(0.5 * (Q + Q.conj().T))
     kept = values > 1e-12 * values.max()
     return vectors[:, kept] / np.sqrt(values[kept])
 
 
-def _unstable_part(m: StateSpaceModel) -> tuple[Array, Array, Array]:
+def _unstable_part(m: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
     """``A_u, C_u, B_u`` of the unstable part of a continuous model: ``G = C_u (s - A_u)^-1 B_u +`` a stable model."""
     from scipy.linalg import schur, solve_sylvester
 

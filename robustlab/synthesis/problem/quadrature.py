@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from robustlab.arrays import AnyArray
 
 __all__ = ["integral_over_decades"]
 
-Array = NDArray[Any]
 
 # Points of a panel, rounds of bisection, change of a panel (share of the whole) that ends it, most points.
 NODES, ROUNDS, QUADRATURE, MOST_NODES = 8, 30, 1e-6, 20_000
 
 
 def integral_over_decades(
-    squares: Callable[[Array], tuple[Array, Array]], edges: Array
+    squares: Callable[[AnyArray], tuple[AnyArray, AnyArray]], edges: AnyArray
 ) -> tuple[float, float, float, int]:
     """Integrals over omega between the edges (logarithms) of both functions, what is open of the first, evaluations.
 
@@ -25,7 +24,7 @@ def integral_over_decades(
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
 
-    def panels(left: Array, right: Array) -> tuple[Array, Array]:
+    def panels(left: AnyArray, right: AnyArray) -> tuple[AnyArray, AnyArray]:
         half = 0.5 * (right - left)[:, None]
         omega = np.exp(left[:, None] + half * (1 + nodes))
         value, error = squares(omega.ravel())

@@ -7,11 +7,10 @@ undone exactly in the controller.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_power
 from robustlab.statespace import StateSpaceModel
@@ -19,7 +18,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrice
 
 __all__ = ["Scaling", "by_magnitude", "equilibrated", "in_ordinary_units", "paths_first"]
 
-Array = NDArray[Any]
 
 # Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
 FASTER, LIMIT = 40, 1000
@@ -34,9 +32,9 @@ class Scaling:
     """
 
     rate: float
-    states: Array
-    u: Array
-    y: Array
+    states: AnyArray
+    u: AnyArray
+    y: AnyArray
     w: float = 1.0
     z: float = 1.0
 
@@ -86,25 +84,25 @@ class Scaling:
         )
 
 
-def _exponent(factor: Array | float) -> Array:
+def _exponent(factor: AnyArray | float) -> AnyArray:
     """Exponents of factors, which are powers of two."""
     return np.frexp(factor)[1] - 1
 
 
-def _signed(matrix: Array, exponents: Array) -> Array:
+def _signed(matrix: AnyArray, exponents: AnyArray) -> AnyArray:
     """The same, without entries that vanish: a pole keeps its side of the axis."""
     scaled = times_power(matrix, exponents)
     return np.where((scaled == 0) & (matrix != 0), np.copysign(TINY, matrix), scaled)
 
 
-def _power(x: Array | float) -> Array:
+def _power(x: AnyArray | float) -> AnyArray:
     """Nearest powers of two; 1 where x is zero."""
     x = np.asarray(x, dtype=float)
     usable = np.isfinite(x) & (x > 0)
     return 2.0 ** np.round(np.log2(np.where(usable, x, 1.0)))
 
 
-def _rms(x: Array) -> float:
+def _rms(x: AnyArray) -> float:
     return float(np.linalg.norm(x) / np.sqrt(max(1, min(x.shape)))) if x.size else 0.0
 
 
@@ -186,7 +184,9 @@ def in_ordinary_units(
         return plant, K, loop, 0, 0
 
 
-def _exactly(m: StateSpaceModel, rate: Array, states: Array | int, into: Array, out: Array) -> StateSpaceModel:
+def _exactly(
+    m: StateSpaceModel, rate: AnyArray, states: AnyArray | int, into: AnyArray, out: AnyArray
+) -> StateSpaceModel:
     """The model in the unit of time ``2^-rate``, with scaled states, inputs and outputs, all by exponents.
 
     Raises
@@ -204,13 +204,13 @@ def _exactly(m: StateSpaceModel, rate: Array, states: Array | int, into: Array, 
     return StateSpaceModel(*parts, dt=m.dt, inputs=m.inputs, outputs=m.outputs)
 
 
-def _to_one(*scaled: tuple[Array, Array | int]) -> int:
+def _to_one(*scaled: tuple[AnyArray, AnyArray | int]) -> int:
     """Exponent that takes the largest entry of several ``matrix * 2^exponents`` to order one; 0 where all vanish."""
     found = [int((np.frexp(m)[1] + e)[m != 0].max()) for m, e in scaled if m.any()]
     return -max(found, default=0)
 
 
-def _osborne(p: PlantMatrices, states: Array, sweeps: int) -> Array:
+def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     """State factors that balance rows of [A B1 B2] against columns of [A; C1; C2], one state after the other."""
     A, B, C = p.A.copy(), np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
     t = states.copy()
@@ -254,7 +254,7 @@ def paths_first(p: PlantMatrices, discrete: bool = False) -> Scaling:
     return s
 
 
-def _channel(direct: Array, dynamic: Array) -> Array:
+def _channel(direct: AnyArray, dynamic: AnyArray) -> AnyArray:
     return _power(np.where(direct > 1e-8, direct, dynamic))
 
 

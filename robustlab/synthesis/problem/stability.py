@@ -14,14 +14,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import lyapunov
 
 __all__ = ["proved_stable"]
 
-Array = NDArray[Any]
 
 EPS = float(np.finfo(float).eps)
 EXTENDED = float(np.finfo(np.longdouble).eps)
@@ -30,7 +29,7 @@ BACKWARD = 10.0
 NEWTON_STEPS = 3
 
 
-def proved_stable(A: Array, discrete: bool = False) -> bool:
+def proved_stable(A: AnyArray, discrete: bool = False) -> bool:
     """True where all eigenvalues are proved to lie in the open left half plane, or in the open unit disk.
 
     Parameters
@@ -74,7 +73,7 @@ def proved_stable(A: Array, discrete: bool = False) -> bool:
     return _decreases(P, balanced.astype(np.longdouble), np.zeros(A.shape, np.longdouble), discrete)
 
 
-def _in_modes(A: Array, values: Array, vectors: Array) -> tuple[Array, Array] | None:
+def _in_modes(A: AnyArray, values: AnyArray, vectors: AnyArray) -> tuple[AnyArray, AnyArray] | None:
     """A in real coordinates of its modes, each entry with its error; None where the modes are no basis."""
     # Of a conjugate pair the real and the imaginary part, at one scale: their block is then [[a, b], [-b, a]].
     basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
@@ -97,7 +96,7 @@ def _in_modes(A: Array, values: Array, vectors: Array) -> tuple[Array, Array] | 
     return modal, error
 
 
-def _decreases(P: Array, A: Array, uncertain: Array, discrete: bool) -> bool:
+def _decreases(P: AnyArray, A: AnyArray, uncertain: AnyArray, discrete: bool) -> bool:
     """Whether P and its decrease along A are positive definite, in spite of rounding and of A's own error."""
     P = (0.5 * (P + P.T)).astype(np.longdouble)
     if not np.isfinite(P).all():
@@ -113,7 +112,7 @@ def _decreases(P: Array, A: Array, uncertain: Array, discrete: bool) -> bool:
     return _positive_definite(P, np.zeros(P.shape)) and _positive_definite(Q, size + size.T)
 
 
-def _positive_definite(M: Array, error: Array) -> bool:
+def _positive_definite(M: AnyArray, error: AnyArray) -> bool:
     """Cholesky in extended precision of M, scaled to a diagonal of one, less what errors and rounding may take."""
     n = len(M)
     size = np.diag(M)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors, refuse_overflow
 from robustlab.statespace import StateSpaceModel
@@ -158,13 +159,11 @@ def surely_stable(loop: StateSpaceModel) -> bool:
     return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * max(size, 1.0 if loop.is_discrete else 0.0)
 
 
-Array = NDArray[Any]
-
 # Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
 DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
 
 
-def well_posed_neighbours(K: Realisation, D22: Array) -> list[Realisation]:
+def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
     r"""K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``.
 
     With :math:`I + D_{22} D_K = U \Sigma V^T` the small singular values are raised to each of `DISTANCES`:

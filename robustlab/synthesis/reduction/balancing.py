@@ -9,11 +9,11 @@ Any two positive semidefinite matrices may stand in for the Gramians: those of a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors
 from robustlab.matrix_equations import lyapunov_factor
@@ -22,7 +22,6 @@ from robustlab.statespace import StateSpaceModel
 
 __all__ = ["Balancing", "Projection", "SplitModel", "gramian_factors", "split_stable", "triangular_root"]
 
-Array = NDArray[Any]
 Projection = Literal["truncation", "residualisation"]
 
 # Hankel values below this share of the largest are rounding: their states cannot be balanced, and are truncated.
@@ -90,7 +89,7 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     return SplitModel(stable, StateSpaceModel(t[k:, k:], b[k:], right, 0 * model.D, dt, model.inputs, model.outputs))
 
 
-def gramian_factors(model: StateSpaceModel) -> tuple[Array, Array]:
+def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
     """Factors ``(L_c, L_o)`` of the Gramians of a stable model, each (n, n); a discrete one through the bilinear map.
 
     The map with the scaling of `robustlab.norms.bilinear_to_continuous` leaves both Gramians as they are.
@@ -103,7 +102,7 @@ def gramian_factors(model: StateSpaceModel) -> tuple[Array, Array]:
     return scale[:, None] * reach, see / scale[:, None]
 
 
-def triangular_root(rows: Array) -> Array:
+def triangular_root(rows: AnyArray) -> AnyArray:
     """R with ``R^T R = rows^T rows``, upper triangular, with no more rows than columns."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
@@ -120,12 +119,12 @@ class Balancing:
         T and its left inverse for the states that are not negligible, shapes (n, m) and (m, n).
     """
 
-    values: Array
-    right: Array
-    left: Array
+    values: AnyArray
+    right: AnyArray
+    left: AnyArray
 
     @classmethod
-    def of(cls, reach: Array, see: Array) -> Balancing:
+    def of(cls, reach: AnyArray, see: AnyArray) -> Balancing:
         """From ``L_c`` and ``L_o``, each with n rows."""
         u, values, vt = np.linalg.svd(see.T @ reach)
         values = values[: len(reach)]
@@ -161,11 +160,11 @@ class Balancing:
         )  # fmt: skip
 
 
-def _model(like: StateSpaceModel, a: Array, b: Array, c: Array, d: Array) -> StateSpaceModel:
+def _model(like: StateSpaceModel, a: AnyArray, b: AnyArray, c: AnyArray, d: AnyArray) -> StateSpaceModel:
     return StateSpaceModel(a, b, c, d, like.dt, like.inputs, like.outputs, where="reduced model")
 
 
-def _is_stable(poles: Array, dt: float) -> Array:
+def _is_stable(poles: AnyArray, dt: float) -> AnyArray:
     if dt:
         return np.abs(poles) < 1 - STABLE_MARGIN
     return np.real(poles) < -STABLE_MARGIN * np.abs(poles)

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -36,7 +36,6 @@ from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weig
 
 __all__ = ["CandidateFamily", "candidate_families"]
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 

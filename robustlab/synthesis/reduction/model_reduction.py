@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.magnitude import Moderated, moderated
@@ -34,7 +34,6 @@ __all__ = [
     "weighted_factors",
 ]
 
-Array = NDArray[np.float64]
 Method = Literal["truncation", "residualisation", "coprime"]
 METHODS = ("truncation", "residualisation", "coprime")
 

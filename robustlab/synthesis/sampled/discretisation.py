@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
@@ -29,7 +29,6 @@ from robustlab.statespace import StateSpaceModel, as_model, series
 
 __all__ = ["METHODS", "MergedModes", "Method", "discretise", "held_input", "merged_modes"]
 
-Array = NDArray[Any]
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 
@@ -100,7 +99,7 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     )  # fmt: skip
 
 
-def held_input(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+def held_input(m: StateSpaceModel, dt: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """``A_d, B_d, C, D`` for an input that is constant over dt: one matrix exponential."""
     n, n_u = m.B.shape
     block = np.zeros((n + n_u, n + n_u))
@@ -109,7 +108,7 @@ def held_input(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Arra
     return moved[:n, :n], moved[:n, n:], m.C, m.D
 
 
-def _first_order_hold(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+def _first_order_hold(m: StateSpaceModel, dt: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     n, n_u = m.B.shape
     block = np.zeros((n + 2 * n_u, n + 2 * n_u))
     block[:n, : n + n_u] = np.hstack([m.A, m.B]) * dt
@@ -120,14 +119,14 @@ def _first_order_hold(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Arra
     return a, held + a @ slope - slope, m.C, m.D + m.C @ slope
 
 
-def _impulse(m: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
+def _impulse(m: StateSpaceModel, dt: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     if m.D.any():
         raise InputError("discretise", "a direct term with method 'impulse'", "a model without one, or another method")
     a = _exponential(m.A * dt, "impulse", m, dt)
     return a, a @ m.B * dt, m.C, m.C @ m.B * dt
 
 
-def _exponential(block: Array, method: str, m: StateSpaceModel, dt: float) -> Array:
+def _exponential(block: AnyArray, method: str, m: StateSpaceModel, dt: float) -> AnyArray:
     from scipy.linalg import expm
 
     with np.errstate(over="ignore", invalid="ignore"):
@@ -185,7 +184,7 @@ def _value(m: StateSpaceModel, s: float) -> float:
     return float((m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0])
 
 
-def _finite_zeros(m: StateSpaceModel) -> Array:
+def _finite_zeros(m: StateSpaceModel) -> AnyArray:
     """Invariant zeros of a model with one input and one output."""
     from scipy.linalg import eigvals, matrix_balance
 
@@ -201,7 +200,7 @@ def _finite_zeros(m: StateSpaceModel) -> Array:
     return alpha[finite] / beta[finite] * rate
 
 
-def _from_roots(zeros: Array, poles: Array, gain: float) -> StateSpaceModel:
+def _from_roots(zeros: AnyArray, poles: AnyArray, gain: float) -> StateSpaceModel:
     """Real sections of first and second order in series; the gain is shared among them."""
     model = StateSpaceModel([], [], [], [[gain]])
     zero_sections, pole_sections = _sections(zeros), _sections(poles)
@@ -212,7 +211,7 @@ def _from_roots(zeros: Array, poles: Array, gain: float) -> StateSpaceModel:
     return StateSpaceModel(model.A, model.B, model.C, model.D)
 
 
-def _sections(roots: Array) -> list[Array]:
+def _sections(roots: AnyArray) -> list[AnyArray]:
     """Monic real polynomials: of second order for complex pairs, of first for real roots (largest first)."""
     height, size = np.imag(roots), np.abs(roots)
     real = np.sort(np.real(roots)[np.abs(height) <= 1e-12 * size])[::-1]
@@ -221,10 +220,10 @@ def _sections(roots: Array) -> list[Array]:
     return [*pairs, *[np.array([1.0, -r]) for r in real]]
 
 
-def _paired(first: list[Array], second: list[Array]) -> tuple[list[Array], list[Array]]:
+def _paired(first: list[AnyArray], second: list[AnyArray]) -> tuple[list[AnyArray], list[AnyArray]]:
     """Both lists with sections of equal orders, by multiplying single ones together where needed."""
 
-    def split(sections: list[Array], pairs: int) -> list[Array]:
+    def split(sections: list[AnyArray], pairs: int) -> list[AnyArray]:
         twos = [s for s in sections if len(s) == 3]
         ones = [s for s in sections if len(s) == 2]
         while len(twos) < pairs:
@@ -235,7 +234,7 @@ def _paired(first: list[Array], second: list[Array]) -> tuple[list[Array], list[
     return split(first, pairs), split(second, pairs)
 
 
-def _section(num: Array, den: Array) -> StateSpaceModel:
+def _section(num: AnyArray, den: AnyArray) -> StateSpaceModel:
     """``num / den`` of equal degree 1 or 2, both monic, in observer form."""
     n = len(den) - 1
     a = np.zeros((n, n))

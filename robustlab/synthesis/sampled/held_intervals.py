@@ -20,11 +20,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.reduction.balancing import triangular_root
@@ -32,7 +32,6 @@ from robustlab.synthesis.sampled.lifting import mean_and_variance
 
 __all__ = ["ChannelGroup", "HeldInterval", "held_interval", "thin_rows"]
 
-Array = NDArray[Any]
 
 # Gauss nodes of a panel, and the largest |eigenvalue| times its length; modes that have decayed by e^-40 count no more.
 NODES, REACH, GONE = 12, 2.0, 40.0
@@ -83,11 +82,11 @@ class HeldInterval:
     """
 
     length: float
-    move: Array
-    means: Array
-    rests: tuple[Array, ...]
-    kicks: tuple[Array, ...]
-    gains: Array
+    move: AnyArray
+    means: AnyArray
+    rests: tuple[AnyArray, ...]
+    kicks: tuple[AnyArray, ...]
+    gains: AnyArray
 
 
 def held_interval(
@@ -148,7 +147,9 @@ def held_interval(
 class _Forward:
     """The plant with its inputs' polynomials as further states: ``v' = N v`` in the time sigma = s / h."""
 
-    def __init__(self, m: StateSpaceModel, free: Array, constant: Array, n_z: int, length: float, degree: int) -> None:
+    def __init__(
+        self, m: StateSpaceModel, free: AnyArray, constant: AnyArray, n_z: int, length: float, degree: int
+    ) -> None:
         n, k = m.n_states, len(free)
         self.n, self.k, self.degree = n, k, degree
         width = n + degree * k + len(constant)
@@ -166,7 +167,7 @@ class _Forward:
         self.state_out = np.zeros_like(out)
         self.state_out[:, :n] = m.C[:n_z]
 
-    def at(self, nodes: _Nodes) -> tuple[Array, Array, Array, Array]:
+    def at(self, nodes: _Nodes) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """At the nodes z, its part by way of the state, and the pulse response; the state at the end."""
         flow, end = nodes.flow(self.N)
         flow = flow @ self.start
@@ -174,7 +175,7 @@ class _Forward:
         state_part = through[:, :, self.n : self.n + self.degree * self.k]
         return z, state_part, through[:, :, : self.n] @ self.B, (end @ self.start)[: self.n]
 
-    def check(self, z: Array, weights: Array, length: float) -> None:
+    def check(self, z: AnyArray, weights: AnyArray, length: float) -> None:
         """Energies by quadrature against those by doubling."""
         _, mean, variance = mean_and_variance(self.N / length, self.out, length)
         exact = self.start.T @ (mean.T @ mean + variance) @ self.start
@@ -187,7 +188,7 @@ class _Forward:
             raise NoTrustworthyNumber(WHERE, found, hint=SLOWER)
 
 
-def _backward(m: StateSpaceModel, n_z: int, length: float, degree: int, nodes: _Nodes) -> tuple[Array, Array]:
+def _backward(m: StateSpaceModel, n_z: int, length: float, degree: int, nodes: _Nodes) -> tuple[AnyArray, AnyArray]:
     r"""At the nodes :math:`\int_0^s \varphi_k(t)\, e^{A^T (s-t)} C^T dt` (g, m, n, n_z), and ``e^(A s)`` (g, n, n)."""
     n = m.n_states
     width = n + degree * n_z
@@ -204,15 +205,15 @@ def _backward(m: StateSpaceModel, n_z: int, length: float, degree: int, nodes: _
 
 def _gains(
     groups: Sequence[ChannelGroup],
-    free: Array,
-    phi: Array,
-    weights: Array,
-    s: Array,
+    free: AnyArray,
+    phi: AnyArray,
+    weights: AnyArray,
+    s: AnyArray,
     length: float,
-    pulse: Array,
-    kernels: Sequence[Array],
-    state_part: Array,
-) -> Array:
+    pulse: AnyArray,
+    kernels: Sequence[AnyArray],
+    state_part: AnyArray,
+) -> AnyArray:
     r"""Hilbert-Schmidt norms of ``(I - Q) K (I - Q)``, K the causal map from inputs to outputs by way of the state.
 
     .. math:: \|(I-Q) K (I-Q)\|^2 = \|K\|^2 - \|Q K\|^2 - \|K Q\|^2 + \|Q K Q\|^2
@@ -239,12 +240,12 @@ def _gains(
 class _Nodes:
     """Gauss nodes ``sigma`` and weights on [0, 1], panel by panel; ``panels`` are (start, size)."""
 
-    sigma: Array
-    weights: Array
+    sigma: AnyArray
+    weights: AnyArray
     panels: tuple[tuple[float, float], ...]
 
     @classmethod
-    def of(cls, poles: Array, length: float) -> _Nodes:
+    def of(cls, poles: AnyArray, length: float) -> _Nodes:
         """Panels of a dyadic grid, short where modes that are still alive are fast."""
         x, w = np.polynomial.legendre.leggauss(NODES)
         at, panels = 0.0, list[tuple[float, float]]()
@@ -262,12 +263,12 @@ class _Nodes:
         sigma = np.concatenate([start + size * (x + 1) / 2 for start, size in panels])
         return cls(sigma, np.concatenate([size * w / 2 for _, size in panels]), tuple(panels))
 
-    def flow(self, N: Array) -> tuple[Array, Array]:
+    def flow(self, N: AnyArray) -> tuple[AnyArray, AnyArray]:
         """``e^(N sigma)`` at all nodes, and at 1."""
         from scipy.linalg import expm
 
         x, _ = np.polynomial.legendre.leggauss(NODES)
-        known: dict[float, tuple[Array, Array]] = {}
+        known: dict[float, tuple[AnyArray, AnyArray]] = {}
         start, parts = np.eye(len(N)), []
         with np.errstate(over="ignore", invalid="ignore"):
             for _, size in self.panels:
@@ -283,14 +284,14 @@ class _Nodes:
         return flow, start
 
 
-def _legendre(sigma: Array, degree: int) -> Array:
+def _legendre(sigma: AnyArray, degree: int) -> AnyArray:
     """Legendre polynomials orthonormal on [0, 1] at sigma, (m, n)."""
     return np.array(
         [np.sqrt(2 * k + 1) * np.polynomial.legendre.Legendre.basis(k)(2 * sigma - 1) for k in range(degree)]
     )
 
 
-def _derivatives(degree: int) -> Array:
+def _derivatives(degree: int) -> AnyArray:
     """Derivatives at 0 of those polynomials: entry (j, k) is the j-th one of the k-th."""
     table = np.zeros((degree, degree))
     for k in range(degree):
@@ -300,7 +301,7 @@ def _derivatives(degree: int) -> Array:
     return table
 
 
-def thin_rows(rows: Array) -> Array:
+def thin_rows(rows: AnyArray) -> AnyArray:
     """Rows with the same Gram matrix, as few as its rank."""
     if not rows.size:
         return np.zeros((0, rows.shape[1]))

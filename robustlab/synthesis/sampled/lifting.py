@@ -20,11 +20,10 @@ Anderson (1992) for the fast-sample, fast-hold approximation that this makes exa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -32,7 +31,6 @@ from robustlab.synthesis.reduction.balancing import triangular_root
 
 __all__ = ["LiftedPlant", "Rest", "lift", "mean_and_variance", "whole_and_part"]
 
-Array = NDArray[Any]
 
 # The doubling of h starts where |A| h is below this, with the series of e^(A t) cut after the third power.
 SHORT = 1e-3
@@ -52,7 +50,7 @@ class Rest:
         Largest gains from w0 to the means, and to the rests, of z in the same period.
     """
 
-    kick: Array
+    kick: AnyArray
     mean: float
     variance: float
 
@@ -143,7 +141,7 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     held_w[held, at_u - len(held) : at_u] = np.eye(len(held)) / np.sqrt(dt)
     state, means, rests = np.zeros((n, width)), [], []
     state[:, :n] = np.eye(n)
-    first_control: Array | None = None
+    first_control: AnyArray | None = None
     for i, step in enumerate(intervals):
         age = whole + 1 if ends[i] < part * (1 - 1e-12) else whole
         control = np.zeros((n_u, width))
@@ -177,14 +175,14 @@ def whole_and_part(delay: float, dt: float) -> tuple[int, float]:
     return whole, float(part) if part > 1e-9 * dt else 0.0
 
 
-def _breakpoints(dt: float, n_intervals: int, part: float) -> Array:
+def _breakpoints(dt: float, n_intervals: int, part: float) -> AnyArray:
     ends = np.linspace(0.0, dt, n_intervals + 1)
     if part and np.abs(ends - part).min() > 1e-9 * dt:
         ends = np.sort(np.append(ends, part))
     return ends
 
 
-def _lengths(ends: Array) -> list[float]:
+def _lengths(ends: AnyArray) -> list[float]:
     """Lengths of the intervals; those that differ by rounding alone are made the same number."""
     lengths: list[float] = []
     for h in np.diff(ends).tolist():
@@ -197,7 +195,7 @@ def _assembled(
     plant: GeneralizedPlant,
     dt: float,
     names: tuple[list[str], list[str]],
-    maps: tuple[Array, Array, Array, Array],
+    maps: tuple[AnyArray, AnyArray, AnyArray, AnyArray],
     N: int,
     rest: Rest,
     held: tuple[int, ...],
@@ -220,7 +218,7 @@ def _assembled(
     return LiftedPlant(model, N, len(means), len(rests), n_wide, n, plant.n_meas, plant.n_con, held, rest)
 
 
-def _compressed(rows: Array) -> Array:
+def _compressed(rows: AnyArray) -> AnyArray:
     """Rows with the same Gram matrix, no more than columns."""
     return rows if len(rows) <= rows.shape[1] else triangular_root(rows)
 
@@ -233,15 +231,15 @@ class _Interval:
     """What happens in one interval of length h with v = (x, w, u) at its start, w and u constant."""
 
     h: float
-    move: Array  # v -> x at the end
-    mean: Array  # v -> mean of z times sqrt(h)
-    variance_root: Array  # |variance_root v|^2: energy of z about its mean
-    kick: Array  # factor of what w0 does to x at the end
-    output: tuple[Array, Array]  # mean and variance root of z for x alone
+    move: AnyArray  # v -> x at the end
+    mean: AnyArray  # v -> mean of z times sqrt(h)
+    variance_root: AnyArray  # |variance_root v|^2: energy of z about its mean
+    kick: AnyArray  # factor of what w0 does to x at the end
+    output: tuple[AnyArray, AnyArray]  # mean and variance root of z for x alone
     local: float  # bound of the gain from w0 to z within the interval, but for D11
 
     @classmethod
-    def of(cls, m: StateSpaceModel, free: Array, n_z: int, h: float) -> _Interval:
+    def of(cls, m: StateSpaceModel, free: AnyArray, n_z: int, h: float) -> _Interval:
         n = m.n_states
         generator = np.zeros((n + m.n_inputs,) * 2)
         generator[:n] = np.hstack([m.A, m.B])
@@ -255,7 +253,7 @@ class _Interval:
         return cls(h, moved[:n], mean, root, _root(kernel).T, (mean[:, :n], _root(variance[:n, :n])), local)
 
 
-def mean_and_variance(A: Array, C: Array, h: float) -> tuple[Array, Array, Array]:
+def mean_and_variance(A: AnyArray, C: AnyArray, h: float) -> tuple[AnyArray, AnyArray, AnyArray]:
     r"""``e^(A h)``, the mean of ``C e^(A t)`` over [0, h] times :math:`\sqrt h`, and its variance times h.
 
     .. math:: M = \frac{1}{\sqrt h} \int_0^h C e^{A t} dt, \qquad V = \int_0^h e^{A^T t} C^T C e^{A t} dt - M^T M
@@ -289,13 +287,13 @@ def mean_and_variance(A: Array, C: Array, h: float) -> tuple[Array, Array, Array
     return moved, mean, variance
 
 
-def _root(gram: Array) -> Array:
+def _root(gram: AnyArray) -> AnyArray:
     """R with ``R^T R = gram``, n x n; negative eigenvalues are rounding."""
     values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
-def _rest(intervals: list[_Interval], n: int, D11: Array) -> Rest:
+def _rest(intervals: list[_Interval], n: int, D11: AnyArray) -> Rest:
     gram = np.zeros((n, n))
     later_mean, later_rest = np.zeros((len(intervals),) * 2), np.zeros((len(intervals),) * 2)
     for i, step in enumerate(intervals):

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.budget import dense, one_thread
 from robustlab.errors import InputError, told_as
@@ -35,7 +34,6 @@ from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
 
 __all__ = ["SampledDataNorm", "sampled_data_norm", "sampled_loop_norm", "with_antialiasing"]
 
-Array = NDArray[Any]
 
 INTERVALS = (2, 4, 8, 16, 32, 64)
 # Largest number of lifted disturbance or performance channels.

@@ -31,11 +31,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -46,7 +46,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["REST", "SampledUncertainPlant", "sample_uncertain_plant"]
 
-Array = NDArray[Any]
 
 REST = "rest of the real blocks"
 # Share of the right side above that is left for R v where the rests' gains on each other are large.
@@ -224,7 +223,7 @@ class _Period:
         self.point, self.u = take(len(self.channels.point_w)), take(self.n_u)
         self.width = at
 
-    def _control(self, index: int) -> Array:
+    def _control(self, index: int) -> AnyArray:
         """The control that acts in an interval, as a map of the vector."""
         age = self.whole + 1 if index < len(self.intervals) - 1 else self.whole
         control = np.zeros((self.n_u, self.width))
@@ -236,8 +235,8 @@ class _Period:
         """State, coefficients and rests through the intervals."""
         state = np.zeros((self.n, self.width))
         state[:, self.x] = np.eye(self.n)
-        self.means: list[Array] = []
-        rests: list[list[Array]] = [[] for _ in self.units]
+        self.means: list[AnyArray] = []
+        rests: list[list[AnyArray]] = [[] for _ in self.units]
         for i, interval in enumerate(self.intervals):
             v = np.vstack([state, self._rows(self.coefficients[i]), self._held(), self._control(i)])
             state, means = interval.move @ v, interval.means @ v
@@ -248,15 +247,15 @@ class _Period:
             self.means.append(means)
         self.end, self.rests = state, [thin_rows(np.vstack(rows)) for rows in rests]
 
-    def _rows(self, part: slice) -> Array:
+    def _rows(self, part: slice) -> AnyArray:
         rows = np.zeros((part.stop - part.start, self.width))
         rows[:, part] = np.eye(len(rows))
         return rows
 
-    def _held(self) -> Array:
+    def _held(self) -> AnyArray:
         return self._rows(self.b) / np.sqrt(self.dt)
 
-    def _sampled(self, rows: NDArray[np.intp]) -> Array:
+    def _sampled(self, rows: NDArray[np.intp]) -> AnyArray:
         """Outputs of the plant at the moment of the sample."""
         m, c = self.plant.model, self.channels
         found = np.zeros((len(rows), self.width))
@@ -266,7 +265,7 @@ class _Period:
 
     # --- the rests ----------------------------------------------------------------------------------------------------
 
-    def rest_rows(self, size: float) -> list[Array]:
+    def rest_rows(self, size: float) -> list[AnyArray]:
         """For each unit the rows whose norm bounds that of its outputs' rest."""
         gains = self.gains
         shares = _shares(size * gains)
@@ -290,7 +289,7 @@ class _Period:
         rest_rows = self.rest_rows(size)
         used = np.vstack([*rest_rows, *self.means, self.end]).any(axis=0)
         blocks: list[Block] = []
-        rows, columns = list[Array](), list[Array]()
+        rows, columns = list[AnyArray](), list[AnyArray]()
         for i, block in enumerate(given):
             if isinstance(block, RealScalar):
                 mean_rows, mean_columns = self._coefficient_channels(i)
@@ -324,7 +323,7 @@ class _Period:
             return 0.0
         return _norm(self.rests[0]) * _norm(np.hstack([kicks[0] for kicks in self.joint_kicks]))
 
-    def _coefficient_channels(self, index: int) -> tuple[Array, NDArray[np.intp]]:
+    def _coefficient_channels(self, index: int) -> tuple[AnyArray, NDArray[np.intp]]:
         """Coefficients of a group's outputs and inputs, with what Delta does at the sample, or what is held."""
         group = self.channels.groups[index]
         rows = [
@@ -344,7 +343,7 @@ class _Period:
         places = np.array([np.flatnonzero(self.free == i)[0] for i in group.w], dtype=int)
         return np.concatenate([start + d * k + places for d in range(self.degree)])
 
-    def _model(self, rows: Sequence[Array], columns: Sequence[Array]) -> StateSpaceModel:
+    def _model(self, rows: Sequence[AnyArray], columns: Sequence[AnyArray]) -> StateSpaceModel:
         m = self.plant.model
         shifted = np.zeros((self.n_past * self.n_u, self.width))
         if self.n_past:
@@ -357,11 +356,11 @@ class _Period:
         return StateSpaceModel(states[:, x], states[:, inputs], outputs[:, x], outputs[:, inputs], self.dt)
 
 
-def _norm(matrix: Array) -> float:
+def _norm(matrix: AnyArray) -> float:
     return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
 
 
-def _scales(into: Array, out: Array, gains: Array) -> Array:
+def _scales(into: AnyArray, out: AnyArray, gains: AnyArray) -> AnyArray:
     """Scales d of rests that drive the loop by ``into / d``, are driven by it by ``d out``, by each other by gains."""
     from scipy.linalg import matrix_balance
 
@@ -372,7 +371,7 @@ def _scales(into: Array, out: Array, gains: Array) -> Array:
     return scale[0] / scale[1:]
 
 
-def _shares(gains: Array) -> Array:
+def _shares(gains: AnyArray) -> AnyArray:
     r"""Weights :math:`\theta_{ij}`, for which the rests' gains on each other cost least: by Perron's vector.
 
     With it all rows have the same sum, the spectral radius; where that leaves less than ROOM, the rows are made

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.design import Synthesis
 
 __all__ = ["LoopCurves", "frequencies", "loop_curves"]
 
-Array = NDArray[np.float64]
 POINTS = 400
 SPAN = 1e3
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, told_as
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
@@ -17,7 +18,6 @@ from robustlab.synthesis.problem.design import Synthesis
 
 __all__ = ["FUNCTIONS", "LoopFunctions", "loop_functions", "loop_functions_of"]
 
-Array = NDArray[Any]
 
 # Which weight of a mixed-sensitivity problem bounds which function.
 FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
@@ -56,15 +56,15 @@ class LoopFunctions:
         found: StateSpaceModel = getattr(self, name)
         return found
 
-    def singular_values(self, name: str, omega: ArrayLike) -> Array:
+    def singular_values(self, name: str, omega: ArrayLike) -> AnyArray:
         """Singular values of one function at ``omega`` in rad/s, largest first, shape (n_omega, k)."""
         return np.linalg.svd(frequency_response(self.model(name), omega), compute_uv=False)
 
-    def gain(self, name: str, omega: ArrayLike) -> Array:
+    def gain(self, name: str, omega: ArrayLike) -> AnyArray:
         """Largest singular value of one function at ``omega`` in rad/s, shape (n_omega,)."""
         return self.singular_values(name, omega)[:, 0]
 
-    def bound(self, name: str, omega: ArrayLike) -> Array | None:
+    def bound(self, name: str, omega: ArrayLike) -> AnyArray | None:
         r"""What the weight and gamma prove for the largest singular value, shape (n_omega,); None without a weight.
 
         .. math:: \bar\sigma(S) \le \gamma / \underline\sigma(W_1)

@@ -24,8 +24,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.frequency import frequency_response
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
@@ -34,7 +35,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["TrackingProblem", "tracking_problem"]
 
-Array = NDArray[np.float64]
 Sizes = float | Mapping[str, float]
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.statespace import StateSpaceModel, as_model, real_array, series
@@ -176,8 +177,6 @@ def _order(where: str, order: int) -> None:
         raise InputError(where, f"order is {order}", "a whole number from 1 to 10")
 
 
-Array = NDArray[Any]
-
 # A weight may ask for this much more than the check allows before it is called a conflict.
 SLACK = 1e-9
 POINTS = 600
@@ -328,7 +327,7 @@ def check_weights(W1: Any = None, W2: Any = None, W3: Any = None, *, plant: Any 
     return sorted(found, key=lambda c: -c.gamma)
 
 
-def _pointwise(weights: list[StateSpaceModel | None], g: StateSpaceModel | None, omega: Array) -> Conflict | None:
+def _pointwise(weights: list[StateSpaceModel | None], g: StateSpaceModel | None, omega: AnyArray) -> Conflict | None:
     a = _smallest(weights[0], omega)
     t, effort = _smallest(weights[2], omega), np.zeros(len(omega))
     if weights[1] is not None and g is not None:
@@ -351,13 +350,13 @@ def _pointwise(weights: list[StateSpaceModel | None], g: StateSpaceModel | None,
     )
 
 
-def _off_poles(g: StateSpaceModel, omega: Array) -> NDArray[np.bool_]:
+def _off_poles(g: StateSpaceModel, omega: AnyArray) -> NDArray[np.bool_]:
     if g.is_discrete or not g.n_states:
         return np.ones(len(omega), dtype=bool)
     return np.abs(1j * omega[:, None] - g.poles()).min(axis=1) > 1e-9 * omega
 
 
-def _smallest(W: StateSpaceModel | None, omega: Array) -> Array:
+def _smallest(W: StateSpaceModel | None, omega: AnyArray) -> AnyArray:
     """Smallest singular value over frequency; 0 without a weight, and for one with fewer outputs than inputs."""
     if W is None or W.n_outputs < W.n_inputs:
         return np.zeros(len(omega))

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
@@ -44,7 +45,6 @@ from robustlab.statespace import StateSpaceModel, series
 
 __all__ = ["Overbound", "overbound"]
 
-Array = NDArray[np.float64]
 Bound = Callable[[Array], Array]
 
 # Bisection on log(gamma) ends here; far below the tolerances that weights are asked for.

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
@@ -35,7 +35,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["PARAMETRIC_FORMS", "ParametricCover", "ParametricForm", "least_ellipsoid", "parametric_cover"]
 
-Array = NDArray[np.float64]
 ParametricForm = Literal["elements", "pca", "ellipsoid"]
 PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 

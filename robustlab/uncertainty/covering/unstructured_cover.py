@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
@@ -108,9 +109,6 @@ def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
         worst = max(worst, 0.0 if miss == 0 else miss / size if size else np.inf)
     return worst
 
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[Any]
 
 # The bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one.
 FLOOR = 1e-4
@@ -328,12 +326,12 @@ def _middle(models: tuple[StateSpaceModel, ...]) -> list[tuple[int | None, State
 # --- errors by frequency ---------------------------------------------------------------------------------------------
 
 
-def _circle(omega: Array, dt: float) -> ComplexArray:
+def _circle(omega: Array, dt: float) -> AnyArray:
     """Points of the stability boundary."""
     return np.exp(1j * omega * dt) if dt else 1j * omega
 
 
-def _at(model: StateSpaceModel, s: Any) -> ComplexArray:
+def _at(model: StateSpaceModel, s: Any) -> AnyArray:
     """``G(s)``, shape (len(s), n_y, n_u), for complex s (or z)."""
     if not model.n_states:
         return np.broadcast_to(model.D, (len(s), *model.D.shape)).astype(np.complex128)
@@ -341,7 +339,7 @@ def _at(model: StateSpaceModel, s: Any) -> ComplexArray:
     return model.C @ np.linalg.solve(inner, np.broadcast_to(model.B, (len(s), *model.B.shape))) + model.D
 
 
-def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: ComplexArray) -> ComplexArray:
+def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> AnyArray:
     """``E_i`` at complex s, (len(s), ., .)."""
     g, other = _at(centre, s), _at(model, s)
     if form == "additive":
@@ -357,11 +355,11 @@ def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: Compl
     return _right_divided(g - other, other)
 
 
-def _right_divided(a: ComplexArray, b: ComplexArray) -> ComplexArray:
+def _right_divided(a: AnyArray, b: AnyArray) -> AnyArray:
     return np.swapaxes(np.linalg.solve(np.swapaxes(b, 1, 2), np.swapaxes(a, 1, 2)), 1, 2)
 
 
-def _sigma(matrices: ComplexArray) -> Array:
+def _sigma(matrices: AnyArray) -> Array:
     return np.linalg.norm(matrices, 2, axis=(1, 2))
 
 
@@ -486,7 +484,7 @@ def _pole_that_stays(
     return None
 
 
-def _own_size(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: ComplexArray) -> float:
+def _own_size(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> float:
     """What the error is the difference of."""
     if form == "additive":
         return float(np.abs(_at(centre, s)).max())

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import balancing_exponents, balancing_factors, is_moderate, refuse_overflow
@@ -38,7 +38,6 @@ __all__ = [
     "four_block",
 ]
 
-Array = NDArray[np.float64]
 
 # How far the factors may be from inner, evaluated at frequencies around the model's poles.
 INNER = 1e-7

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.matrix_equations import care, lyapunov
@@ -33,7 +32,6 @@ from robustlab.uncertainty.distances.coprime import CoprimeFactors, MappedModels
 
 __all__ = ["GapMetric", "NuGap", "gap", "nu_gap"]
 
-Array = NDArray[np.float64]
 
 # Relative width of the bracket of the gap.
 GAP_RTOL = 1e-8
