@@ -44,7 +44,7 @@ finally:
 """
 
 
-def answer(snippet: str, *, loaded: bool = False) -> str:
+def answer(snippet: str, *, loaded: bool = False, seconds: float = 600.0) -> str:
     """What a snippet prints; it finds ``rl``, ``np`` and ``digest``."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -53,15 +53,15 @@ def answer(snippet: str, *, loaded: bool = False) -> str:
             environment[name] = "1"
     code = FRAME.format(loaded=loaded, snippet=snippet)
     run = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600, check=False
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=seconds, check=False
     )
     assert run.returncode == 0, run.stderr
     return run.stdout
 
 
-def same_under_load(snippet: str) -> str:
-    """What the snippet prints, once it has printed the same with and without load."""
-    idle, loaded = answer(snippet), answer(snippet, loaded=True)
+def same_under_load(snippet: str, seconds: float = 600.0) -> str:
+    """What the snippet prints, once it has printed the same with and without load, each within ``seconds``."""
+    idle, loaded = answer(snippet, seconds=seconds), answer(snippet, loaded=True, seconds=seconds)
     assert idle == loaded
     assert idle.strip()
     return idle
