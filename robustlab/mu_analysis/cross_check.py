@@ -1,0 +1,148 @@
+r"""A second voice for margins and worst-case gains: SLICOT, which shares no line with robustlab.
+
+For a margin, ``AB13MD`` bounds :math:`\mu(M(j\omega))` from above at the critical frequency and on a grid. What our
+explicit Delta attains must lie below its bound; where the D-G bound is exact (:math:`2 m_r + m_C \le 3` for
+:math:`m_r` real scalars and :math:`m_C` full complex blocks, none repeated), its bound must lie below what we have proved. For
+a worst-case gain, ``AB13DD`` gives the norm of the member at our worst Delta, which must be the gain that we say.
+
+References
+----------
+Fan, Tits, Doyle, "Robustness in the presence of mixed parametric uncertainty and unmodeled dynamics", IEEE TAC 36
+(1991); Packard, Doyle, "The complex structured singular value", Automatica 29 (1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import Array, ComplexArray
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain
+from robustlab.result import Status
+from robustlab.slicot import peak_gain, structured_norm_bounds
+from robustlab.uncertainty.blocks import Block, block_slices
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["CrossCheck", "cross_check"]
+
+POINTS = 40  # frequencies of the grid
+# What the other program may differ by: AB13MD ends within 1e-5 of its bound on our matrices, AB13DD within 1e-8.
+MU_DIGITS, GAIN_DIGITS = 1e-4, 1e-6
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """What SLICOT says beside our bounds.
+
+    Attributes
+    ----------
+    routine
+        The routine asked.
+    ours
+        Our bounds of the peak of mu, or of the gain (lower, upper).
+    theirs
+        Its largest bound of mu over the frequencies, or its norm of the member at our worst Delta.
+    asked, answered
+        How many frequencies or members it was asked about, and for how many it had an answer.
+    exact
+        Whether its bound of mu is mu itself, so that it could contradict our upper bound too.
+    status
+        CONVERGED: it agrees. INCONCLUSIVE: it had no answer. FAILED: it contradicts us; one of the two is wrong.
+    said
+        The same in words.
+    """
+
+    routine: str
+    ours: tuple[float, float]
+    theirs: float
+    asked: int
+    answered: int
+    exact: bool
+    status: Status
+    said: str
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return {"type": "CrossCheck", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+
+
+def cross_check(uncertain: UncertainModel, result: Margin | WorstCaseGain) -> CrossCheck:
+    """Ask SLICOT about a margin of stability, or about a worst-case gain.
+
+    Raises
+    ------
+    DependencyMissing
+        slycot is not installed.
+    NoTrustworthyNumber
+        The routine crashed or did not end.
+    """
+    return _margin(uncertain, result) if isinstance(result, Margin) else _gain(uncertain, result)
+
+
+def _margin(uncertain: UncertainModel, margin: Margin) -> CrossCheck:
+    channels, blocks = uncertain.delta_channels, uncertain.blocks
+    grid = default_grid(channels, POINTS) if channels.n_states else np.zeros(1)
+    critical = [] if margin.frequency is None else [margin.frequency]
+    matrices, sizes, real = _as_square(frequency_response(channels, np.concatenate([critical, grid])), blocks)
+    theirs = structured_norm_bounds(matrices, sizes, real)
+    known = np.isfinite(theirs)
+    ours = (_inverse(margin.upper), _inverse(margin.lower))
+    exact = _is_exact(blocks)
+    largest = float(theirs[known].max(initial=0.0))
+    words = f"AB13MD bounds mu by {largest:.6g} at {known.sum()} of {len(theirs)} frequencies"
+    status, verdict = Status.CONVERGED, "agrees"
+    if not known.any():
+        status, verdict = Status.INCONCLUSIVE, "has no answer"
+    elif critical and known[0] and theirs[0] < ours[0] * (1 - MU_DIGITS):
+        status = Status.FAILED
+        verdict = f"contradicts: {theirs[0]:.6g} at the critical frequency, where our Delta attains {ours[0]:.6g}"
+    elif exact and margin.status is Status.CERTIFIED and largest > ours[1] * (1 + MU_DIGITS):
+        status = Status.FAILED
+        verdict = f"contradicts: its bound is exact for these blocks, and we have proved {ours[1]:.6g}"
+    said = f"{words}: {verdict}"
+    return CrossCheck("AB13MD", ours, largest, len(theirs), int(known.sum()), exact, status, said)
+
+
+def _gain(uncertain: UncertainModel, worst: WorstCaseGain) -> CrossCheck:
+    member = uncertain.evaluate(worst.delta)
+    ours = (worst.lower, worst.upper)
+    if not np.isfinite(worst.lower):
+        said = "AB13DD is not asked: a member is unstable"
+        return CrossCheck("AB13DD", ours, float("inf"), 0, 0, False, Status.INCONCLUSIVE, said)
+    theirs = peak_gain(member.A, member.B, member.C, member.D, discrete=member.is_discrete)
+    agrees = abs(theirs - worst.lower) <= GAIN_DIGITS * worst.lower
+    verdict = "agrees" if agrees else f"contradicts: we say {worst.lower:.9g}"
+    said = f"AB13DD gives the member at the worst Delta the norm {theirs:.9g}: {verdict}"
+    return CrossCheck("AB13DD", ours, theirs, 1, 1, False, Status.CONVERGED if agrees else Status.FAILED, said)
+
+
+def _as_square(matrices: ComplexArray, blocks: Sequence[Block]) -> tuple[ComplexArray, list[int], list[bool]]:
+    """M for the square blocks that AB13MD knows: zeros fill up rectangular ones, asymmetric ranges are widened.
+
+    A repeated scalar becomes a full block: a larger set, whose bound holds for ours too.
+    """
+    sizes = [max(b.rows, b.cols) for b in blocks]
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    square = np.zeros((len(matrices), starts[-1], starts[-1]), dtype=complex)
+    places = [(slice(s, s + b.cols), slice(s, s + b.rows)) for s, b in zip(starts, blocks, strict=False)]
+    for (out, _), (_, z) in zip(places, block_slices(blocks), strict=True):
+        for (_, into), (w, _), b in zip(places, block_slices(blocks), blocks, strict=True):
+            widest = 1.0 if b.interval is None else max(-b.interval[0], b.interval[1])
+            square[:, out, into] = widest * matrices[:, z, w]
+    return square, sizes, [b.interval is not None and b.rows == 1 for b in blocks]
+
+
+def _is_exact(blocks: Sequence[Block]) -> bool:
+    """Whether the D-G bound of these blocks equals mu."""
+    real = sum(b.interval == (-1.0, 1.0) and b.rows == 1 for b in blocks)
+    full = sum(b.is_ball for b in blocks)
+    return real + full == len(blocks) and 2 * real + full <= 3
+
+
+def _inverse(value: Array | float) -> float:
+    return float(1 / value) if value else float("inf")
