@@ -23,7 +23,7 @@ import numpy as np
 import robustlab as rl
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.uncertainty.blocks.base import FullBlock, RealScalar
+from robustlab.uncertainty.blocks import FullBlock, RealScalar
 
 
 def distillation() -> StateSpaceModel:

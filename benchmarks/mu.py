@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 import robustlab as rl
 from robustlab.mu_analysis.matrix.certificate import has_structure, proves
 from robustlab.mu_analysis.matrix.upper import upper_bounds
-from robustlab.uncertainty.blocks.base import FullBlock, RealScalar, as_blocks, structure_size
+from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, structure_size
 
 # name, rows of mussv, matrices for cvxpy and dkpy
 CASES = [

@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
 from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
 from robustlab.mu_analysis.matrix.upper import upper_bounds
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import Block, ComplexScalar, RealScalar
 
 PROTOTYPE = Path(__file__).resolve().parents[2] / "shared" / "prototypes" / "mu"
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, RealScalar, structure_size
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, RealScalar, structure_size
 
 Model = tuple[StateSpaceModel, list[Block]]
 KINDS = ("real", "real x2", "real M", "mixed", "mixed x2", "mixed full", "complex", "complex x2", "full", "wide")

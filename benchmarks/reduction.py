@@ -21,7 +21,7 @@ from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.nonsmooth.performance_measure import scaled_plant
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller
-from robustlab.uncertainty.blocks.base import ComplexScalar
+from robustlab.uncertainty.blocks import ComplexScalar
 
 # log k, log z (3), log p (3) of d(s) = k prod (s/z + 1)/(s/p + 1), the same for both inputs; performance has d = 1.
 LOG_D = (1.1718838168, -2.5068659207, 4.8517257507, -2.6786586802, -0.3489962858, -0.2995493640, -4.8840303405)

@@ -70,10 +70,10 @@ from robustlab.uncertainty.algebra import beside as beside
 from robustlab.uncertainty.algebra import centred as centred
 from robustlab.uncertainty.algebra import stacked as stacked
 from robustlab.uncertainty.algebra import star as star
-from robustlab.uncertainty.blocks.base import ComplexScalar as ComplexScalar
-from robustlab.uncertainty.blocks.base import FullBlock as FullBlock
-from robustlab.uncertainty.blocks.base import ParameterRange as ParameterRange
-from robustlab.uncertainty.blocks.base import RealScalar as RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
+from robustlab.uncertainty.blocks import FullBlock as FullBlock
+from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
+from robustlab.uncertainty.blocks import RealScalar as RealScalar
 from robustlab.uncertainty.covering.overbound import overbound as overbound
 from robustlab.uncertainty.distances.coprime import coprime_margin as coprime_margin
 from robustlab.uncertainty.distances.gap_metric import gap as gap

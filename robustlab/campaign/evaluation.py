@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from robustlab.campaign.settings import CampaignSettings
 from robustlab.errors import NoTrustworthyNumber, plain_text
 from robustlab.statespace import real_array
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import delta_of_sample
 from robustlab.worst_case_analysis.ensemble import delta_stack
@@ -117,19 +117,13 @@ class Rows:
 
 def delta_width(blocks: Sequence[Block]) -> int:
     """Number of real numbers that `encode_delta` needs."""
-    return sum(1 if isinstance(block, RealScalar) else 2 * _entries(block) for block in blocks)
+    return sum(block.n_coordinates for block in blocks)
 
 
 def encode_delta(blocks: Sequence[Block], values: Mapping[str, Any]) -> NDArray[np.float64]:
     """Delta as real numbers, shape (width,): one for a real scalar, real and imaginary parts of all entries else."""
-    numbers: list[float] = []
-    for block in blocks:
-        if isinstance(block, RealScalar):
-            numbers.append(float(values[block.name]))
-            continue
-        entries = np.asarray(values[block.name], dtype=complex).ravel()
-        numbers += [*np.real(entries).tolist(), *np.imag(entries).tolist()]
-    return np.array(numbers, dtype=np.float64)
+    parts = [block.coordinates(values[block.name]) for block in blocks]
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def decode_delta(blocks: Sequence[Block], numbers: NDArray[np.float64]) -> dict[str, Any]:
@@ -144,20 +138,10 @@ def decode_delta(blocks: Sequence[Block], numbers: NDArray[np.float64]) -> dict[
     values: dict[str, Any] = {}
     start = 0
     for block in blocks:
-        if isinstance(block, RealScalar):
-            values[block.name] = float(numbers[start])
-            start += 1
-            continue
-        count = _entries(block)
-        entries = numbers[start : start + count] + 1j * numbers[start + count : start + 2 * count]
-        start += 2 * count
-        scalar = isinstance(block, ComplexScalar)
-        values[block.name] = complex(entries[0]) if scalar else entries.reshape(block.rows, block.cols)
+        stop = start + block.n_coordinates
+        values[block.name] = block.value_at(numbers[start:stop])
+        start = stop
     return values
-
-
-def _entries(block: Block) -> int:
-    return 1 if isinstance(block, ComplexScalar) else block.rows * block.cols
 
 
 TILE = 64
@@ -188,7 +172,7 @@ class Evaluator:
         self.uncertain, self.settings = uncertain, settings
         self._judge = make_metric(uncertain, _request(uncertain, settings), "campaign")
         self.tile = _tile_size(self._judge.uncertain.M.n_states, settings)
-        self._reals = [block.name for block in uncertain.blocks if isinstance(block, RealScalar)]
+        self._reals = [block.name for block in uncertain.blocks if block.interval]
 
     @property
     def unit(self) -> str:

@@ -41,7 +41,7 @@ def _mu() -> str:
     import numpy as np
 
     from robustlab.mu_analysis import mu
-    from robustlab.uncertainty.blocks.base import ComplexScalar
+    from robustlab.uncertainty.blocks import ComplexScalar
 
     bounds = mu(np.array([[0.0, 2.0], [2.0, 0.0]], dtype=complex), [ComplexScalar("a"), ComplexScalar("b")])
     assert abs(bounds.upper - 2.0) < 1e-6, f"mu of [[0, 2], [2, 0]] came out as {bounds.upper}, not 2"

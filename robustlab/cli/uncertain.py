@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.provenance import Provenance
     from robustlab.statespace import Signal
-    from robustlab.uncertainty.blocks.base import ParameterRange
+    from robustlab.uncertainty.blocks import ParameterRange
     from robustlab.uncertainty.elementwise import EndpointResidual
     from robustlab.uncertainty.lft import UncertainModel
     from robustlab.worst_case_analysis import Responses

@@ -32,7 +32,7 @@ from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected
-from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.units import amount
 

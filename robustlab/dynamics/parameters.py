@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.uncertainty.blocks.base import ParameterRange, Sign
+from robustlab.uncertainty.blocks import ParameterRange, Sign
 from robustlab.units import amount, share
 
 __all__ = ["Parameter", "Role", "Sign", "overridden"]

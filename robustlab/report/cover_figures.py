@@ -13,7 +13,6 @@ from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import FullBlock
 from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid
 from robustlab.uncertainty.covering.unstructured_cover import error_sizes
 from robustlab.uncertainty.unstructured import Form
@@ -146,7 +145,7 @@ def blocks_figure(made: EffectBlocks) -> Figure | None:
             w, z = slice(row, row + block.rows), slice(col, col + block.cols)
             row, col = row + block.rows, col + block.cols
             m11, m12, m21 = m[:, z, w], m[:, z, plant], m[:, p:, w]
-            moved = _moved(m11, m12, m21, isinstance(block, FullBlock))
+            moved = _moved(m11, m12, m21, not block.is_scalar)
             style = ("-", (0, (5, 1.5)), (0, (1, 1)))[k // 10 % 3]
             percent = np.maximum(100.0 * moved / size, 1e-12)
             axes.plot(omega, percent, label=plain_label(block.name), lw=1.4, color=f"C{k % 10}", ls=style)

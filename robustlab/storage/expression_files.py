@@ -21,7 +21,7 @@ from typing import Any
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.document import parse_document, read_document
-from robustlab.uncertainty.blocks.base import ParameterRange
+from robustlab.uncertainty.blocks import ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.parametric import parametric
 

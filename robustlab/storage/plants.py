@@ -13,7 +13,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.files.tree import Dataset, Tree, Unread, text_attr
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, encode_model, find_children
-from robustlab.uncertainty.blocks.base import Sign
+from robustlab.uncertainty.blocks import Sign
 
 if TYPE_CHECKING:
     from robustlab.dynamics.linear_plant import LinearPlant

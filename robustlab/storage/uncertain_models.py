@@ -13,13 +13,12 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, decode_point, encode_model, encode_point, find_children
 from robustlab.synthesis.problem.design import Controller
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import KINDS, Block, ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["decode_controller", "decode_uncertain", "encode_controller", "encode_uncertain"]
 
 FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin", "sign")
-KIND_OF = {RealScalar: "real", ComplexScalar: "complex", FullBlock: "full"}
 
 
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
@@ -27,14 +26,23 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
 
     The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric,
     ``origin`` only if some block says where it comes from, ``sign`` only if physics limits some parameter's sign.
+
+    Raises
+    ------
+    InputError
+        A kind of block that files do not know.
     """
+    for b in model.blocks:
+        if KINDS.get(b.stored_as) is not type(b):
+            found = f"a {type(b).__name__}, a kind of block without a place in the file format"
+            raise InputError(f"save: block {b.name!r}", found, f"blocks of the kinds {', '.join(KINDS)}")
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:
         encode_point(tree, model.operating_point)
-    parameters = [b.parameter if isinstance(b, RealScalar) else None for b in model.blocks]
+    parameters = [b.parameter for b in model.blocks]
     columns: dict[str, Any] = {
         "name": np.array([b.name for b in model.blocks], dtype=np.str_),
-        "kind": np.array([KIND_OF[type(b)] for b in model.blocks], dtype=np.str_),
+        "kind": np.array([b.stored_as for b in model.blocks], dtype=np.str_),
         "rows": np.array([b.rows for b in model.blocks], dtype=np.int64),
         "cols": np.array([b.cols for b in model.blocks], dtype=np.int64),
         "nominal": np.array([p.nominal if p else np.nan for p in parameters], dtype=np.float64),
@@ -101,22 +109,18 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
 
 def _block(i: int, columns: dict[str, list[Any]], path: str, problems: Problems) -> Block | None:
     name, kind, rows, cols = (columns[field][i] for field in FIELDS[:4])
-    if kind not in KIND_OF.values():
+    if kind not in KINDS:
         problems.add(f"{path}/kind[{i}] is {kind!r}, expected real, complex or full")
         return None
     whole = all(math.isfinite(size) and size == int(size) and size >= 1 for size in (rows, cols))
-    if not whole or (kind != "full" and rows != cols):
+    if not whole or (KINDS[kind].is_scalar and rows != cols):
         problems.add(
             f"{path}: block {name!r} ({kind}) is {rows:g} x {cols:g}, expected whole sizes, square for a scalar block"
         )
         return None
     origin = columns["origin"][i] if "origin" in columns else ""
     try:
-        if kind == "full":
-            return FullBlock(name, int(rows), int(cols), origin=origin)
-        if kind == "complex":
-            return ComplexScalar(name, int(rows), origin=origin)
-        return RealScalar(name, int(rows), _parameter(i, columns, path, problems), origin=origin)
+        return KINDS[kind].from_row(name, int(rows), int(cols), _parameter(i, columns, path, problems), origin)
     except InputError as error:
         problems.absorb(error)
         return None

@@ -18,7 +18,6 @@ Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), sections 10.1-10.3; Re
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -27,7 +26,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.statespace import MAX_NAME, Signal, StateSpaceModel, append, as_model, real_array
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, ParameterRange, RealScalar, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel, is_singular
 from robustlab.uncertainty.reduction import reduce_blocks
 
@@ -402,19 +401,7 @@ def _merged(same: list[Block], where: str) -> Block:
         if type(other) is not type(first):
             found = f"is a {type(first).__name__} in one operand and a {type(other).__name__} in another"
             raise InputError(name, found, "one uncertainty for one name", "rename one of the two blocks")
-        if isinstance(first, RealScalar) and isinstance(other, RealScalar) and first.parameter != other.parameter:
-            found = f"stands for {first.parameter} in one operand and for {other.parameter} in another"
-            raise InputError(name, found, "one range for one name", "rename one of the two blocks")
-    if not isinstance(first, FullBlock):
-        return dataclasses.replace(first, repeats=sum(b.rows for b in same))
-    if all(isinstance(b, FullBlock) and (b.rows, b.cols) == (1, 1) for b in same):
-        return ComplexScalar(first.name, len(same))
-    raise InputError(
-        name,
-        "is a full block in several operands",
-        "a full block in one operand only: a repeated one has no structure here",
-        "build the interconnection so that the block occurs once, or rename one if they are different uncertainties",
-    )
+    return first.merged(same[1:], name)
 
 
 def _wired(
@@ -574,16 +561,11 @@ def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:
     centre, scale = np.zeros((q, p)), np.eye(q) * level
     blocks: list[Block] = []
     for block, (w, z) in zip(uncertain.blocks, block_slices(uncertain.blocks), strict=True):
-        if not isinstance(block, RealScalar):
-            blocks.append(block)
-            continue
-        middle, half = 0.5 * level * (1.0 - block.ratio), 0.5 * level * (1.0 + block.ratio)
-        centre[w, z] = middle * np.eye(block.repeats)
-        scale[w, w] = half * np.eye(block.repeats)
-        span = block.parameter
-        if span is not None:
-            span = ParameterRange(span.nominal + span.radius * middle, span.radius * half, span.unit, sign=span.sign)
-        blocks.append(dataclasses.replace(block, parameter=span))
+        middle, half, symmetric = block.centred(level)
+        if middle:
+            centre[w, z] = middle * np.eye(block.rows)
+        scale[w, w] = half * np.eye(block.rows)
+        blocks.append(symmetric)
     # [z'; w] = [0 I; R C] [w'; z]: Delta' on the outside, the set's channels on the inside
     change = np.block([[np.zeros((p, q)), np.eye(p)], [scale, centre]])
     inside = UncertainModel(StateSpaceModel([], [], [], change), blocks)

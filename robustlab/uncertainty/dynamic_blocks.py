@@ -12,7 +12,6 @@ Březina 2010, section 4.2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,7 +20,7 @@ import numpy as np
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, append, series
 from robustlab.uncertainty.algebra import as_uncertain
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar
+from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["weighted"]
@@ -52,7 +51,7 @@ def weighted(uncertain: UncertainModel, weights: Mapping[str, Any], side: str = 
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks.base import ComplexScalar
+    >>> from robustlab.uncertainty.blocks import ComplexScalar
     >>> plant = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [ComplexScalar("dynamics")])
     >>> weight = StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.0]])
     >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()
@@ -99,7 +98,7 @@ def weighted(uncertain: UncertainModel, weights: Mapping[str, Any], side: str = 
 def _weight(block: Block, given: Any, side: str) -> tuple[StateSpaceModel, Block]:
     """The weight on all channels of one block, and the block that is left for Delta."""
     where = f"weighted: {block.name!r}"
-    if isinstance(block, RealScalar):
+    if block.is_real:
         raise InputError(where, "a real parameter", "a full or complex block", "a parameter's range is its weight")
     as_set = as_uncertain(given, where)
     if as_set.blocks:
@@ -113,13 +112,12 @@ def _weight(block: Block, given: Any, side: str) -> tuple[StateSpaceModel, Block
         copies = [_plain(weight, f"{k}", [f"{s.name}#{k + 1}" if size > 1 else s.name for s in weight.states])
                   for k in range(size)]  # fmt: skip
         return append(*copies), block
-    if not isinstance(block, FullBlock):
+    if block.is_scalar:
         raise InputError(where, f"a weight of {shape[0]} x {shape[1]}", "1 x 1 for a scalar block")
     if shape[side == "z"] != size or 0 in shape:
         wanted = f"n x {size}" if side == "z" else f"{size} x n"
         raise InputError(where, f"a weight of {shape[0]} x {shape[1]}", f"1 x 1 or {wanted} (side {side})")
-    change = {"cols": shape[0]} if side == "z" else {"rows": shape[1]}
-    return weight, dataclasses.replace(block, **change)
+    return weight, block.resized(block.rows, shape[0]) if side == "z" else block.resized(shape[1], block.cols)
 
 
 def _plain(system: StateSpaceModel, mark: str, states: list[str]) -> StateSpaceModel:

@@ -25,7 +25,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
 from robustlab.statespace import MAX_NAME, MAX_STATES, Signal, StateSpaceModel, as_model
-from robustlab.uncertainty.blocks.base import RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [

@@ -21,10 +21,8 @@ from robustlab.frequency import frequency_response
 from robustlab.provenance import Traced
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.balancing import balanced
-from robustlab.uncertainty.blocks.base import (
+from robustlab.uncertainty.blocks import (
     Block,
-    FullBlock,
-    RealScalar,
     as_blocks,
     delta_matrix,
     structure_size,
@@ -104,7 +102,7 @@ class UncertainModel(Traced):
     M
         State-space model whose first q inputs ``w`` and first p outputs ``z`` are the Delta channels (``w = Delta z``).
     blocks
-        The blocks of Delta in the order of those channels; see `robustlab.uncertainty.blocks.base.as_blocks`.
+        The blocks of Delta in the order of those channels; see `robustlab.uncertainty.blocks.as_blocks`.
     operating_point
         Operating point of the nominal model.
 
@@ -239,9 +237,9 @@ class UncertainModel(Traced):
                 parts.append(StateSpaceModel([], [], [], value, self.dt))
                 continue
             system = dynamic[b.name]
-            if isinstance(b, RealScalar):
+            if b.is_real:
                 raise InputError(f"delta {b.name!r}", "a dynamic value for a real block", "a real number")
-            shape, count = ((b.rows, b.cols), 1) if isinstance(b, FullBlock) else ((1, 1), b.repeats)
+            shape, count = b.value_shape, b.rows // b.value_shape[0]
             if (system.n_outputs, system.n_inputs) != shape:
                 found = f"a model of {system.n_outputs} x {system.n_inputs}"
                 raise InputError(f"delta {b.name!r}", found, f"{shape[0]} x {shape[1]}")
@@ -258,7 +256,7 @@ class UncertainModel(Traced):
                 said.append(f"{b.name} = a {'model' if isinstance(value, StateSpaceModel) else 'matrix'}")
                 continue
             text = f"{b.name} = {complex(np.asarray(value).reshape(())):.6g}".replace("+0j", "")
-            if isinstance(b, RealScalar) and b.parameter is not None:
+            if b.parameter is not None:
                 parameter = b.parameter
                 text += f": {parameter.value(float(np.real(value))):.6g} {parameter.unit}".rstrip()
             said.append(text)
@@ -329,14 +327,14 @@ class UncertainModel(Traced):
         return {
             b.name: (b.parameter.value(float(np.real(delta.get(b.name, 0.0)))), b.parameter.unit)
             for b in self.blocks
-            if isinstance(b, RealScalar) and b.parameter is not None
+            if b.parameter is not None
         }
 
     def impossible(self, delta: Mapping[str, Any]) -> tuple[str, ...]:
         """One remark for each parameter value of a Delta that no real plant has (see `ParameterRange.impossible`)."""
         found = []
         for b in self.blocks:
-            if isinstance(b, RealScalar) and b.parameter is not None and b.name in delta:
+            if b.parameter is not None and b.name in delta:
                 value = b.parameter.value(float(np.real(delta[b.name])))
                 if why := b.parameter.impossible(value):
                     text = f"{b.name} = {value:.6g} {b.parameter.unit}".rstrip()
@@ -376,7 +374,7 @@ class UncertainModel(Traced):
 
     def to_json(self) -> dict[str, object]:
         """M and blocks as plain types."""
-        return {"M": self.M, "blocks": [_block_json(b) for b in self.blocks]}
+        return {"M": self.M, "blocks": [b.to_json() for b in self.blocks]}
 
     def __repr__(self) -> str:
         kinds = [type(b).__name__ for b in self.blocks]
@@ -387,10 +385,3 @@ class UncertainModel(Traced):
 def _numbered(index: int, system: StateSpaceModel) -> tuple[list[str], list[str]]:
     """Signal names that no other part of an appended system has."""
     return [f"z{index}.{j}" for j in range(system.n_inputs)], [f"w{index}.{j}" for j in range(system.n_outputs)]
-
-
-def _block_json(block: Block) -> dict[str, object]:
-    data: dict[str, object] = {"name": block.name, "kind": type(block).__name__, "rows": block.rows, "cols": block.cols}
-    if isinstance(block, RealScalar) and block.parameter is not None:
-        data["parameter"] = block.parameter.to_json()
-    return {**data, "origin": block.origin} if block.origin else data

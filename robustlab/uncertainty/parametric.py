@@ -18,7 +18,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import SignalLike, StateSpaceModel
-from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
 from robustlab.uncertainty.laurent import Algebra, Laurent, number_arithmetic, parsed, walk
 from robustlab.uncertainty.lft import UncertainModel

@@ -29,7 +29,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, delta_matrix
+from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 __all__ = ["perturbed_model", "realise_delta"]
@@ -85,7 +85,7 @@ def realise_delta(
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks.base import ComplexScalar
+    >>> from robustlab.uncertainty.blocks import ComplexScalar
     >>> made = realise_delta([ComplexScalar("d")], {"d": 0.5j}, omega=2.0)["d"]
     >>> made.poles(), frequency_response(made, [2.0]).round(12)
     (array([-2.+0.j]), array([[[0.+0.5j]]]))
@@ -102,10 +102,10 @@ def realise_delta(
         if block.name not in delta:
             continue
         value = np.asarray(delta[block.name], dtype=complex)
-        if isinstance(block, RealScalar):
-            result[block.name] = float(np.real(value).reshape(()))
+        if block.is_real:
+            result[block.name] = np.real(value).reshape(()).item() if block.is_scalar else np.real(value)
             continue
-        matrix = value.reshape((block.rows, block.cols) if isinstance(block, FullBlock) else (1, 1))
+        matrix = value.reshape(block.value_shape)
         result[block.name] = _realised(matrix, float(omega), dt, f"{where}: block {block.name!r}")
     return result
 
@@ -182,15 +182,15 @@ def _block_diagonal(blocks: Sequence[Block], systems: Mapping[str, Any], constan
         if block.name not in systems:
             continue
         where = f"perturbed_model: block {block.name!r}"
-        if isinstance(block, RealScalar):
+        if block.is_real:
             raise InputError(where, "a model", "a number: the block is a real scalar")
         m = as_model(systems[block.name], where)
-        shape = (block.rows, block.cols) if isinstance(block, FullBlock) else (1, 1)
+        shape = block.value_shape
         if m.D.shape != shape:
             raise InputError(where, f"a model of {m.n_outputs} x {m.n_inputs}", f"{shape[0]} x {shape[1]}")
         if m.dt != dt and m.n_states:
             raise InputError(where, f"dt = {m.dt:g} s", f"{dt:g} s, as the uncertain model")
-        copies = 1 if isinstance(block, FullBlock) else block.repeats
+        copies = block.rows // shape[0]
         a, b, c, d = (np.kron(np.eye(copies), part) for part in (m.A, m.B, m.C, m.D))
         n, more = len(A), len(a)
         A = np.asarray(block_diag(A, a)).reshape(n + more, n + more)

@@ -14,7 +14,6 @@ D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation repr
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -22,7 +21,7 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, FullBlock, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["reduce_blocks"]
 
@@ -67,7 +66,7 @@ def reduce_blocks(
         block = kept[index]
         w, z = block_slices(kept)[index]
         rows, cols = np.arange(n + z.start, n + z.stop), np.arange(n + w.start, n + w.stop)
-        wanted = not isinstance(block, FullBlock) and (names is None or block.name in names)
+        wanted = block.is_scalar and (names is None or block.name in names)
         smaller = _reduced(constant, rows, cols, tolerance, keep) if wanted else None
         if smaller is None:
             index += 1
@@ -75,7 +74,7 @@ def reduce_blocks(
         constant, size = smaller
         del outputs[z.start + size : z.stop], inputs[w.start + size : w.stop]
         if size:
-            kept[index] = dataclasses.replace(block, repeats=size)
+            kept[index] = block.resized(size, size)
             index += 1
         else:
             del kept[index]

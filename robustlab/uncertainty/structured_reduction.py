@@ -18,7 +18,6 @@ Khatri, "Kalman decomposition of linear fractional transformation representation
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from robustlab.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.balancing import balancing_scale
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, RealScalar, block_slices, delta_matrix
+from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import CANCELLED, UNCHANGED, reduce_blocks
 
@@ -148,10 +147,10 @@ def _joint_step(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float) -
     """One joint reduction of all scalar blocks; None where nothing goes."""
     n = M.n_states
     whole = _constant(M)
-    scalar = [b for b in blocks if not isinstance(b, FullBlock)]
+    scalar = [b for b in blocks if b.is_scalar]
     if not scalar:
         return None
-    slices = [s for b, s in zip(blocks, block_slices(blocks), strict=True) if not isinstance(b, FullBlock)]
+    slices = [s for b, s in zip(blocks, block_slices(blocks), strict=True) if b.is_scalar]
     cols = np.concatenate([np.arange(n + w.start, n + w.stop) for w, _ in slices])
     rows = np.concatenate([np.arange(n + z.start, n + z.stop) for _, z in slices])
     other_cols, other_rows = np.delete(np.arange(whole.shape[1]), cols), np.delete(np.arange(whole.shape[0]), rows)
@@ -160,7 +159,7 @@ def _joint_step(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float) -
     b, c = b / into, c / out[:, None]
     scale = _channel_scale(a, b, c)
     a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
-    sizes = [s.repeats for s in scalar]
+    sizes = [s.rows for s in scalar]
     # What the second step sees may be rounding of the first: it is judged by the size that b and c had before.
     b_size, c_size = _norm(b), _norm(c)
     reach, miss_1 = _invariant(a, b, sizes, tolerance, b_size)
@@ -187,14 +186,14 @@ def _rebuilt(
     new_in: list[int] = []
     new_out: list[int] = []
     for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
-        if isinstance(block, FullBlock):
+        if not block.is_scalar:
             kept.append(block)
             keep_in += range(n + w.start, n + w.stop)
             keep_out += range(n + z.start, n + z.stop)
             continue
         size = next(sizes)
         if size:
-            kept.append(dataclasses.replace(block, repeats=size))
+            kept.append(block.resized(size, size))
         new_in += range(len(keep_in), len(keep_in) + size)
         new_out += range(len(keep_out), len(keep_out) + size)
         keep_in += range(n + w.start, n + w.start + size)
@@ -308,7 +307,7 @@ def _difference(first: UncertainModel, second: UncertainModel, seed: int) -> flo
         omega = np.exp(rng.uniform(np.log(0.1 * low), np.log(10 * high)))
         if first.dt:
             omega = rng.uniform(0.0, np.pi) / first.dt
-        values = {b.name: _random_value(b, rng) for b in first.blocks}
+        values = {b.name: b.draw(rng, boundary=True) for b in first.blocks}
         a = first.response([omega], values)
         b = second.response([omega], {name: v for name, v in values.items() if name in known})
         size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * _summands(first, float(omega), values)) or 1.0
@@ -323,15 +322,6 @@ def _summands(model: UncertainModel, omega: float, values: dict[str, Any]) -> fl
     q, p = d.shape
     inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(p) - m[:p, :q] @ d)) @ np.abs(m[:p, q:])
     return float((np.abs(m[p:, q:]) + np.abs(m[p:, :q]) @ inside).max(initial=0.0))
-
-
-def _random_value(block: Block, rng: np.random.Generator) -> Any:
-    if isinstance(block, RealScalar):
-        return float(rng.uniform(-1.0, 1.0))
-    if isinstance(block, ComplexScalar):
-        return complex(np.sqrt(rng.random()) * np.exp(2j * np.pi * rng.random()))
-    matrix = rng.standard_normal((block.rows, block.cols)) + 1j * rng.standard_normal((block.rows, block.cols))
-    return matrix / np.linalg.norm(matrix, 2)
 
 
 def _constant(M: StateSpaceModel) -> Array:

@@ -31,7 +31,7 @@ import numpy as np
 
 from robustlab.errors import InputError, did_you_mean, told_as
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model
-from robustlab.uncertainty.blocks.base import FullBlock
+from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["FORMS", "Form", "unstructured"]

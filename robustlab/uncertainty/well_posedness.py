@@ -28,10 +28,8 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.uncertainty.blocks.base import (
+from robustlab.uncertainty.blocks import (
     Block,
-    FullBlock,
-    RealScalar,
     block_slices,
     delta_values,
     structure_size,
@@ -126,14 +124,14 @@ def well_posedness(uncertain: UncertainModel, level: float = 1.0, seed: int = 0)
     blocks = uncertain.blocks
     q, p = structure_size(blocks)
     d11 = uncertain.M.D[:p, :q]
-    low = np.array([-level * b.ratio if isinstance(b, RealScalar) else -level for b in blocks])
+    low = np.array([level * (b.interval or (-1.0, 1.0))[0] for b in blocks])
     high = np.full(len(blocks), float(level))
     whole = _perron(d11, blocks, np.maximum(-low, high))
     if whole < 1 - CLEAR:
         return _proved(level, whole, 1)
     rays = _RaySearch(d11, blocks, low, high)
     rays.run(seed)
-    if rays.best is None and all(isinstance(b, RealScalar) for b in blocks):
+    if rays.best is None and all(b.interval for b in blocks):
         bound, count, open_ = _cut(d11, blocks, low, high, rays)
         if rays.best is None and not open_:
             return _proved(level, bound, count)
@@ -212,7 +210,9 @@ class _RaySearch:
     def __init__(self, d11: Array, blocks: Sequence[Block], low: Array, high: Array) -> None:
         self.d11, self.blocks, self.low, self.high = d11, tuple(blocks), low, high
         self.slices = block_slices(blocks)
-        self.real = [i for i, b in enumerate(blocks) if isinstance(b, RealScalar)]
+        self.real = [i for i, b in enumerate(blocks) if b.interval]
+        # A constant real matrix may not be turned in phase.
+        self.turns = not any(b.is_real for b in blocks if not b.interval)
         self.shape = structure_size(blocks)
         self.best: Matrix | None = None
         self.smallest = 1.0 + 1e-12
@@ -262,11 +262,7 @@ class _RaySearch:
             b = self.blocks[i]
             if i in self.real:
                 continue
-            if isinstance(b, FullBlock):
-                u, v = (rng.standard_normal(n) + 1j * rng.standard_normal(n) for n in (b.rows, b.cols))
-                delta[rows, cols] = self.high[i] * np.outer(u / np.linalg.norm(u), v / np.linalg.norm(v))
-            else:
-                delta[rows, cols] = self.high[i] * np.exp(2j * np.pi * rng.random()) * np.eye(b.rows)
+            delta[rows, cols] = self.high[i] * b.extreme(rng, lambda n: _complex_normal(rng, n))
         return delta
 
     def _turned(self, base: Array, delta: Matrix) -> None:
@@ -282,10 +278,10 @@ class _RaySearch:
             values, vectors = np.linalg.eig(seen @ delta)
             top = int(np.argmax(np.abs(values)))
             value = values[top]
-            if abs(value) >= 1.0:
+            if abs(value) >= 1.0 and (self.turns or abs(value.imag) <= 1e-12 * abs(value)):
                 size = 1.0 / abs(value)
                 if size <= self.smallest:
-                    self.smallest, self.best = size, base + delta / value
+                    self.smallest, self.best = size, base + delta / (value if self.turns else value.real)
                 return
             delta = self._better(seen, delta, vectors[:, top])
 
@@ -298,12 +294,11 @@ class _RaySearch:
         for i, (rows, cols) in enumerate(self.slices):
             if i in self.real:
                 continue
-            if isinstance(self.blocks[i], FullBlock):
-                size = np.linalg.norm(back[rows]) * np.linalg.norm(z[cols])
-                if size > 0:
-                    result[rows, cols] = self.high[i] * np.outer(back[rows], z[cols].conj()) / size
-                continue
-            inner = np.vdot(z[cols], back[rows])
-            if abs(inner) > 0:
-                result[rows, cols] = self.high[i] * inner / abs(inner) * np.eye(self.blocks[i].rows)
+            aligned = self.blocks[i].aligned(back[rows].conj(), z[cols], self.high[i])
+            if aligned is not None:
+                result[rows, cols] = aligned
         return result
+
+
+def _complex_normal(rng: np.random.Generator, n: int) -> Matrix:
+    return rng.standard_normal(n) + 1j * rng.standard_normal(n)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import real_array
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, split, state_scale
 
@@ -53,8 +53,8 @@ class Deltas(Sequence[Mapping[str, Any]]):
 
     def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
         self.blocks, self.n, self.seed, self.signs = tuple(blocks), n, seed, signs
-        self._reals = tuple(b.name for b in blocks if isinstance(b, RealScalar))
-        self._asymmetric = [(k, b) for k, b in enumerate(self.blocks) if isinstance(b, RealScalar) and b.ratio != 1]
+        self._reals = tuple(b.name for b in blocks if b.interval)
+        self._asymmetric = [(k, b) for k, b in enumerate(self.blocks) if not b.is_symmetric]
 
     @property
     def all_real(self) -> bool:
@@ -87,7 +87,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
             if index < self.n:
                 row[:] = _generator(self.seed, index).uniform(-1.0, 1.0, len(row))
                 for k, block in self._asymmetric:
-                    row[k] = _in_range(block, float(row[k]))
+                    row[k] = block.in_range(float(row[k]))
             else:
                 row[:] = self.signs[index - self.n]
         return rows
@@ -112,7 +112,8 @@ def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary:
     True
     """
     key = (index, 1) if boundary else (index,)
-    return _random_delta(blocks, _generator(seed, *key), boundary)
+    rng = _generator(seed, *key)
+    return {block.name: block.draw(rng, boundary) for block in blocks}
 
 
 def _generator(seed: int, *key: int) -> np.random.Generator:
@@ -138,29 +139,6 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
     return real_array("vertices", 2 * bits - 1, 2)
 
 
-def _in_range(block: RealScalar, drawn: float) -> float:
-    """The normalised delta at a place of the parameter's range whose ends are at -1 and 1, and its middle at 0."""
-    if block.ratio == 1:
-        return drawn
-    delta = block.delta(0.5 * ((1.0 - block.ratio) + (1.0 + block.ratio) * drawn))
-    return min(max(delta, -1.0), 1.0)  # rounding next to an end must not leave the range
-
-
-def _random_delta(blocks: Sequence[Block], rng: np.random.Generator, boundary: bool = False) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for block in blocks:
-        if isinstance(block, RealScalar):
-            values[block.name] = _in_range(block, float(rng.uniform(-1.0, 1.0)))
-            continue
-        rows, cols = (1, 1) if isinstance(block, ComplexScalar) else (block.rows, block.cols)
-        matrix = rng.standard_normal((rows, cols)) + 1j * rng.standard_normal((rows, cols))
-        radius = 1.0 if boundary else rng.random() ** (0.5 / (rows * cols))
-        # A hair inside: the norm of the rounded matrix must not come out above one.
-        matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
-        values[block.name] = complex(matrix[0, 0]) if isinstance(block, ComplexScalar) else matrix
-    return values
-
-
 # Members are computed in blocks of this size that begin at its multiples: what comes out for a sample cannot depend on
 # how many are drawn, nor on who computes its block. Large models take smaller blocks, of so many numbers.
 BLOCK, NUMBERS = 512, 2_000_000
@@ -181,11 +159,12 @@ class RealSet:
 
     def __init__(self, uncertain: UncertainModel) -> None:
         m, (q, p) = uncertain.M, uncertain.delta_shape
-        blocks = [b for b in uncertain.blocks if isinstance(b, RealScalar)]
-        assert len(blocks) == len(uncertain.blocks)
+        blocks = uncertain.blocks
+        ends = [b.interval for b in blocks if b.interval]
+        assert len(ends) == len(blocks)
         self.n_states, self.dt = m.n_states, m.dt
-        self.below = np.array([b.ratio for b in blocks])
-        self.of_channel = np.repeat(np.arange(len(blocks)), [b.repeats for b in blocks])
+        self.below = np.array([-low for low, _ in ends])
+        self.of_channel = np.repeat(np.arange(len(blocks)), [b.rows for b in blocks])
         self._scale = state_scale(m.A)
         self._left = np.vstack([m.B[:, :q], m.D[p:, :q]])
         self._right = np.hstack([m.C[:p], m.D[:p, q:]])

@@ -21,7 +21,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.record import UNIFORM_TOLERANCE
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks.base import Block, delta_matrix, structure_size
+from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 __all__ = [

@@ -16,7 +16,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid
 from robustlab.magnitude import refuse_overflow
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import delta_matrix
+from robustlab.uncertainty.blocks import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.controllability_metrics import gramians, stable_members
 from robustlab.worst_case_analysis.ensemble import Ensemble, chunks, members, peak_gains

@@ -17,7 +17,6 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected
-from robustlab.uncertainty.blocks.base import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble
 
@@ -141,7 +140,7 @@ def selected(uncertain: UncertainModel, input: str | None, output: str | None) -
 def need_real(uncertain: UncertainModel, what: str) -> None:
     """Refuse complex blocks."""
     for block in uncertain.blocks:
-        if not isinstance(block, RealScalar):
+        if not block.is_real:
             hint = "a complex Delta has a metric 'hinf' only"
             raise InputError("worst_case", f"block {block.name!r} is complex", f"real blocks for {what}", hint)
 

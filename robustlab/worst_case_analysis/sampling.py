@@ -13,7 +13,6 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks.base import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, vertex_signs
 from robustlab.worst_case_analysis.ensemble import Excitation, Hold, excitation, responses
@@ -224,7 +223,7 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
-    reals = sum(isinstance(b, RealScalar) for b in uncertain.blocks)
+    reals = sum(b.interval is not None for b in uncertain.blocks)
     signs = vertex_signs(reals, vertices, seed)
     return Samples(uncertain, Deltas(uncertain.blocks, int(n), int(seed), signs), int(seed), len(signs))
 
@@ -239,7 +238,7 @@ def _asked(
 ) -> tuple[Excitation, Array]:
     """Clock and input, and the initial state, of a request that makes sense."""
     for block in uncertain.blocks:
-        if not isinstance(block, RealScalar):
+        if not block.is_real:
             raise InputError(
                 where,
                 f"block {block.name!r} is complex",

@@ -23,7 +23,7 @@ from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices, delta_values, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import RealSet, vertex_signs
 from robustlab.worst_case_analysis.ensemble import chunks, members
@@ -50,39 +50,22 @@ class DeltaBox:
         self.slices: list[slice] = []
         size = 0
         for b in self.blocks:
-            width = 1 if isinstance(b, RealScalar) else 2 * self._entries(b)
-            self.slices.append(slice(size, size + width))
-            size += width
+            self.slices.append(slice(size, size + b.n_coordinates))
+            size += b.n_coordinates
         self.size = size
-        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if isinstance(b, RealScalar)]
+        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if b.interval]
 
     @property
     def all_real(self) -> bool:
         """Whether every block is a real scalar."""
         return len(self.real) == len(self.blocks)
 
-    @staticmethod
-    def _entries(block: Block) -> int:
-        return block.rows * block.cols if not hasattr(block, "repeats") else 1
-
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Stack of Deltas (k, q, p) from vectors (k, d)."""
         dtype = float if self.all_real else complex
         delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
         for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
-            number = theta[:, part]
-            if isinstance(block, RealScalar):
-                number = np.where(number < 0, number * block.ratio, number)
-                delta[:, rows, cols] = number[:, :, None] * np.eye(block.rows)
-                continue
-            half = number.shape[1] // 2
-            entries = number[:, :half] + 1j * number[:, half:]
-            if half == 1:
-                entries = entries / np.maximum(np.abs(entries), 1.0)
-                delta[:, rows, cols] = entries[:, :, None] * np.eye(block.rows, block.cols)
-                continue
-            matrix = entries.reshape(-1, block.rows, block.cols)
-            delta[:, rows, cols] = matrix / np.maximum(np.linalg.norm(matrix, 2, axis=(1, 2)), 1.0)[:, None, None]
+            delta[:, rows, cols] = block.members(theta[:, part])
         return delta
 
     def slope(self, theta: Array, delta_slope: Array) -> Array:
@@ -90,7 +73,7 @@ class DeltaBox:
         diagonal = np.array(
             [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
         )
-        below = np.array([b.ratio for b in self.blocks if isinstance(b, RealScalar)])
+        below = np.array([-b.interval[0] for b in self.blocks if b.interval])
         return np.where(theta < 0, below, 1.0) * diagonal
 
 

@@ -11,7 +11,7 @@ from robustlab.cli.console import main_guard
 from robustlab.cli.uncertain import app
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage import load, save
-from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 RE35 = {"R": 2.07, "L": 0.62e-3, "Km": 0.052, "Kb": 0.052, "Kf": 4.8e-5, "J": 7.2e-6}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.uncertainty.blocks.base import FullBlock, RealScalar, as_blocks, structure_size
+from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, structure_size
 
 
 def hermitian_variable(cp, n):

@@ -12,7 +12,7 @@ import scipy.optimize
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample, worst_case

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
 from robustlab.mu_analysis.matrix.minimum_norm import smallest_step
-from robustlab.uncertainty.blocks.base import FullBlock, RealScalar, as_blocks, block_slices, structure_size
+from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, block_slices, structure_size
 
 ROWS = st.sampled_from([[-1, 0], [1, 0], [-2, 0], [2, 0], [1, 2], [2, 1], [2, 2]])
 

@@ -12,7 +12,7 @@ from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import algebra
 from robustlab.uncertainty.algebra import centred
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 SETTINGS = settings(max_examples=20, deadline=None, derandomize=True)

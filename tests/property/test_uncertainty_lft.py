@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, RealScalar, delta_matrix, delta_values
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar, delta_matrix, delta_values
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel, upper_lft
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.parametric import parametric
 
 SETTINGS = settings(max_examples=25, deadline=None, derandomize=True)

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from robustlab.errors import InputError
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar, delta_matrix
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar, delta_matrix
 from robustlab.uncertainty.elementwise import STRUCTURES, elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.parametric import parametric

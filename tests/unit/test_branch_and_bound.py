@@ -12,7 +12,7 @@ from robustlab.budget import Budget
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.branch_and_bound import MarginProblem, Region, tighten
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
-from robustlab.uncertainty.blocks.base import delta_matrix
+from robustlab.uncertainty.blocks import delta_matrix
 
 
 def model_with_a_gap(seed: int = 10, n: int = 6) -> rl.UncertainModel:

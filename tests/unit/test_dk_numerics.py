@@ -22,7 +22,7 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrice
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem
 from robustlab.synthesis.specifications.weight_design import control_weight, error_weight
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
 
 
 def three_modes() -> PlantMatrices:

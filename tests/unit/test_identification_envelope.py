@@ -12,7 +12,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.envelope import cover
 from robustlab.report.validation_figures import envelope_figure
 from robustlab.result import Status, plain
-from robustlab.uncertainty.blocks.base import ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 T = np.linspace(0.0, 5.0, 1001)

@@ -249,7 +249,7 @@ def lie(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def dk_blocks() -> list[Any]:
-    from robustlab.uncertainty.blocks.base import ComplexScalar
+    from robustlab.uncertainty.blocks import ComplexScalar
 
     return [ComplexScalar("gain")]
 

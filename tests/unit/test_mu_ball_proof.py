@@ -10,7 +10,7 @@ import pytest
 import robustlab as rl
 from robustlab.mu_analysis.matrix.ball_proof import certified_in_balls
 from robustlab.mu_analysis.matrix.certificate import has_structure
-from robustlab.uncertainty.blocks.base import as_blocks, structure_size
+from robustlab.uncertainty.blocks import as_blocks, structure_size
 
 STRUCTURES = [
     [[-1, 0]] * 4,

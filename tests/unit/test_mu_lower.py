@@ -14,7 +14,7 @@ from robustlab.mu_analysis.matrix.certificate import delta_norm, project
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.mu_analysis.matrix.gain_based_lower import vertex_search
 from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
-from robustlab.uncertainty.blocks.base import as_blocks, structure_size
+from robustlab.uncertainty.blocks import as_blocks, structure_size
 
 STRUCTURES = {
     "real": [[-1, 0]] * 5,

@@ -8,7 +8,7 @@ import pytest
 import robustlab as rl
 from robustlab.mu_analysis.matrix.certificate import level, positive_definite, proves, singularity
 from robustlab.mu_analysis.matrix.upper import upper_bounds
-from robustlab.uncertainty.blocks.base import as_blocks
+from robustlab.uncertainty.blocks import as_blocks
 
 
 def random_complex(seed: int, *shape: int) -> np.ndarray:

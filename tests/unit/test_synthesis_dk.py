@@ -16,7 +16,7 @@ from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, D
 from robustlab.synthesis.dk.riccati_level import scaled_loop
 from robustlab.synthesis.dk.robust_loop import RobustProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
 
 OMEGA = np.concatenate([[0.0], np.geomspace(1e-5, 1e5, 1500)])
 

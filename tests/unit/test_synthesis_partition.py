@@ -13,7 +13,7 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation, generalized_plant
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
-from robustlab.uncertainty.blocks.base import RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 

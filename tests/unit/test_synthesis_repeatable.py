@@ -19,7 +19,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dk_iteration import WORK
 from robustlab.synthesis.problem.design import told
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 
 USED_UP = "work budget used up: a larger effort may find"
 BENCHMARKS = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2] / 'benchmarks')!r})\n"
@@ -58,7 +58,7 @@ def test_designs_whose_work_is_used_up_are_the_same_under_load() -> None:
         + PLANT
         + """
 from dk import oscillator
-from robustlab.uncertainty.blocks.base import RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 loose = rl.hinf(P, 2, 2, effort=5e-4)
 designs = {
     "hinf": loose,

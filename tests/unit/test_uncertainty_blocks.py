@@ -7,7 +7,7 @@ import pytest
 
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import (
+from robustlab.uncertainty.blocks import (
     ComplexScalar,
     FullBlock,
     ParameterRange,

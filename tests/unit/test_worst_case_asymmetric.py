@@ -13,7 +13,7 @@ from robustlab.budget import Budget
 from robustlab.campaign import CampaignSettings
 from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import MetricBatch, MetricRequest, sample, violation_probability, worst_case
 from robustlab.worst_case_analysis.draws import RealSet, delta_of_sample

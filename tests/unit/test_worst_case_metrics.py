@@ -11,7 +11,7 @@ import pytest
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ComplexScalar, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import METRICS, MetricBatch, MetricRequest, worst_case

@@ -12,7 +12,7 @@ from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample, worst_case

@@ -11,7 +11,7 @@ from robustlab.report.worst_case_figures import distribution_figure, influence_f
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage import load, save
-from robustlab.uncertainty.blocks.base import ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import (

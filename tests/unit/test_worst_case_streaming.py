@@ -8,7 +8,7 @@ import pytest
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ComplexScalar, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample

@@ -61,7 +61,7 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.algebra import product
-from robustlab.uncertainty.blocks.base import FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
 from robustlab.uncertainty.lft import UncertainModel
 

@@ -27,7 +27,7 @@ from robustlab.dynamics.parameters import Parameter
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
-from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.identification.validation.sampled_problem import Recorded
 from robustlab.identification.validation.window_fit import WindowFit
-from robustlab.uncertainty.blocks.base import RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 
 __all__ = ["Parameters", "smallest_parameters"]
 

@@ -29,7 +29,7 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.algebra import product
-from robustlab.uncertainty.blocks.base import FullBlock
+from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["DataCover", "data_cover"]

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import sampled
 from robustlab.identification.validation.time_varying import smallest_contractions
-from robustlab.uncertainty.blocks.base import RealScalar
 
 if TYPE_CHECKING:
     from robustlab.identification.validation.smallest_delta import _Found, _Job
@@ -34,8 +33,8 @@ LONGEST_RELAXED = 4000  # samples at the beginning of the record from which the 
 def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
     """Bounds for real and dynamic blocks together."""
     blocks = job.recorded.uncertain.blocks
-    real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
-    names = [b.name for b in blocks if isinstance(b, RealScalar)]
+    real = np.array([b.interval is not None for b in blocks], dtype=bool)
+    names = [b.name for b in blocks if b.interval]
     free, kept = scaled[real], scaled[~real]
     problem = sampled(job.recorded.part(0, LONGEST_RELAXED), job.recorded.uncertain.M, blocks)
     relaxed = smallest_contractions(problem, scaled, job.precision, job.budget)

@@ -29,7 +29,7 @@ from robustlab.identification.comparison.envelope import deviations
 from robustlab.identification.response.response import response_of
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
@@ -321,8 +321,8 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         size = float(np.sqrt(np.mean(z0[:, cols] ** 2))) or 1.0
         scale_w[rows], scale_z[cols] = size, size
         scales.append(size)
-        layout.append((rows, cols, isinstance(block, ComplexScalar) and block.repeats > 1))
-        if isinstance(block, RealScalar):
+        layout.append((rows, cols, not (block.is_ball or block.interval)))
+        if block.interval:
             seen.append(C[cols] / size)
     radius = np.ones(len(recorded.bound)) if recorded.norm == "peak" else np.sqrt(recorded.counts)
     return SampledProblem(
@@ -348,7 +348,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
 
 def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tuple[StateSpaceModel, tuple[Block, ...]]:
     """M and its remaining blocks once the named real blocks are set to their values."""
-    from robustlab.uncertainty.blocks.base import delta_matrix
+    from robustlab.uncertainty.blocks import delta_matrix
     from robustlab.uncertainty.lft import upper_lft
 
     slices = block_slices(uncertain.blocks)

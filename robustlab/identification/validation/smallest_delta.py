@@ -40,7 +40,7 @@ from robustlab.identification.validation.time_varying import Contractions, small
 from robustlab.identification.validation.window_fit import WindowFit
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.uncertainty.blocks.base import Block, RealScalar
+from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["DeltaKind", "validate"]
@@ -245,7 +245,7 @@ class _Job:
     def bounds(self, scaled: NDArray[np.bool_]) -> _Found:
         """Bounds over the blocks that ``scaled`` names, the others within 1."""
         blocks = self.recorded.uncertain.blocks
-        real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
+        real = np.array([b.interval is not None for b in blocks], dtype=bool)
         if not blocks:
             return self.noise_alone()
         if not real.any():
@@ -270,7 +270,7 @@ class _Job:
 
     def constant(self, scaled: NDArray[np.bool_]) -> _Found:
         """All blocks are real."""
-        blocks = [b for b in self.recorded.uncertain.blocks if isinstance(b, RealScalar)]
+        blocks = [b for b in self.recorded.uncertain.blocks if b.interval]
         found = smallest_parameters(self.recorded, blocks, scaled, self.precision, self.budget)
         self.progress(f"constants: gamma {found.lower:.4g} .. {found.upper:.4g}, {found.boxes} boxes")
         values = {b.name: float(v) for b, v in zip(blocks, found.delta, strict=True)}
@@ -451,7 +451,7 @@ def _status(found: _Found, precision: float, budget: Budget) -> Status:
 
 def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]], delta: DeltaKind) -> BlockSize:
     lower, upper = alone.get(block.name, (np.nan, np.nan))
-    if isinstance(block, RealScalar) and (not found.problem or block.name not in found.problem.names):
+    if block.interval and (not found.problem or block.name not in found.problem.names):
         value = found.values.get(block.name)
         physical, impossible = None, ""
         if block.parameter is not None and value is not None:
@@ -524,9 +524,7 @@ def _member_error(recorded: Recorded, found: _Found) -> float:
 
 def _nominal(recorded: Recorded) -> Array:
     """Response of the nominal model with its free states fitted (n, n_y)."""
-    M, rest = with_delta_of(
-        recorded.uncertain, {b.name: 0.0 for b in recorded.uncertain.blocks if isinstance(b, RealScalar)}
-    )
+    M, rest = with_delta_of(recorded.uncertain, {b.name: 0.0 for b in recorded.uncertain.blocks if b.interval})
     problem = sampled(recorded, M, rest)
     _, free = problem.free_response()
     basis = free[problem.used]
@@ -560,7 +558,7 @@ def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm) -> di
 
 
 def _assumptions(recorded: Recorded, delta: DeltaKind, estimated: bool) -> tuple[str, ...]:
-    dynamic = any(not isinstance(b, RealScalar) for b in recorded.uncertain.blocks)
+    dynamic = not all(b.interval for b in recorded.uncertain.blocks)
     said = []
     if recorded.norm == "peak":
         said.append("no sample of the noise is beyond its bound")

@@ -36,7 +36,7 @@ from robustlab.identification.response.response import Evidence
 from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
 from robustlab.record import Record
 from robustlab.statespace import Signal
-from robustlab.uncertainty.blocks.base import ComplexScalar, RealScalar, block_slices
+from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["FrequencyData", "SpectralProblem", "Spectrum", "spectrum_of_record", "spectrum_of_response"]
@@ -364,11 +364,11 @@ def _integrates(A: Array, dt: float) -> bool:
 
 def _refused_blocks(uncertain: UncertainModel, where: str) -> None:
     for block in uncertain.blocks:
-        if isinstance(block, RealScalar):
+        if block.is_real:
             raise InputError(
                 where, f"block {block.name!r} is a real constant, one over all frequencies",
                 "complex and full blocks: at each frequency alone it would count as another one", 'domain="time"',
             )  # fmt: skip
-        if isinstance(block, ComplexScalar) and block.repeats > 1:
-            raise InputError(where, f"block {block.name!r} is one scalar repeated {block.repeats} times",
+        if not block.is_ball:
+            raise InputError(where, f"block {block.name!r} is one scalar repeated {block.rows} times",
                              "blocks whose w may be any vector not longer than z", 'domain="time"')  # fmt: skip

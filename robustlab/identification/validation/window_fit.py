@@ -21,7 +21,7 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import Recorded, held, powers, shown, states
-from robustlab.uncertainty.blocks.base import RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 
 __all__ = ["WindowFit", "Windows", "chebyshev"]
 

@@ -11,7 +11,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_exponents, balancing_factors
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["check_nominal", "continuous", "coupled_blocks", "frequencies", "model_frequency", "seed_frequencies"]

@@ -12,7 +12,7 @@ from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.matrix.ball_proof import certified_in_balls
-from robustlab.uncertainty.blocks.base import RealScalar, block_slices
+from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["BallCheck", "margin_in_balls"]
@@ -48,7 +48,7 @@ def margin_in_balls(uncertain: UncertainModel, margin: Margin) -> BallCheck:
     if not all(isinstance(piece, Piece) for piece in margin.proof):
         hint = "repeat with tolerance=inf: the margin that D, G alone prove"
         raise InputError("margin_in_balls", "a margin proved by branch and bound", "one proved by scalings", hint)
-    if any(isinstance(b, RealScalar) and b.ratio != 1 for b in uncertain.blocks):
+    if not all(b.is_symmetric for b in uncertain.blocks):
         raise InputError("margin_in_balls", "asymmetric ranges", "symmetric ones")
     model = continuous(uncertain.delta_channels)
     slices = block_slices(uncertain.blocks)

@@ -33,7 +33,7 @@ from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bound
 from robustlab.mu_analysis.matrix.scalings import hermitian
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["GainProblem", "Improved", "MarginProblem", "MatrixProblem", "Proof", "Region", "tighten"]
 
@@ -184,7 +184,7 @@ def _prove(
 
 
 def _real(problem: Problem) -> NDArray[np.bool_]:
-    return np.array([isinstance(b, RealScalar) for b in problem.blocks], dtype=bool)
+    return np.array([b.interval is not None for b in problem.blocks], dtype=bool)
 
 
 def _where_to_cut(box: Box, weight: Array, real: NDArray[np.bool_], root: Box) -> int | None:
@@ -357,7 +357,7 @@ class MarginProblem(_AxisProblem):
         back = np.eye(self.model.n_inputs) - delta @ self.model.D
         w = np.linalg.solve(back.T, self.model.B.T @ left)
         gains = [
-            (w[sw] * z[sz]).sum().real if isinstance(b, RealScalar) else 0.0
+            (w[sw] * z[sz]).sum().real if b.interval else 0.0
             for b, (sw, sz) in zip(self.blocks, block_slices(self.blocks), strict=True)
         ]
         return np.array(gains)

@@ -30,7 +30,7 @@ from robustlab.mu_analysis.matrix.certificate import delta_norm
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.mu_analysis.matrix.minimum_norm import dual_minimum
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block
+from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
@@ -181,7 +181,7 @@ def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: Complex
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks.base import RealScalar
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = np.array([[1.0, 3.0], [1.0, 3.0]], dtype=complex)
     >>> block_sensitivities(M, [RealScalar("a"), RealScalar("b")], np.eye(2) / 4 + 0j).round(9).tolist()
     [-0.0625, -0.1875]

@@ -24,7 +24,7 @@ from robustlab.magnitude import balancing_factors
 from robustlab.mu_analysis.matrix.scalings import hermitian
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
 

@@ -27,7 +27,7 @@ from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
 from robustlab.mu_analysis.matrix.minimum_norm import FRACTIONS, unit_rows
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, RealScalar
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["Destabilising", "first_crossing", "perturbed_state_matrix", "search_work", "smallest_destabilising"]
 
@@ -53,7 +53,7 @@ class Destabilising:
 
 def search_work(n_states: int, blocks: Sequence[Block]) -> float:
     """Work of `smallest_destabilising`, as measured; complex blocks have more starts and slower eigenvalues."""
-    times = 1.0 if all(isinstance(b, RealScalar) for b in blocks) else 3.0
+    times = 1.0 if all(b.interval for b in blocks) else 3.0
     return times * (20_000 + 4000 * n_states + 7.5 * n_states**3)
 
 
@@ -99,7 +99,7 @@ def _matrix_candidates(
     static, (_, ill_posed) = lower_bounds(ends, blocks, seed)
     found = [static]
     # A purely real Delta reaches isolated frequencies only: trying others would find nothing.
-    if len(omega) and not all(isinstance(b, RealScalar) for b in blocks):
+    if len(omega) and not all(b.interval for b in blocks):
         others = lower_bounds(frequency_response(model, np.asarray(omega, dtype=float)), blocks, seed, 4, 24)
         found += sorted(others, key=lambda pair: -pair[0])[:PEAKS]
     return [delta for _, delta in found if delta is not None], ill_posed

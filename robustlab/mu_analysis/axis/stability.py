@@ -35,7 +35,7 @@ from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices, delta_values
+from robustlab.uncertainty.blocks import Block, block_slices, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WORK", "margin_within", "robust_stability"]
@@ -196,7 +196,7 @@ def _bounds(
         middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]
         cover(again, np.append(first, np.unique(middles)), budget, accuracy)
         found = again if again.level < found.level else found
-    some_real = any(isinstance(b, RealScalar) for b in blocks)
+    some_real = any(b.interval for b in blocks)
     if some_real and 0 < found.attained * (1 + tolerance) < found.level:
         _branch_and_bound(found, tolerance, budget)
     return found
@@ -214,7 +214,7 @@ def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
 def _sharpened(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int) -> Destabilising:
     """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
     omega = worst.pole.imag
-    if not np.isfinite(worst.pole) or omega <= 0 or all(isinstance(b, RealScalar) for b in blocks):
+    if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst
     for reach in SHARPENED:
         points = omega * np.exp(np.linspace(-reach, reach, 9))

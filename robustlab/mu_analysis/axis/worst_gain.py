@@ -32,7 +32,7 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, po
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, delta_matrix, delta_values
+from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
@@ -320,7 +320,7 @@ def _member_gain(
 ) -> _Known:
     """The gain of one member: its H-infinity norm where Delta is real, else its largest gain over frequency nearby."""
     values = delta_values(uncertain.blocks, gain.delta)
-    if all(isinstance(b, RealScalar) for b in uncertain.blocks):
+    if all(b.interval for b in uncertain.blocks):
         clipped = {name: float(np.clip(value, -1.0, 1.0)) for name, value in values.items()}
         norm = hinf_norm(uncertain.evaluate(clipped))
         return _Known(norm.lower, float("inf"), clipped, norm.frequency)
@@ -372,7 +372,7 @@ def _prove(
         if level < known.upper:
             known.cover, known.upper = cover, level
     known.proof = tuple(known.cover.pieces)
-    if any(isinstance(b, RealScalar) for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
+    if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
         proof = tighten(GainProblem(model, blocks, peak), known.lower, known.upper, tolerance, budget)
         if proof.values is not None:
             _take_member(known, uncertain, blocks, proof.values)
@@ -390,7 +390,7 @@ def _take_member(known: _Known, uncertain: UncertainModel, blocks: Sequence[Bloc
     """A member met in branch and bound, by its own norm."""
     delta = centre_matrix(blocks[:-1], values[:-1]).astype(complex)
     member = delta_values(uncertain.blocks, delta)
-    if any(not isinstance(b, RealScalar) for b in uncertain.blocks):
+    if not all(b.interval for b in uncertain.blocks):
         member = {name: value for name, value in member.items() if np.any(value)}
     norm = hinf_norm(uncertain.evaluate(member))
     if norm.lower > known.lower:

@@ -37,7 +37,6 @@ from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.blocks.base import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
@@ -122,7 +121,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     if not isinstance(uncertain, UncertainModel):
         raise InputError("small_gain", type(uncertain).__name__, "an UncertainModel")
     blocks = uncertain.blocks
-    if len(blocks) != 1 or not isinstance(blocks[0], FullBlock):
+    if len(blocks) != 1 or blocks[0].is_scalar or not blocks[0].is_ball:
         raise InputError("small_gain", f"{uncertain!r}", "one full block", "use robust_stability")
     closed = uncertain if K is None else uncertain.close(signed(_controller(uncertain, K), sign))
     M = closed.delta_channels

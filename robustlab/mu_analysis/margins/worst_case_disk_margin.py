@@ -38,7 +38,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, RealScalar
+from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
@@ -329,7 +329,7 @@ class _Search:
 
 
 def _zero(block: Block) -> Any:
-    return np.zeros((block.rows, block.cols)) if isinstance(block, FullBlock) else 0.0
+    return 0.0 if block.is_scalar else np.zeros(block.value_shape)
 
 
 def _size(value: Any) -> float:
@@ -342,6 +342,6 @@ def _towards_the_edge(blocks: tuple[Block, ...], found: Mapping[str, Any]) -> It
     yield dict(found)
     sizes = {name: _size(value) for name, value in found.items()}
     yield {name: value / sizes[name] if sizes[name] > 0.5 else value for name, value in found.items()}
-    real = {b.name for b in blocks if isinstance(b, RealScalar)}
+    real = {b.name for b in blocks if b.interval}
     if len(real) < len(blocks):
         yield {n: v / sizes[n] if n not in real and sizes[n] > 0.5 else v for n, v in found.items()}

@@ -17,7 +17,7 @@ from robustlab.mu_analysis.matrix.decomposition import components
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.result import Status
-from robustlab.uncertainty.blocks.base import Block, RealScalar, as_blocks, structure_size
+from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
 
@@ -213,7 +213,7 @@ def _close(
     from robustlab.mu_analysis.axis.branch_and_bound import MatrixProblem, tighten
 
     boxes, scale = np.zeros(len(stack), dtype=int), _scale(stack)
-    some_real = any(isinstance(b, RealScalar) for b in blocks)
+    some_real = any(b.interval for b in blocks)
     for k, m in enumerate(stack * scale[:, None, None]):
         lower, upper = parts["lower"][k] * scale[k], parts["upper"][k] * scale[k]
         if not some_real or not 0 < lower * (1 + tolerance) < upper:
@@ -251,11 +251,11 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
 
 def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
     for block in blocks:
-        if isinstance(block, RealScalar) and block.parameter is not None and block.ratio != 1:
-            scale = block.parameter
+        if not block.is_symmetric:
+            low, high = block.ends
             raise InputError(
                 f"mu: block {block.name!r}",
-                f"range {scale.low:g} .. {scale.high:g} around {scale.nominal:g}",
+                f"range {low:g} .. {high:g} around {block.parameter.nominal if block.parameter else 0:g}",
                 "a range that is symmetric around its nominal value",
                 "robust_stability takes such ranges; or give the block a symmetric range that holds this one",
             )

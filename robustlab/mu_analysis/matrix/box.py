@@ -17,7 +17,7 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["Box", "block_entries", "box_matrices", "box_model", "centre_matrix", "gauge", "lowest", "root_box"]
 
@@ -41,12 +41,12 @@ class Box:
 
 def lowest(blocks: Sequence[Block]) -> Array:
     """What multiplies in Delta at the lower end of each block's range: -1, or ``-below / radius`` where asymmetric."""
-    return np.array([-b.ratio if isinstance(b, RealScalar) else -1.0 for b in blocks])
+    return np.array([b.interval[0] if b.interval else -1.0 for b in blocks])
 
 
 def root_box(blocks: Sequence[Block], size: float = 1.0) -> Box:
     """The whole set, scaled by ``size`` about the nominal point."""
-    low, real = lowest(blocks), np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
+    low, real = lowest(blocks), np.array([b.interval is not None for b in blocks], dtype=bool)
     return Box(np.where(real, size * (1 + low) / 2, 0.0), np.where(real, size * (1 - low) / 2, size))
 
 
@@ -61,7 +61,7 @@ def block_entries(blocks: Sequence[Block], delta: ComplexArray) -> Array:
     entries = []
     for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
         part = delta[w, z]
-        entries.append(float(part[0, 0].real) if isinstance(block, RealScalar) else float(np.linalg.norm(part, 2)))
+        entries.append(float(part[0, 0].real) if block.interval else float(np.linalg.norm(part, 2)))
     return np.array(entries)
 
 
@@ -70,8 +70,8 @@ def centre_matrix(blocks: Sequence[Block], centre: Array) -> Array:
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     matrix = np.zeros((q, p))
     for value, block, (w, z) in zip(centre, blocks, block_slices(blocks), strict=True):
-        if isinstance(block, RealScalar):
-            matrix[w, z] = value * np.eye(block.repeats)
+        if block.interval:
+            matrix[w, z] = value * np.eye(block.rows)
     return matrix
 
 

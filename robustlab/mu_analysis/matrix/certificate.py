@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.scalings import hermitian
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = [
     "EPS",
@@ -188,26 +188,14 @@ def singularity(M: ComplexArray, delta: ComplexArray) -> float:
 
 def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
     """Largest singular value of the blocks of Delta (q, p)."""
-    largest = 0.0
-    for block, (w, z) in _with_slices(blocks):
-        full = isinstance(block, FullBlock) and block.rows * block.cols > 1
-        size = np.linalg.norm(delta[w, z], 2) if full else abs(delta[w.start, z.start])
-        largest = max(largest, float(size))
-    return largest
+    return max((block.norm(delta[w, z]) for block, (w, z) in _with_slices(blocks)), default=0.0)
 
 
 def has_structure(blocks: Sequence[Block], Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> bool:
     """Whether D and G commute with every Delta of these blocks, to the last bit: no number of theirs is rounded."""
     rest = (Dw.copy(), Dz.copy(), G.copy())
     for block, (w, z) in _with_slices(blocks):
-        d_w, d_z, g = Dw[w, w], Dz[z, z], G[w, z]
-        if isinstance(block, FullBlock):
-            d = d_w[0, 0].real
-            fits = (d_w == d * np.eye(block.rows)).all() and (d_z == d * np.eye(block.cols)).all() and not g.any()
-        else:
-            fits = (d_w == d_z).all() and (d_w == d_w.conj().T).all()
-            fits = fits and ((g == g.conj().T).all() if isinstance(block, RealScalar) else not g.any())
-        if not fits:
+        if not block.commutes(Dw[w, w], Dz[z, z], G[w, z]):
             return False
         for part, rows, cols in zip(rest, (w, z, w), (w, z, z), strict=True):
             part[rows, cols] = 0
@@ -218,11 +206,7 @@ def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:
     """The Delta of exactly this structure that lies next to the given one."""
     result = np.zeros(delta.shape, dtype=complex)
     for block, (w, z) in _with_slices(blocks):
-        part = delta[w, z]
-        if not isinstance(block, FullBlock):
-            value = np.trace(part) / len(part)
-            part = (value.real if isinstance(block, RealScalar) else value) * np.eye(len(part))
-        result[w, z] = part
+        result[w, z] = block.project(delta[w, z])
     return result
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.uncertainty.blocks.base import Block, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["Component", "balancing_exponents", "block_norms", "components", "expand"]
 

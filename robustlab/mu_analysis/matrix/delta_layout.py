@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 __all__ = ["DeltaLayout", "delta_layout"]
 
@@ -120,7 +120,7 @@ def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
     entry_w, entry_z, entry_block = [], [], []
     for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):
         for r in range(w.start, w.stop):
-            columns = range(z.start, z.stop) if isinstance(block, FullBlock) else [z.start + r - w.start]
+            columns = [z.start + r - w.start] if block.is_scalar else range(z.start, z.stop)
             for c in columns:
                 entry_w.append(r)
                 entry_z.append(c)
@@ -129,8 +129,8 @@ def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
     return DeltaLayout(
         q=q,
         p=p,
-        real=np.array([isinstance(b, RealScalar) for b in blocks]),
-        full=np.array([isinstance(b, FullBlock) and b.rows * b.cols > 1 for b in blocks]),
+        real=np.array([b.interval is not None for b in blocks]),
+        full=np.array([not b.is_scalar and b.rows * b.cols > 1 for b in blocks]),
         of_w=np.repeat(parts, [b.rows for b in blocks]),
         of_z=np.repeat(parts, [b.cols for b in blocks]),
         entry_w=np.array(entry_w, dtype=np.intp),

@@ -16,7 +16,7 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.box import Box, centre_matrix
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["Gain", "ascend", "ascend_corners", "gain_at", "largest_gain"]
 
@@ -43,7 +43,7 @@ class Gain:
     def slopes(self, blocks: Sequence[Block]) -> Array:
         """Derivative by the entry of each real block; zero for the others, the performance included."""
         slopes = [
-            (self.left[w] * self.right[z]).sum().real if isinstance(b, RealScalar) else 0.0
+            (self.left[w] * self.right[z]).sum().real if b.interval else 0.0
             for b, (w, z) in zip(blocks[:-1], block_slices(blocks[:-1]), strict=True)
         ]
         return np.array([*slopes, 0.0])
@@ -100,13 +100,10 @@ def largest_gain(
         delta = centre_matrix(others, box.centre[:-1]).astype(complex)
         if k:
             for block, (w, z), half in zip(others, block_slices(others), box.half[:-1], strict=True):
-                if isinstance(block, RealScalar):
-                    delta[w, z] += half * rng.choice([-1.0, 1.0]) * np.eye(block.repeats)
-                elif isinstance(block, FullBlock):
-                    sides = [rng.standard_normal((n, 2)) @ np.array([1, 1j]) for n in (block.rows, block.cols)]
-                    delta[w, z] = half * np.outer(*(side / np.linalg.norm(side) for side in sides))
+                if block.interval:
+                    delta[w, z] += half * rng.choice([-1.0, 1.0]) * np.eye(block.rows)
                 else:
-                    delta[w, z] = half * np.exp(2j * np.pi * rng.random()) * np.eye(block.repeats)
+                    delta[w, z] = half * block.extreme(rng, lambda n: rng.standard_normal((n, 2)) @ np.array([1, 1j]))
         found = ascend(M, blocks, delta, box)
         if found is not None and (best is None or found.value > best.value):
             best = found
@@ -115,20 +112,11 @@ def largest_gain(
 
 def _aligned(blocks: Sequence[Block], gain: Gain, box: Box) -> ComplexArray:
     """The Delta of the box that raises the gain most, to first order."""
-    delta = np.zeros_like(gain.delta)
     others = blocks[:-1]
-    for block, (w, z), centre, half in zip(others, block_slices(others), box.centre[:-1], box.half[:-1], strict=True):
-        left, right = gain.left[w], gain.right[z]
-        if isinstance(block, FullBlock):
-            size = np.linalg.norm(left) * np.linalg.norm(right)
-            delta[w, z] = half * np.outer(np.conj(left), np.conj(right)) / size if size > 0 else gain.delta[w, z]
-            continue
-        slope = (left * right).sum()
-        if isinstance(block, RealScalar):
-            value = centre + half * np.sign(slope.real)
-        else:
-            value = half * np.conj(slope) / abs(slope) if slope != 0 else gain.delta[w.start, z.start]
-        delta[w, z] = value * np.eye(block.repeats)
+    delta = centre_matrix(others, box.centre[:-1]).astype(complex)
+    for block, (w, z), half in zip(others, block_slices(others), box.half[:-1], strict=True):
+        aligned = block.aligned(gain.left[w], gain.right[z], half)
+        delta[w, z] = gain.delta[w, z] if aligned is None else delta[w, z] + aligned
     return delta
 
 
@@ -140,7 +128,7 @@ def ascend_corners(M: ComplexArray, blocks: Sequence[Block], box: Box, values: A
         if gain is None:
             break
         met.append(gain)
-        real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
+        real = np.array([b.interval is not None for b in blocks], dtype=bool)
         corner = np.where(real, box.centre + box.half * np.sign(gain.slopes(blocks)), 0.0)
         if np.array_equal(corner, values):
             break

@@ -36,7 +36,7 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
     sharpened,
     smallest_step,
 )
-from robustlab.uncertainty.blocks.base import Block, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 __all__ = ["SINGULAR", "lower_bound", "lower_bounds"]
 

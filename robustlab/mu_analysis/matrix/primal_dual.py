@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace
-from robustlab.uncertainty.blocks.base import FullBlock
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis.matrix.primal_dual_kernels import Pattern
@@ -82,7 +81,7 @@ def _pattern(space: ScalingSpace) -> Pattern:
     diagonal = (space.in_w > 0) & (space.rows == space.cols)
     trace = np.add.reduceat(diagonal.astype(float), space.first)
     # D_w of a full block is a multiple of the identity: diagonal blocks of order one.
-    sizes = [[1] * b.rows if isinstance(b, FullBlock) else [b.rows] for b in space.blocks]
+    sizes = [[1] * b.rows if b.d_order == 1 else [b.rows] for b in space.blocks]
     corners = np.cumsum([0, *(size for part in sizes for size in part)])
     first = np.append(space.first, len(space.rows))
     return Pattern(space.rows, space.cols, space.coefficients, first, owner, trace, corners)

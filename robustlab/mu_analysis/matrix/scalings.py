@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 __all__ = ["ScalingSpace", "hermitian", "scaling_space"]
 
@@ -54,24 +54,16 @@ class ScalingSpace:
         parameters: list[list[tuple[int, int, complex, int]]] = []
         identity: list[float] = []
         for block, (w, z) in zip(self.blocks, self.slices, strict=True):
-            if isinstance(block, FullBlock):
+            for on_w, on_z in block.d_basis():
                 parameters.append(
-                    [(i, i, 1 + 0j, 1) for i in range(w.start, w.stop)]
-                    + [(self.q + i, self.q + i, -1 + 0j, 0) for i in range(z.start, z.stop)]
+                    [(w.start + i, w.start + j, c, 1) for i, j, c in on_w]
+                    + [(self.q + z.start + i, self.q + z.start + j, -c, 0) for i, j, c in on_z]
                 )
-                identity.append(1.0)
-                continue
-            for pattern in _hermitian_basis(block.repeats):
-                parameters.append(
-                    [(w.start + i, w.start + j, c, 1) for i, j, c in pattern]
-                    + [(self.q + z.start + i, self.q + z.start + j, -c, 0) for i, j, c in pattern]
-                )
-                identity.append(float(len(pattern) == 1))
-            if isinstance(block, RealScalar):
-                for pattern in _hermitian_basis(block.repeats):
-                    entries = [(w.start + i, self.q + z.start + j, -1j * c, 0) for i, j, c in pattern]
-                    parameters.append(entries + [(b, a, np.conj(c), 0) for a, b, c, _ in entries])
-                    identity.append(0.0)
+                identity.append(float(all(i == j for i, j, _ in on_w)))
+            for pattern in block.g_basis():
+                entries = [(w.start + i, self.q + z.start + j, -1j * c, 0) for i, j, c in pattern]
+                parameters.append(entries + [(b, a, np.conj(c), 0) for a, b, c, _ in entries])
+                identity.append(0.0)
         flat = [entry for parameter in parameters for entry in parameter]
         self.size = len(parameters)
         self.rows = np.array([e[0] for e in flat], dtype=int)
@@ -106,10 +98,3 @@ class ScalingSpace:
 def scaling_space(blocks: tuple[Block, ...]) -> ScalingSpace:
     """The scaling space of these blocks; bounds of one structure are asked for again and again."""
     return ScalingSpace(blocks)
-
-
-def _hermitian_basis(r: int) -> list[list[tuple[int, int, complex]]]:
-    """Basis of the Hermitian r x r matrices over the real numbers as (row, column, value); diagonal ones first."""
-    diagonal: list[list[tuple[int, int, complex]]] = [[(i, i, 1.0)] for i in range(r)]
-    pairs = [(i, j) for i in range(r) for j in range(i + 1, r)]
-    return diagonal + [[(i, j, c), (j, i, np.conj(c))] for i, j in pairs for c in (1.0 + 0j, 1j)]

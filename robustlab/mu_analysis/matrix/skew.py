@@ -31,7 +31,7 @@ from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import hermitian
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
 from robustlab.result import Status
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, as_blocks, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, structure_size
 
 __all__ = ["skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
 
@@ -182,7 +182,7 @@ def skew_lower(
 
 
 def _closes_a_gain(block: Block) -> bool:
-    return isinstance(block, FullBlock) or (isinstance(block, ComplexScalar) and block.repeats == 1)
+    return block.is_ball
 
 
 def _largest_gain(

@@ -12,7 +12,7 @@ from robustlab.arrays import ComplexArray
 from robustlab.mu_analysis.matrix.certificate import certified_level, certified_levels
 from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, expand
 from robustlab.mu_analysis.matrix.scalings import scaling_space
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
 
 __all__ = ["UpperBound", "compile_kernels", "points_below", "points_work", "upper_bounds"]
 
@@ -66,7 +66,7 @@ def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) ->
 
 
 def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
-    if len(blocks) == 1 and (isinstance(blocks[0], FullBlock) or structure_size(blocks) == (1, 1)):
+    if len(blocks) == 1 and (structure_size(blocks) == (1, 1) or (blocks[0].d_order == 1 and not blocks[0].g_basis())):
         return [_single(m, blocks[0]) for m in M]
     # The methods are sized for matrices of order one; powers of two scale exactly, and G like M.
     size = np.exp2(np.rint(np.log2(np.maximum(np.abs(M).max(axis=(1, 2)), 1e-300))))
@@ -111,7 +111,7 @@ def _single(m: ComplexArray, block: Block) -> UpperBound:
     """One full block: the largest singular value. One real number: G takes all of a value that is not real."""
     q, p = block.rows, block.cols
     Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p, dtype=complex), np.zeros((q, p), dtype=complex)
-    if isinstance(block, RealScalar) and abs(m[0, 0].imag) > 1e-12 * abs(m[0, 0]):
+    if block.g_basis() and abs(m[0, 0].imag) > 1e-12 * abs(m[0, 0]):
         # |m|^2 - 2 g Im m < 0
         G[0, 0] = abs(m[0, 0]) * (abs(m[0, 0]) / m[0, 0].imag)
     return UpperBound(certified_level(m, Dw, Dz, G), Dw, Dz, G)

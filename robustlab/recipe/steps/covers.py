@@ -111,7 +111,6 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
     import robustlab as rl
     from robustlab.dynamics import Plant
     from robustlab.report.cover_figures import blocks_figure
-    from robustlab.uncertainty.blocks.base import RealScalar
 
     given = work.discoveries.get(step.of, work.values[step.of])
     if step.of not in work.discoveries and not isinstance(given, Plant):
@@ -124,7 +123,7 @@ def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
     figure = blocks_figure(made)
     if figure is not None:
         work.draw(figure, "blocks", "How much each block alone changes the response of the nominal model, of its size.")
-    ranges = {b.name: b.parameter for b in made.model.blocks if isinstance(b, RealScalar) and b.parameter}
+    ranges = {b.name: b.parameter for b in made.model.blocks if b.parameter}
     numbers = {
         **uncertain_numbers(made.model),
         "count": len(made.model.blocks),

@@ -10,7 +10,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
 from robustlab.synthesis.dk.riccati_level import proved_level
 from robustlab.synthesis.problem.design import Synthesis
-from robustlab.uncertainty.blocks.base import Block
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["DKStep", "DKSynthesis"]
 

@@ -29,7 +29,7 @@ from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.stability import proved_stable
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, as_blocks, delta_values, structure_size
+from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
 
 __all__ = ["dk", "structure_with_performance"]
 
@@ -133,7 +133,7 @@ def dk(
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks.base import ComplexScalar
+    >>> from robustlab.uncertainty.blocks import ComplexScalar
     >>> A, B = [[-1.0]], [[0.5, 1.0, 1.0]]
     >>> C, D = [[0.0], [1.0], [1.0]], [[0, 0, 1], [0, 0, 0], [0, 1, 0]]
     >>> design = dk(StateSpaceModel(A, B, C, D), [ComplexScalar("gain")], 1, 1, direct=False)
@@ -169,10 +169,11 @@ def structure_with_performance(
     if not given:
         raise InputError(where, "no uncertainty blocks", "at least one", "use hinf for a plant without uncertainty")
     for block in given:
-        if isinstance(block, RealScalar) and block.parameter is not None and block.ratio != 1:
+        if not block.is_symmetric:
+            low, high = block.ends
             raise InputError(
                 f"{where}: block {block.name!r}",
-                f"a range that is wider on one side ({block.parameter.low:g} .. {block.parameter.high:g})",
+                f"a range that is wider on one side ({low:g} .. {high:g})",
                 "a range that is symmetric around its nominal value",
                 "centred(uncertain) moves the nominal value to the middle",
             )
@@ -205,7 +206,7 @@ class _Search:
     ) -> None:
         self.budget, self.whole = budget, budget.left
         self.plant, self.max_order, self.progress = plant, max_order, progress
-        some_real = any(isinstance(b, RealScalar) for b in blocks)
+        some_real = any(b.g_basis() for b in blocks)
         self.mixed = mixed and some_real
         self.real, self.blocks = blocks, as_complex(blocks)
         self.curve_work = points_work(self.real if self.mixed else self.blocks, POINTS)
@@ -457,9 +458,7 @@ def _doubts(stable: bool, norm: HinfNorm | None) -> list[str]:
 def _with_g(scalings: DynamicScalings, real: tuple[Block, ...]) -> DynamicScalings:
     """The same D, with room for G at the real blocks."""
     parts = tuple(
-        BlockScaling(part.factors, part.mixing, part.g or (CoprimePair(),) * block.rows)
-        if isinstance(block, RealScalar)
-        else part
+        BlockScaling(part.factors, part.mixing, part.g or (CoprimePair(),) * block.rows) if block.g_basis() else part
         for block, part in zip(real, scalings.parts, strict=True)
     )
     return DynamicScalings(real, parts)

@@ -33,7 +33,7 @@ from functools import lru_cache
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 __all__ = [
     "BlockScaling",
@@ -232,7 +232,7 @@ class DynamicScalings:
         """Number of states that a plant gets when it is scaled."""
         total = 0
         for block, part in zip(self.blocks, self.parts, strict=True):
-            sides = block.rows + block.cols if isinstance(block, FullBlock) else 2
+            sides = block.rows + block.cols if block.d_order == 1 else 2
             total += part.order * sides + part.g_states
         return total
 
@@ -341,7 +341,7 @@ def _channels(block: Block, part: BlockScaling, start: int, size: int) -> list[t
     """Each factor with each of its channels; the one factor of a full block comes once for every channel."""
     if not part.factors:
         return []
-    factors = part.factors * size if isinstance(block, FullBlock) else part.factors
+    factors = part.factors * size if block.d_order == 1 else part.factors
     return [(factor, start + i) for i, factor in enumerate(factors)]
 
 
@@ -405,11 +405,7 @@ def _all_pass(sections: list[tuple[float, ...]]) -> tuple[AnyArray, AnyArray, An
 
 def reference_block(blocks: Sequence[Block]) -> int | None:
     """The block whose D is one: of those with a scalar D the one whose D would cost most states; None: none has one."""
-    scalar = [
-        (block.rows + block.cols, i)
-        for i, block in enumerate(blocks)
-        if isinstance(block, FullBlock) or block.rows == 1
-    ]
+    scalar = [(block.rows + block.cols, i) for i, block in enumerate(blocks) if block.d_order == 1]
     return max(scalar)[1] if scalar else None
 
 
@@ -418,8 +414,8 @@ def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
     one = reference_block(blocks)
     parts = []
     for i, block in enumerate(blocks):
-        r = 1 if isinstance(block, FullBlock) else block.rows
+        r = block.d_order
         factors = () if i == one else (Factor(),) * r
-        g = (CoprimePair(),) * r if isinstance(block, RealScalar) else ()
+        g = (CoprimePair(),) * r if block.g_basis() else ()
         parts.append(BlockScaling(factors, (0.0,) * (r * (r - 1) // 2), g))
     return DynamicScalings(tuple(blocks), tuple(parts))

@@ -12,7 +12,7 @@ from robustlab.budget import Budget, dense
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["MuCurve", "as_complex", "mu_curve"]
 
@@ -53,7 +53,7 @@ class MuCurve:
 
 def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
     """The same structure with complex instead of real scalars: what D alone can prove."""
-    return tuple(ComplexScalar(b.name, b.repeats) if isinstance(b, RealScalar) else b for b in blocks)
+    return tuple(b.as_complex() for b in blocks)
 
 
 def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: AnyArray | None = None) -> MuCurve:

@@ -36,7 +36,7 @@ from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, Realisation
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
-from robustlab.uncertainty.blocks.base import structure_size
+from robustlab.uncertainty.blocks import structure_size
 
 __all__ = [
     "Branches",

@@ -16,7 +16,7 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     unit_scalings,
 )
 from robustlab.synthesis.dk.pointwise_scalings import MuCurve
-from robustlab.uncertainty.blocks.base import Block, FullBlock, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 __all__ = ["fit_factor", "fitted_scalings", "scaled_peaks"]
 
@@ -180,7 +180,7 @@ def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[AnyArra
             targets.append([])
             mixings.append(())
             continue
-        if isinstance(block, FullBlock) or r == 1:
+        if block.d_order == 1:
             targets.append([0.5 * (np.log(D[:, w.start, w.start].real) - base)])
             mixings.append(())
             continue

@@ -28,7 +28,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.uncertainty.blocks.base import Block, FullBlock, structure_size
+from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
@@ -170,7 +170,7 @@ def make_measure(
         return PerformanceMeasure(plant, name, budget=budget)
     known = tuple(plant.blocks if blocks is None else blocks)
     n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
-    if known and structure_size(known) == (n_w, n_z) and isinstance(known[-1], FullBlock):
+    if known and structure_size(known) == (n_w, n_z) and known[-1].is_ball and not known[-1].is_scalar:
         known = known[:-1]  # the last block is the performance block
     if scalings is not None:
         scaled = scaled_plant(plant, given_scalings(scalings, plant.model.dt, where), where)

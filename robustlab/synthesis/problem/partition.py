@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks.base import Block
+from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [

@@ -24,7 +24,7 @@ from robustlab.synthesis.nonsmooth.performance_measure import (
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.controller_candidates import CandidateFamily, candidate_families
-from robustlab.uncertainty.blocks.base import Block
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["OrderTried", "ReducedController", "reduce_controller"]
 

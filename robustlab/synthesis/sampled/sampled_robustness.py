@@ -22,7 +22,7 @@ from robustlab.synthesis.sampled.lifting import lift
 from robustlab.synthesis.sampled.sampled_data import check_sampling, norm_work, sampled_loop_norm, with_antialiasing
 from robustlab.synthesis.sampled.sampled_uncertainty import REST, SampledUncertainPlant, sample_uncertain_plant
 from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
-from robustlab.uncertainty.blocks.base import RealScalar, block_slices
+from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["SampledRobustness", "sampled_robustness"]
@@ -276,7 +276,7 @@ class _Proofs:
     ) -> None:
         self.plant, self.K, self.delay, self.budget, self.seed = plant, K, delay, budget, seed
         self.progress = progress or (lambda _: None)
-        self.real = [b.name for b in plant.blocks if isinstance(b, RealScalar)]
+        self.real = [b.name for b in plant.blocks if b.interval]
         self.history: list[tuple[int, float]] = []
 
     def run(self, degrees: tuple[int, ...], accuracy: float, antialiasing: float | None) -> SampledRobustness:

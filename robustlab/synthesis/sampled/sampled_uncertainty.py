@@ -41,7 +41,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.sampled.held_intervals import ChannelGroup, held_interval, thin_rows
 from robustlab.synthesis.sampled.lifting import whole_and_part
-from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, RealScalar, block_slices
+from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["REST", "SampledUncertainPlant", "sample_uncertain_plant"]
@@ -133,7 +133,7 @@ class _Channels:
         for i in direct:  # grows while it is walked through
             direct += [j for j, (w, _) in enumerate(slices) if j not in direct and m.D[slices[i][1], w].any()]
         for i in direct:
-            if not isinstance(blocks[i], RealScalar):
+            if not blocks[i].interval:
                 raise InputError(
                     f"block {blocks[i].name!r}", "dynamic, and it reaches the sampler directly",
                     "a path of low-pass character", "a filter before the sampler: antialiasing=",
@@ -184,7 +184,7 @@ class _Period:
         driven; ``wide`` is the largest entry of Delta.
         """
         blocks, groups = self.plant.blocks, self.channels.groups
-        real = [i for i, b in enumerate(blocks) if isinstance(b, RealScalar)]
+        real = [i for i, b in enumerate(blocks) if b.interval]
         self.units = [real] * bool(real) + [[i] for i in range(len(groups)) if i not in real]
         self.real_unit = bool(real)
         gains = np.max([interval.gains for interval in self.intervals], axis=0)
@@ -193,7 +193,7 @@ class _Period:
             for j, by in enumerate(groups):
                 direct = m.D[to.z][:, by.w]
                 gains[i, j] += float(np.linalg.norm(direct, 2)) if direct.size else 0.0
-        wide = np.array([max(1.0, b.ratio) if isinstance(b, RealScalar) else 1.0 for b in blocks] + [1.0])
+        wide = np.array([max(1.0, -b.interval[0]) if b.interval else 1.0 for b in blocks] + [1.0])
         out = np.array([max(_norm(v.rests[i]) for v in self.intervals) for i in range(len(groups))]) * wide
         into = np.array([max(_norm(v.kicks[i]) for v in self.intervals) for i in range(len(groups))])
         self.scale = np.ones(len(groups))
@@ -291,9 +291,9 @@ class _Period:
         blocks: list[Block] = []
         rows, columns = list[AnyArray](), list[AnyArray]()
         for i, block in enumerate(given):
-            if isinstance(block, RealScalar):
+            if block.interval:
                 mean_rows, mean_columns = self._coefficient_channels(i)
-                blocks.append(RealScalar(block.name, len(mean_columns), block.parameter, origin=block.origin))
+                blocks.append(block.resized(len(mean_columns), len(mean_columns)))
                 rows.append(mean_rows)
                 columns.append(mean_columns)
         for rest, unit in zip(rest_rows, self.units, strict=True):
@@ -314,7 +314,7 @@ class _Period:
                 block = given[unit[0]]
                 blocks.append(FullBlock(block.name, len(columns[-1]), len(rows[-1]), origin=block.origin))
         names = tuple(self.plant.model.input_names[i] for i in self.channels.held)
-        widened = tuple(b.name for b in given if isinstance(b, ComplexScalar) and b.repeats > 1)
+        widened = tuple(b.name for b in given if not (b.is_ball or b.interval))
         uncertain = UncertainModel(self._model(rows, columns), blocks)
         return SampledUncertainPlant(uncertain, self.degree, names, widened, self._looseness())
 

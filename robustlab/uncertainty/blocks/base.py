@@ -1,368 +1,266 @@
-"""The blocks of a structured perturbation Delta, each normalised: ``|delta| <= 1`` or ``sigma_max(Delta_i) <= 1``."""
+"""The contract of a block: all that differs between kinds of uncertainty is a method or property of the kind."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.arrays import Array, ComplexArray
+from robustlab.errors import InputError
+from robustlab.uncertainty.blocks.parameter_range import ParameterRange
 
-__all__ = [
-    "Block",
-    "ComplexScalar",
-    "FullBlock",
-    "ParameterRange",
-    "RealScalar",
-    "Sign",
-    "as_blocks",
-    "block_slices",
-    "delta_matrix",
-    "delta_values",
-    "structure_size",
-]
+__all__ = ["Block", "Pattern", "check_name_and_size", "rank_one"]
+
+# Entries (row, column, coefficient) of a sparse matrix.
+Pattern = list[tuple[int, int, complex]]
 
 
-Sign = Literal["any", "either", "nonnegative", "positive"]
+class Block(ABC):
+    """One block ``Delta_i``, ``w = Delta_i z``, of a structured perturbation: a set of matrices of norm at most one.
 
+    With a member its multiples by 0 .. 1 are in the set. A new kind is one subclass: it says what its set is by
+    `is_real`, `is_scalar` and `project`; the rest has defaults that hold for any such set (D a multiple of the
+    identity, no G), which a kind with more structure replaces by sharper ones.
 
-@dataclass(frozen=True)
-class ParameterRange:
-    r"""What a normalised real delta in [-1, 1] means in the user's parameter; 0 is nominal, +1 and -1 are the ends.
-
-    .. math:: value = nominal + radius \, \delta \quad (\delta \ge 0), \qquad
-              value = nominal + below \, \delta \quad (\delta < 0)
+    A *value* is what users give and get for a block: a number for a scalar kind, else a matrix of `value_shape`.
 
     Attributes
     ----------
-    nominal, radius
-        Nominal value and width of the range above it, in ``unit``.
-    unit
-        Physical unit of the parameter.
-    below
-        Width of the range beneath the nominal value; None where it is the same (a width given equal to ``radius``
-        becomes None).
-    sign
-        What physics allows beyond the range too: a mass is ``"positive"``, a friction ``"nonnegative"``, a torque
-        constant ``"either"``, but never zero and never both in one machine. It limits nothing; results that name a
-        value outside say so (`impossible`). Ranges that differ in nothing else are equal.
-
-    Raises
-    ------
-    InputError
-        ``below`` is given, and it or ``radius`` is not a positive finite number; an unknown ``sign``.
-
-    Examples
-    --------
-    >>> lag = ParameterRange(1.0, 0.5, "s", below=0.25)
-    >>> lag.value(1.0), lag.value(-1.0), lag.delta(0.875)
-    (1.5, 0.75, -0.5)
+    name
+        Unique within a structure.
+    rows, cols
+        Entries of w and of z.
+    origin
+        Where the block comes from, in words.
+    parameter
+        The physical range that a real delta stands for.
+    is_real
+        Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.
+    is_scalar
+        Whether members are one number times the identity.
+    stored_as
+        The kind's word in files; empty: it cannot be stored.
     """
-
-    nominal: float
-    radius: float
-    unit: str = ""
-    below: float | None = None
-    sign: Sign = field(default="any", repr=False, compare=False, kw_only=True)
-
-    def __post_init__(self) -> None:
-        if self.sign not in get_args(Sign):
-            raise InputError("ParameterRange: sign", f"{self.sign!r}", f"one of {', '.join(get_args(Sign))}")
-        if self.below is None:
-            return
-        for word, width in (("above (radius)", self.radius), ("below", self.below)):
-            if isinstance(width, bool) or not isinstance(width, (int, float, np.number)) or not 0 < width < np.inf:
-                raise InputError(
-                    "ParameterRange",
-                    f"width {width!r} {word} the nominal value" if word == "below" else f"width {width!r} {word}",
-                    "a positive finite number",
-                    "a range that ends at its nominal value needs another nominal value, inside of it",
-                )
-        if not 0 < self.below / self.radius < np.inf:
-            raise InputError("ParameterRange", f"widths {self.radius} above and {self.below} below", "a finite ratio")
-        if self.below == self.radius:
-            object.__setattr__(self, "below", None)
-
-    @classmethod
-    def between(cls, low: float, high: float, nominal: float | None = None, unit: str = "") -> ParameterRange:
-        """The range from ``low`` to ``high`` around ``nominal``, which is the middle where left out.
-
-        Raises
-        ------
-        InputError
-            Not ``low < nominal < high``, or numbers that are not finite.
-
-        Examples
-        --------
-        >>> ParameterRange.between(0.75, 1.5, 1.0)
-        ParameterRange(nominal=1.0, radius=0.5, unit='', below=0.25)
-        """
-        middle = 0.5 * (low + high) if nominal is None else nominal
-        if not (np.isfinite([low, middle, high]).all() and low < middle < high):
-            raise InputError("ParameterRange", f"{low} .. {high} around {middle}", "finite low < nominal < high")
-        if nominal is None:
-            return cls(middle, 0.5 * (high - low), unit)
-        return cls(middle, high - middle, unit, middle - low)
-
-    @property
-    def ratio(self) -> float:
-        """Width below divided by width above: what a negative delta is multiplied with to give the entry of Delta."""
-        return 1.0 if self.below is None else self.below / self.radius
-
-    @property
-    def low(self) -> float:
-        """The value at delta = -1."""
-        return self.value(-1.0)
-
-    @property
-    def high(self) -> float:
-        """The value at delta = +1."""
-        return self.value(1.0)
-
-    def value(self, delta: float) -> float:
-        """Parameter value that belongs to a normalised delta."""
-        width = self.radius if self.below is None or delta >= 0 else self.below
-        return self.nominal + width * delta
-
-    def delta(self, value: float) -> float:
-        """Normalised delta that belongs to a parameter value."""
-        width = self.radius if self.below is None or value >= self.nominal else self.below
-        return (value - self.nominal) / width
-
-    def impossible(self, value: float) -> str:
-        """What physics asks of the parameter that this value does not meet; empty where it may exist.
-
-        Examples
-        --------
-        >>> ParameterRange(4.8e-05, 1.68e-05, "N m s", sign="nonnegative").impossible(-1e-4)
-        'it is never negative'
-        """
-        if self.sign == "positive" and value <= 0:
-            return "it is always positive"
-        if self.sign == "either" and value * self.nominal <= 0:
-            return "it never changes its sign"
-        return "it is never negative" if self.sign == "nonnegative" and value < 0 else ""
-
-    def to_json(self) -> dict[str, object]:
-        """The attributes; ``below`` only where it differs from ``radius``, ``sign`` only where there is one."""
-        data: dict[str, object] = {"nominal": self.nominal, "radius": self.radius, "unit": self.unit}
-        if self.below is not None:
-            data["below"] = self.below
-        return data if self.sign == "any" else {**data, "sign": self.sign}
-
-
-@dataclass(frozen=True)
-class RealScalar:
-    """``delta * I`` with one real delta, ``-1 <= delta <= 1``, repeated ``repeats`` times.
-
-    ``parameter`` says which physical range the normalised delta stands for. Where that range is wider on one side, the
-    number that stands in Delta is ``delta`` for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``: it fills
-    [-ratio, 1], and every value of the parameter enters M by one and the same affine law. ``origin`` says in words
-    where the block comes from; blocks that differ in nothing else are equal.
-    """
-
-    name: str
-    repeats: int = 1
-    parameter: ParameterRange | None = None
-    origin: str = field(default="", repr=False, compare=False, kw_only=True)
-
-    def __post_init__(self) -> None:
-        _check(self.name, self.repeats)
-
-    @property
-    def rows(self) -> int:
-        """Rows of the block (entries of w)."""
-        return self.repeats
-
-    @property
-    def cols(self) -> int:
-        """Columns of the block (entries of z)."""
-        return self.repeats
-
-    @property
-    def ratio(self) -> float:
-        """Width of the range below nominal divided by the width above; 1 for a symmetric range or without one."""
-        return 1.0 if self.parameter is None else self.parameter.ratio
-
-    def entry(self, delta: float) -> float:
-        """The number that stands in Delta for a normalised delta."""
-        return delta if delta >= 0 else self.ratio * delta
-
-    def delta(self, entry: float) -> float:
-        """The normalised delta that belongs to a number in Delta."""
-        return entry if entry >= 0 else entry / self.ratio
-
-
-@dataclass(frozen=True)
-class ComplexScalar:
-    """``delta * I`` with one complex delta, ``|delta| <= 1``, repeated ``repeats`` times."""
-
-    name: str
-    repeats: int = 1
-    origin: str = field(default="", repr=False, compare=False, kw_only=True)
-
-    def __post_init__(self) -> None:
-        _check(self.name, self.repeats)
-
-    @property
-    def rows(self) -> int:
-        """Rows of the block (entries of w)."""
-        return self.repeats
-
-    @property
-    def cols(self) -> int:
-        """Columns of the block (entries of z)."""
-        return self.repeats
-
-
-@dataclass(frozen=True)
-class FullBlock:
-    """A full complex matrix ``Delta_i`` of shape (rows, cols) with ``sigma_max(Delta_i) <= 1``; ``w = Delta_i z``."""
 
     name: str
     rows: int
     cols: int
-    origin: str = field(default="", repr=False, compare=False, kw_only=True)
+    origin: str = ""
+    parameter: ParameterRange | None = None
 
-    def __post_init__(self) -> None:
-        _check(self.name, self.rows)
-        _check(self.name, self.cols)
+    is_real: ClassVar[bool]
+    is_scalar: ClassVar[bool]
+    stored_as: ClassVar[str] = ""
+
+    # --- the set -----------------------------------------------------------------------------------------------------
+
+    @property
+    def value_shape(self) -> tuple[int, int]:
+        """Shape of a value as a matrix; it stands ``rows / value_shape[0]`` times on the diagonal of the block."""
+        return (self.rows, self.cols)
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """For one real number times the identity: the ends (low, high) of what stands in Delta; None for other sets.
+
+        Algorithms over boxes of parameters take such a block as one axis. Its values fill [-1, 1]: a value v >= 0
+        stands as ``high v`` in Delta, a negative one as ``-low v``.
+        """
+        return None
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The ends of a one-number range in the user's unit, or normalised."""
+        if self.parameter is not None:
+            return self.parameter.low, self.parameter.high
+        return self.interval or (-1.0, 1.0)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether with each member its negative is one."""
+        return True
+
+    @property
+    def is_ball(self) -> bool:
+        """Whether every complex matrix of this size with ``sigma_max <= 1`` is a member."""
+        return False
+
+    @abstractmethod
+    def project(self, part: NDArray[Any]) -> NDArray[Any]:
+        """The nearest matrix (rows, cols) that is a multiple of a member."""
+
+    def norm(self, part: NDArray[Any]) -> float:
+        """Largest singular value of a multiple of a member."""
+        return float(np.linalg.norm(part, 2) if part.size > 1 else abs(part[0, 0]))
+
+    # --- values ------------------------------------------------------------------------------------------------------
+
+    def matrix_of(self, value: NDArray[Any]) -> NDArray[Any]:
+        """The block (rows, cols) of a value.
+
+        Raises
+        ------
+        InputError
+            A wrong shape, or a complex value for a real block.
+        """
+        value = value.reshape(1, 1) if value.ndim == 0 and self.value_shape == (1, 1) else value
+        if value.shape != self.value_shape:
+            raise InputError(f"delta {self.name!r}", f"shape {value.shape}", f"{self.value_shape}")
+        if self.is_real and np.imag(value).any():
+            raise InputError(f"delta {self.name!r}", "a complex matrix", "a real matrix")
+        return value
+
+    def value_of(self, part: NDArray[Any]) -> Any:
+        """Inverse of `matrix_of`."""
+        return part.real.copy() if self.is_real else part.copy()
+
+    def draw(self, rng: np.random.Generator, boundary: bool = False) -> Any:
+        """A random value, uniform over the norms' volumes; on the boundary of the set where asked for."""
+        matrix = rng.standard_normal(self.value_shape)
+        if not self.is_real:
+            matrix = matrix + 1j * rng.standard_normal(self.value_shape)
+        radius = 1.0 if boundary else rng.random() ** (1.0 / self.n_coordinates)
+        # A hair inside: the norm of the rounded matrix must not come out above one.
+        matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
+        return complex(matrix[0, 0]) if self.is_scalar else matrix
+
+    def in_range(self, place: float) -> float:
+        """Value at a place of an `interval` whose ends are at -1 and 1 and its middle at 0: for uniform draws."""
+        return place
+
+    # --- real coordinates of a value, for searches and tables --------------------------------------------------------
+
+    @property
+    def n_coordinates(self) -> int:
+        """How many real numbers make a value."""
+        return math.prod(self.value_shape) * (1 if self.is_real else 2)
+
+    def coordinates(self, value: Any) -> Array:
+        """A value as real numbers (n_coordinates,): its entries, or their real parts and then their imaginary parts."""
+        entries = np.asarray(value, dtype=complex).ravel()
+        return np.real(entries) if self.is_real else np.concatenate([np.real(entries), np.imag(entries)])
+
+    def value_at(self, coordinates: Array) -> Any:
+        """Inverse of `coordinates`."""
+        entries = self._entries(coordinates)
+        return entries[0].item() if self.is_scalar else entries.reshape(self.value_shape)
+
+    def members(self, coordinates: Array) -> NDArray[Any]:
+        """Members (k, rows, cols) at coordinates (k, n_coordinates); those outside the set are drawn back onto it."""
+        matrix = self._entries(coordinates).reshape(-1, *self.value_shape)
+        sizes = np.abs(matrix[:, 0, 0]) if self.value_shape == (1, 1) else np.linalg.norm(matrix, 2, axis=(1, 2))
+        return matrix / np.maximum(sizes, 1.0)[:, None, None]
+
+    def _entries(self, coordinates: Array) -> NDArray[Any]:
+        half = coordinates.shape[-1] // 2
+        return coordinates if self.is_real else coordinates[..., :half] + 1j * coordinates[..., half:]
+
+    # --- members that matter -----------------------------------------------------------------------------------------
+
+    def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
+        """The member, times ``size``, with a large real part of ``left^T Delta_i right``; None where all give zero."""
+        part = self.project(np.outer(np.conj(left), np.conj(right)))
+        norm = self.norm(part)
+        return size * part / norm if norm > 0 else None
+
+    def extreme(self, rng: np.random.Generator, vector: Callable[[int], ComplexArray]) -> NDArray[Any]:
+        """A random member of norm one, of rank one where there are such; ``vector(n)`` draws complex n-vectors."""
+        part = self.project(rank_one(vector(self.rows), vector(self.cols)))
+        return part / self.norm(part)
+
+    # --- scalings that commute: D_w Delta = Delta D_z, and G Delta Hermitian -----------------------------------------
+
+    @property
+    def d_order(self) -> int:
+        """Order of the Hermitian matrix that D consists of; 1: D_w and D_z are one number times the identity."""
+        return 1
+
+    def d_basis(self) -> list[tuple[Pattern, Pattern]]:
+        """Hermitian patterns that span ``D_w`` (rows x rows) and, with the same coefficients, ``D_z``."""
+        return [([(i, i, 1 + 0j) for i in range(self.rows)], [(i, i, 1 + 0j) for i in range(self.cols)])]
+
+    def g_basis(self) -> list[Pattern]:
+        """Patterns that span G (rows x cols); none where the set leaves no room for G."""
+        return []
+
+    def commutes(self, d_w: ComplexArray, d_z: ComplexArray, g: ComplexArray) -> bool:
+        """Whether D and G fit every member, to the last bit."""
+        d = d_w[0, 0].real
+        return bool((d_w == d * np.eye(self.rows)).all() and (d_z == d * np.eye(self.cols)).all() and not g.any())
+
+    def as_complex(self) -> Block:
+        """A block without G that holds this one: what D alone can prove."""
+        return self
+
+    # --- other blocks of the kind ------------------------------------------------------------------------------------
+
+    def resized(self, rows: int, cols: int) -> Self:
+        """The same block with another size.
+
+        Raises
+        ------
+        InputError
+            The kind has no block of that size.
+        """
+        if (rows, cols) == (self.rows, self.cols):
+            return self
+        raise InputError(f"block {self.name!r}", f"a size of {rows} x {cols}", f"{self.rows} x {self.cols}")
+
+    def merged(self, others: Sequence[Any], where: str) -> Block:
+        """One block for the same uncertainty in several operands; ``others`` are of the same kind and name.
+
+        Raises
+        ------
+        InputError
+            No block of this library has that structure.
+        """
+        raise InputError(
+            where,
+            "is a full block in several operands",
+            "a full block in one operand only: a repeated one has no structure here",
+            "build the interconnection so that the block occurs once,"
+            " or rename one if they are different uncertainties",
+        )
+
+    def centred(self, level: float) -> tuple[float, float, Block]:
+        """``(middle, half, block)``: the set times ``level`` is ``middle I + half`` times a symmetric block."""
+        return 0.0, level, self
+
+    # --- words and files ---------------------------------------------------------------------------------------------
+
+    def to_json(self) -> dict[str, object]:
+        """Name, kind, size; range and origin where there are any."""
+        data: dict[str, object] = {"name": self.name, "kind": type(self).__name__}
+        data |= {"rows": self.rows, "cols": self.cols}
+        if self.parameter is not None:
+            data["parameter"] = self.parameter.to_json()
+        return {**data, "origin": self.origin} if self.origin else data
+
+    @classmethod
+    def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> Block:
+        """The block of one row of a file; for kinds with `stored_as`."""
+        raise NotImplementedError(cls.__name__)
 
 
-Block = RealScalar | ComplexScalar | FullBlock
+def rank_one(u: ComplexArray, v: ComplexArray) -> ComplexArray:
+    """The matrix ``u v^T``, divided by its norm."""
+    return np.outer(u / np.linalg.norm(u), v / np.linalg.norm(v))
 
 
-def _check(name: str, size: int) -> None:
+def check_name_and_size(name: str, size: int) -> None:
+    """Refuse a block without a name or a size.
+
+    Raises
+    ------
+    InputError
+        Not a text of 1 to 200 characters, or not a positive whole number.
+    """
     if not isinstance(name, str) or not name or len(name) > 200:
         raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
         raise InputError(f"block {name!r}", f"size {size!r}", "a positive whole number")
-
-
-def as_blocks(given: Any) -> tuple[Block, ...]:
-    """Blocks as given, or from rows in the notation of MATLAB's ``mussv``.
-
-    ``[-r, 0]`` is one real scalar repeated r times, ``[r, 0]`` a complex one, ``[r, c]`` a full block of r rows and c
-    columns; ``[-1, 1]`` and ``[1, 1]`` are a real and a complex scalar. Such blocks are called ``delta1, delta2, ...``.
-
-    Raises
-    ------
-    InputError
-        Names used twice, or a row that is none of these.
-
-    Examples
-    --------
-    >>> as_blocks([[-2, 0], [1, 3]])
-    (RealScalar(name='delta1', repeats=2, parameter=None), FullBlock(name='delta2', rows=1, cols=3))
-    """
-    if isinstance(given, (RealScalar, ComplexScalar, FullBlock)):
-        given = [given]
-    if isinstance(given, np.ndarray):
-        given = np.atleast_2d(given).tolist()
-    if not isinstance(given, Iterable) or isinstance(given, (str, bytes)):
-        raise InputError("blocks", f"{type(given).__name__}", "a list of blocks or of mussv rows")
-    blocks = tuple(
-        b if isinstance(b, (RealScalar, ComplexScalar, FullBlock)) else _from_mussv_row(b, i)
-        for i, b in enumerate(given)
-    )
-    names = [b.name for b in blocks]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise InputError(
-            "blocks", f"block name {twice[0]!r} is used twice", "unique names", "use repeats=... for a repeated scalar"
-        )
-    return blocks
-
-
-def _from_mussv_row(row: Any, index: int) -> Block:
-    name = f"delta{index + 1}"
-    expected = "[-r, 0], [r, 0] or [r, c] with whole numbers r, c >= 1"
-    try:
-        r, c = (float(v) for v in row)
-    except (TypeError, ValueError):
-        raise InputError(f"blocks[{index}]", f"{row!r}", expected) from None
-    if r != int(r) or c != int(c):
-        raise InputError(f"blocks[{index}]", f"{row!r}", expected)
-    r, c = int(r), int(c)
-    if r < 0 and (c == 0 or (r, c) == (-1, 1)):
-        return RealScalar(name, -r)
-    if r > 0 and (c == 0 or (r, c) == (1, 1)):
-        return ComplexScalar(name, r)
-    if r > 0 and c > 0:
-        return FullBlock(name, r, c)
-    raise InputError(f"blocks[{index}]", f"{row!r}", expected)
-
-
-def structure_size(blocks: Sequence[Block]) -> tuple[int, int]:
-    """``(q, p)``: Delta is q x p, so M has q input and p output columns of perturbation channels."""
-    return sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-
-
-def block_slices(blocks: Sequence[Block]) -> list[tuple[slice, slice]]:
-    """For each block its slice of w (rows of Delta) and of z (columns of Delta)."""
-    result, row, col = [], 0, 0
-    for b in blocks:
-        result.append((slice(row, row + b.rows), slice(col, col + b.cols)))
-        row, col = row + b.rows, col + b.cols
-    return result
-
-
-def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> NDArray[Any]:
-    """The block-diagonal Delta, shape (q, p), from one normalised value per block name; blocks left out are zero.
-
-    Scalar blocks take a number, full blocks a matrix (rows, cols). The result is real where every value is real. A
-    negative delta of a range that is not symmetric is multiplied with its ratio (see `RealScalar`).
-
-    Raises
-    ------
-    InputError
-        Unknown names, wrong shapes, NaN or Inf, a complex value for a real block.
-    """
-    known = tuple(b.name for b in blocks)
-    for name in values:
-        if name not in known:
-            raise InputError(
-                f"delta {name!r}", "no such block", f"one of {', '.join(known) or 'none'}", did_you_mean(name, known)
-            )
-    q, p = structure_size(blocks)
-    delta: NDArray[Any] = np.zeros((q, p), dtype=complex)
-    for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
-        if block.name not in values:
-            continue
-        value = np.asarray(values[block.name], dtype=complex)
-        if not np.isfinite(value).all():
-            raise InputError(f"delta {block.name!r}", "NaN or infinite", "finite numbers")
-        if isinstance(block, FullBlock):
-            if value.ndim == 0 and (block.rows, block.cols) == (1, 1):
-                value = value.reshape(1, 1)
-            if value.shape != (block.rows, block.cols):
-                raise InputError(f"delta {block.name!r}", f"shape {value.shape}", f"{(block.rows, block.cols)}")
-            delta[rows, cols] = value
-            continue
-        if value.size != 1:
-            raise InputError(f"delta {block.name!r}", f"shape {value.shape}", "one number")
-        number = complex(value.reshape(()))
-        if isinstance(block, RealScalar):
-            if number.imag != 0:
-                raise InputError(f"delta {block.name!r}", f"{number}", "a real number")
-            number = complex(block.entry(number.real))
-        delta[rows, cols] = number * np.eye(block.repeats)
-    return delta if np.imag(delta).any() else np.real(delta)
-
-
-def delta_values(blocks: Sequence[Block], delta: ArrayLike) -> dict[str, Any]:
-    """Inverse of `delta_matrix`: one value per block name (float, complex, or a complex matrix)."""
-    full = np.asarray(delta)
-    values: dict[str, Any] = {}
-    for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
-        part = full[rows, cols]
-        if isinstance(block, FullBlock):
-            values[block.name] = part.copy()
-        elif isinstance(block, RealScalar):
-            values[block.name] = block.delta(float(part[0, 0].real))
-        else:
-            values[block.name] = complex(part[0, 0])
-    return values

@@ -22,7 +22,7 @@ import numpy as np
 
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.blocks.base import FullBlock
+from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["elementwise_cover"]

@@ -28,7 +28,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ParameterRange
 from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, system_matrices
 from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
@@ -135,7 +135,6 @@ def _hull(
     blocks = [
         dataclasses.replace(b, parameter=_range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
         for b, (i, j) in zip(made.blocks, at, strict=True)
-        if isinstance(b, RealScalar)
     ]
     whole = UncertainModel(made.M, blocks, made.operating_point)
     deltas = tuple(
