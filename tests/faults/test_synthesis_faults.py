@@ -18,8 +18,7 @@ from robustlab.synthesis.hinf import hinf_synthesis
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers, solve_conic
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.hinf.search import Portfolio, Search
-from robustlab.synthesis.nonsmooth.loop_gain import loop_gain
+from robustlab.synthesis.hinf.search import Portfolio, Search, loop_gain
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import paths_first
 

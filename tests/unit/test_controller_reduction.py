@@ -8,8 +8,8 @@ import pytest
 import robustlab as rl
 from robustlab.result import Status, plain
 from robustlab.statespace import lower_lft
-from robustlab.synthesis.nonsmooth.performance_measure import scaled_plant
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.performance_measure import scaled_plant
 from robustlab.synthesis.reduction.controller_reduction import ReducedController
 
 PLANT = rl.StateSpaceModel(

@@ -15,7 +15,7 @@ from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.nonsmooth.loop_gain import closed, loop_gain
+from robustlab.synthesis.hinf.search import closed, loop_gain
 from robustlab.synthesis.problem.gamma_bounds import place_in_s, place_in_z, pointwise_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first

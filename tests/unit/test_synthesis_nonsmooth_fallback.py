@@ -8,10 +8,10 @@ import pytest
 from robustlab.budget import MILLION, Budget
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.hinf import hinf_synthesis, nonsmooth_fallback
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.hinf import hinf_synthesis
+from robustlab.synthesis.hinf import hinf_synthesis as nonsmooth_fallback
+from robustlab.synthesis.hinf.hinf_synthesis import descend_from, hinf, is_poor, stabilise
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.hinf.nonsmooth_fallback import descend_from, is_poor, stabilise
 from robustlab.synthesis.hinf.search import Portfolio, Search
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import paths_first

@@ -26,8 +26,8 @@ from robustlab.synthesis.problem.partition import (
     as_generalized_plant,
     require_performance,
 )
+from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop, separated_modes
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude, equilibrated, paths_first
-from robustlab.synthesis.problem.verified_loop import rebuilt_loop, separated_modes
 
 __all__ = ["WORK", "H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 

@@ -20,8 +20,8 @@ from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
+from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
-from robustlab.synthesis.problem.verified_loop import rebuilt_loop
 
 __all__ = ["MixedSynthesis", "h2_hinf"]
 

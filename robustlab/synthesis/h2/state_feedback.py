@@ -20,7 +20,7 @@ from robustlab.structural import controllability
 from robustlab.synthesis.h2.h2_synthesis import WORK, H2Synthesis, synthesize_h2
 from robustlab.synthesis.problem.design import design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.verified_loop import surely_stable
+from robustlab.synthesis.problem.rebuilt_loop import surely_stable
 
 __all__ = ["StateFeedback", "lqg", "lqr", "place"]
 

@@ -23,7 +23,7 @@ from robustlab.statespace import Signal, StateSpaceModel, append, as_model, seri
 from robustlab.synthesis.problem.design import Synthesis, limiting_channels
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
-from robustlab.synthesis.problem.verified_loop import named_controller, surely_stable
+from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable
 from robustlab.uncertainty.distances.coprime import (
     CoprimeMargin,
     CoprimeRiccati,

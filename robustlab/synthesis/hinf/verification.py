@@ -15,7 +15,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.search import Candidate
 from robustlab.synthesis.problem.independent_check import SecondVoice, hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.verified_loop import moderate_states, named_controller, with_direct_term
+from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
 
 __all__ = ["Verified", "Verifier"]
 

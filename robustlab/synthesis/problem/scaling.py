@@ -6,6 +6,7 @@ undone exactly in the controller.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_po
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
-__all__ = ["Scaling", "by_magnitude", "equilibrated", "in_ordinary_units", "paths_first"]
+__all__ = ["Scaling", "by_magnitude", "common_scaling", "equilibrated", "in_ordinary_units", "paths_first"]
 
 
 # Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
@@ -275,3 +276,12 @@ def equilibrated(p: PlantMatrices, discrete: bool = False) -> Scaling:
         if all(np.array_equal(getattr(s, k), getattr(before, k)) for k in ("states", "u", "y", "w", "z")):
             break
     return s
+
+
+def common_scaling(plants: Sequence[GeneralizedPlant]) -> list[Scaling]:
+    """A scaling for every plant that differs only in the states: signals and time unit are those of the first."""
+    matrices = [plant.matrices() for plant in plants]
+    first = equilibrated(matrices[0])
+    if plants[0].model.dt:
+        first = replace(first, rate=1.0)
+    return [first, *(replace(first, states=equilibrated(other).states) for other in matrices[1:])]

@@ -13,16 +13,16 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.loop_shaping import with_performance
-from robustlab.synthesis.nonsmooth.descent import descend
-from robustlab.synthesis.nonsmooth.performance_measure import (
+from robustlab.synthesis.nonsmooth.parameter_search import descend
+from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.performance_measure import (
     Evidence,
     MeasureName,
     Performance,
     PerformanceMeasure,
     make_measure,
 )
-from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.controller_candidates import CandidateFamily, candidate_families
 from robustlab.uncertainty.blocks.base import Block
 

@@ -17,9 +17,9 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_performance
-from robustlab.synthesis.nonsmooth.performance_measure import given_scalings, scaled_plant
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.performance_measure import given_scalings, scaled_plant
 from robustlab.synthesis.sampled.discretisation import METHODS, MergedModes, discretise, merged_modes
 from robustlab.synthesis.sampled.lifting import lift
 from robustlab.synthesis.sampled.sampled_data import (
