@@ -24,7 +24,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter, model_of
 from robustlab.synthesis.nonsmooth.descent_methods import Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 __all__ = [
     "Start",
@@ -302,7 +302,7 @@ WEIGHTS = (0.3, 0.1, 0.03)
 
 
 def descend(
-    plant: GeneralizedPlant | PlantMatrices,
+    plant: GeneralizedPlant,
     K0: StateSpaceModel,
     budget: Budget,
     weights: tuple[float, ...] = WEIGHTS,
@@ -315,7 +315,7 @@ def descend(
     Parameters
     ----------
     plant
-        The generalised plant, or its matrices (continuous, D22 = 0).
+        The generalised plant.
     K0
         A stabilising controller, ``u = K y`` with positive feedback.
     budget
@@ -328,8 +328,6 @@ def descend(
     StateSpaceModel
         K0 itself where nothing better was found or K0 does not stabilise. Nothing here is verified: the caller does.
     """
-    if isinstance(plant, PlantMatrices):
-        plant = GeneralizedPlant(plant.model(), plant.sizes[4], plant.sizes[2])
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
         raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")
