@@ -499,10 +499,9 @@ def limits_in_words(design: Synthesis) -> list[str]:
 
     Examples
     --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> from robustlab.synthesis import mixsyn, performance_weight
+    >>> import robustlab as rl
     >>> G = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])  # (s - 1) / (s + 1)
-    >>> limits_in_words(mixsyn(G, performance_weight(0.1), 0.1))[-1][:13]
+    >>> limits_in_words(rl.mixsyn(G, rl.performance_weight(0.1), 0.1))[-1][:13]
     'gamma >= 0.59'
     """
     try:
