@@ -56,6 +56,10 @@ class Scaling:
             )
         return gain
 
+    def in_steps(self) -> Scaling:
+        """The same for a discrete plant, whose step has no other unit of time."""
+        return replace(self, rate=1.0)
+
     def apply(self, p: PlantMatrices) -> PlantMatrices:
         """The scaled plant."""
         k, w, z = _exponent(self.rate), _exponent(self.w), _exponent(self.z)
@@ -283,5 +287,5 @@ def common_scaling(plants: Sequence[GeneralizedPlant]) -> list[Scaling]:
     matrices = [plant.matrices() for plant in plants]
     first = equilibrated(matrices[0])
     if plants[0].model.dt:
-        first = replace(first, rate=1.0)
+        first = first.in_steps()
     return [first, *(replace(first, states=equilibrated(other).states) for other in matrices[1:])]
