@@ -18,8 +18,8 @@ import numpy as np
 
 from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.nonsmooth.performance_measure import scaled_plant
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.performance_measure import scaled_plant
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller
 from robustlab.uncertainty.blocks import ComplexScalar
 
@@ -59,7 +59,7 @@ def scalings() -> tuple[StateSpaceModel, StateSpaceModel]:
 def improvement():
     """Nonsmooth descent, where this version has it."""
     try:
-        from robustlab.synthesis.nonsmooth.descent import descend
+        from robustlab.synthesis.nonsmooth.parameter_search import descend
     except ImportError:
         return None
     return descend

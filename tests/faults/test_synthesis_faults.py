@@ -18,8 +18,7 @@ from robustlab.synthesis.hinf import hinf_synthesis
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers, solve_conic
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.hinf.search import Portfolio, Search
-from robustlab.synthesis.nonsmooth.loop_gain import loop_gain
+from robustlab.synthesis.hinf.search import Portfolio, Search, trial_norm
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import paths_first
 
@@ -120,7 +119,7 @@ def test_nan_is_refused_before_any_native_call():
         output_feedback_problem(float("nan"))
     bad = np.array([[np.nan]])
     assert hamiltonian_riccati(bad, np.eye(1), np.eye(1)) is None
-    assert loop_gain(Realisation(bad, bad, bad, bad)) == np.inf
+    assert trial_norm(Realisation(bad, bad, bad, bad)) == np.inf
 
 
 # --- row 22: what solvers say ---
@@ -170,7 +169,7 @@ def test_interrupt_passes_through_the_solver_guard(monkeypatch):
 def test_lmi_steps_in_where_the_riccati_equations_give_nothing(monkeypatch):
     """With every Riccati trial taken away the LMIs still give a verified controller, and the reason says so."""
 
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
+    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=None):
         return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
 
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
@@ -191,7 +190,7 @@ def test_lmi_is_not_tried_on_large_plants_nor_without_time():
 
 
 def test_no_controller_at_all_is_an_error_with_both_reasons(monkeypatch):
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
+    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=None):
         return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
 
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)

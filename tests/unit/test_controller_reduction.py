@@ -8,8 +8,8 @@ import pytest
 import robustlab as rl
 from robustlab.result import Status, plain
 from robustlab.statespace import lower_lft
-from robustlab.synthesis.nonsmooth.performance_measure import scaled_plant
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.performance_measure import plant_with_scalings
 from robustlab.synthesis.reduction.controller_reduction import ReducedController
 
 PLANT = rl.StateSpaceModel(
@@ -98,7 +98,7 @@ def test_mu_with_given_scalings_bounds_mu_and_without_them_is_no_larger():
     scaled = rl.reduce_controller(plant, K, loss=0.05, scalings=pair)
     assert scaled.K.n_states == 1
     assert scaled.measure.startswith("mu of robust performance")
-    own = scaled_plant(plant, pair).close(scaled.K)
+    own = plant_with_scalings(plant, pair).close(scaled.K)
     assert scaled.gamma == pytest.approx(rl.hinf_norm(own).upper, rel=1e-5)
     free = rl.reduce_controller(plant, K, order=1, measure="mu")
     assert free.K.n_states == 1

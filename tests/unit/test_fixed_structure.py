@@ -18,9 +18,9 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.structure_starts import informed_starts
 from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import PID, FixedOrder
-from robustlab.synthesis.nonsmooth.descent import descend
 from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay, RollOff, StableController
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
+from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.partition import as_generalized_plant
 
 GAIN = "K[u2,y3]"

@@ -17,7 +17,7 @@ from robustlab.synthesis.problem import partition
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.independent_check import h2_voice, hinf_voice, separate_responses
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.verified_loop import balanced_states, separated_modes
+from robustlab.synthesis.problem.rebuilt_loop import balanced_states, separated_modes
 from robustlab.synthesis.sampled import sampled_data
 from robustlab.uncertainty.distances import coprime
 

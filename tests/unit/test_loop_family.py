@@ -8,7 +8,7 @@ import pytest
 from robustlab.norms import h2_norm, hinf_norm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_structures import FixedOrder
-from robustlab.synthesis.nonsmooth.active_peaks import bfgs
+from robustlab.synthesis.nonsmooth.descent_methods import bfgs
 from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay, RollOff, StableController
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily

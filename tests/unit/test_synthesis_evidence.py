@@ -15,8 +15,8 @@ from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.nonsmooth.loop_gain import closed, loop_gain
-from robustlab.synthesis.problem.gamma_bounds import place_in_s, place_in_z, pointwise_bound
+from robustlab.synthesis.hinf.search import trial_loop, trial_norm
+from robustlab.synthesis.problem.gamma_bounds import point_in_words, pointwise_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.synthesis.problem.stability import proved_stable
@@ -26,7 +26,7 @@ SINGULAR = StateSpaceModel([[-1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1],
 
 def bound(plant: StateSpaceModel):
     m = GeneralizedPlant(plant, 1, 1).matrices()
-    return pointwise_bound(m, (paths_first(m), equilibrated(m)), place_in_s)
+    return pointwise_bound(m, (paths_first(m), equilibrated(m)))
 
 
 # --- lower bounds ---
@@ -78,8 +78,8 @@ def test_bound_of_a_discrete_plant_speaks_of_the_unit_circle():
     design = hinf(plant, 1, 1, gamma_rel=1.0)
     assert design.gamma_lower == pytest.approx(1 / np.sqrt(2), rel=1e-4)
     assert "0 rad/s" in design.lower_bound.known
-    assert "z = 3: no stable loop" in place_in_z(1.0)(1.0 + 0j)
-    assert place_in_z(2.0)(1j).startswith(f"{np.pi / 4:.4g} rad/s")
+    assert "z = 3: no stable loop" in point_in_words(1.0 + 0j, 1.0)
+    assert point_in_words(1j, 2.0).startswith(f"{np.pi / 4:.4g} rad/s")
 
 
 # --- estimates ---
@@ -164,8 +164,8 @@ def test_quick_gain_of_lightly_damped_loops_is_the_norm(damping):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
     loop = Realisation(A, rng.standard_normal((10, 2)), rng.standard_normal((3, 10)), rng.standard_normal((3, 2)))
     norm = hinf_norm(StateSpaceModel(*loop))
-    assert loop_gain(loop) == pytest.approx(norm.value, rel=1e-4)
-    assert loop_gain(loop, 0.5 * norm.value) == np.inf
+    assert trial_norm(loop) == pytest.approx(norm.value, rel=1e-4)
+    assert trial_norm(loop, 0.5 * norm.value) == np.inf
 
 
 def test_closed_loop_of_bare_matrices_is_the_lft():
@@ -175,5 +175,5 @@ def test_closed_loop_of_bare_matrices_is_the_lft():
     plant = GeneralizedPlant(StateSpaceModel(*(rng.standard_normal((4, 4)) for _ in "ABC"), D), 1, 1)
     K = Realisation(*(rng.standard_normal(shape) for shape in ((2, 2), (2, 1), (1, 2), (1, 1))))
     loop = plant.close(StateSpaceModel(*K))
-    for got, want in zip(closed(plant.matrices(), K), (loop.A, loop.B, loop.C, loop.D), strict=True):
+    for got, want in zip(trial_loop(plant.matrices(), K), (loop.A, loop.B, loop.C, loop.D), strict=True):
         np.testing.assert_allclose(got, want, atol=1e-13)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from robustlab.budget import MILLION, Budget
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.hinf import hinf_synthesis, nonsmooth_fallback
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.hinf import hinf_synthesis
+from robustlab.synthesis.hinf.hinf_synthesis import descend_from, hinf, is_poor, stabilise
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.hinf.nonsmooth_fallback import descend_from, is_poor, stabilise
 from robustlab.synthesis.hinf.search import Portfolio, Search
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import paths_first
+from robustlab.synthesis.tuning import HINF
 
 # x' = -x + w1 + u, z = (x, u), y = x + w2: the optimum is sqrt(3) - 1.
 PLANT = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
@@ -23,13 +25,13 @@ UNSTABLE = StateSpaceModel([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[
 
 @pytest.fixture
 def without_equations(monkeypatch):
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
-        return Portfolio(*(Search(matrices, s, deadline, floor, D22) for s in scalings), float("nan"))
+    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=HINF):
+        tuning = replace(tuning, stabilising_starts=0)
+        return Portfolio(*(Search(matrices, s, deadline, floor, D22, tuning) for s in scalings), float("nan"))
 
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
     monkeypatch.setattr(hinf_synthesis, "lmi_controllers", lambda *_: ([], "no LMI"))
     monkeypatch.setattr(Search, "polish", lambda *_: None)
-    monkeypatch.setattr(nonsmooth_fallback, "STARTS", 0)
 
 
 def search_of(model: StateSpaceModel) -> tuple[GeneralizedPlant, Search]:

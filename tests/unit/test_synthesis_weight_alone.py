@@ -10,7 +10,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.problem.partition import Realisation
-from robustlab.synthesis.problem.verified_loop import DISTANCES, well_posed_neighbours
+from robustlab.synthesis.problem.rebuilt_loop import DISTANCES, well_posed_neighbours
 
 
 def random_discrete(seed: int) -> StateSpaceModel:

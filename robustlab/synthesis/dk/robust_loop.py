@@ -33,8 +33,8 @@ from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.search import Search, soften
 from robustlab.synthesis.problem.independent_check import AGREEMENT, hinf_voice, separate_responses
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
+from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
-from robustlab.synthesis.problem.verified_loop import named_controller, with_direct_term
 
 __all__ = [
     "Iterate",

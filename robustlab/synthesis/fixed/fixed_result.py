@@ -9,7 +9,7 @@ from typing import Any
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain
 from robustlab.norms import H2Norm, HinfNorm
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.nonsmooth.structure_search import Start
+from robustlab.synthesis.nonsmooth.parameter_search import Start
 from robustlab.synthesis.problem.design import Synthesis
 
 __all__ = ["FixedSynthesis", "LimitValue", "ParameterValue"]

@@ -19,10 +19,9 @@ from robustlab.synthesis.h2.h2_synthesis import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.laws.controller_laws import AffineLaw, Law
 from robustlab.synthesis.laws.controller_structures import StaticGain
-from robustlab.synthesis.nonsmooth.descent import law_around
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.structure_search import multi_start
+from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_start
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 

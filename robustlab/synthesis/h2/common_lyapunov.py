@@ -21,26 +21,14 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.tuning import H2, H2Tuning
 
-__all__ = ["Channel", "CommonLyapunov", "solver_work"]
+__all__ = ["CommonLyapunov", "solver_work"]
 
 
 # Solver endings whose numbers are worth a look; the rebuilt loop decides.
 ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
-MOST_STEPS = 200
-# Weight on the size of X and Y, which keeps K finite where the infimum is not attained.
-SIZE = 1e-7
-
-
-@dataclass(frozen=True, eq=False)
-class Channel:
-    """One performance channel: columns of w and rows of z in the plant's matrices."""
-
-    B1: AnyArray
-    C1: AnyArray
-    D11: AnyArray
-    D12: AnyArray
-    D21: AnyArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +64,8 @@ class CommonLyapunov:
 
     Parameters
     ----------
-    A, B2, C2
-        The plant without its performance channels, D22 = 0.
     h2, hinf
-        The two channels.
+        The plant with one of its performance channels each, D22 = 0.
     gain
         A direct term of K with ``D11 + D12 gain D21 = 0`` in the H2 channel (continuous time).
     budget
@@ -90,21 +76,19 @@ class CommonLyapunov:
 
     def __init__(
         self,
-        A: AnyArray,
-        B2: AnyArray,
-        C2: AnyArray,
-        h2: Channel,
-        hinf: Channel,
+        h2: PlantMatrices,
+        hinf: PlantMatrices,
         gain: AnyArray,
         budget: Budget,
         *,
         discrete: bool,
+        tuning: H2Tuning = H2,
     ) -> None:
-        self.A, self.B2, self.C2, self.h2, self.hinf = A, B2, C2, h2, hinf
-        self.gain, self.budget, self.discrete = gain, budget, discrete
-        setup, self.step_work = solver_work(len(A), _channels(h2), _channels(hinf))
+        self.A, self.B2, self.C2, self.h2, self.hinf = h2.A, h2.B2, h2.C2, h2, hinf
+        self.gain, self.budget, self.discrete, self.tuning = gain, budget, discrete, tuning
+        setup, self.step_work = solver_work(len(h2.A), _channels(h2), _channels(hinf))
         budget.spend(setup)
-        n_u, n_y = B2.shape[1], C2.shape[0]
+        _, _, n_u, _, n_y = h2.sizes
         # In continuous time the direct term moves only where the H2 channel does not see it.
         self.unseen = np.eye(n_u) if discrete else _null_space(h2.D12)
         self.unfed = np.zeros((n_y, 0)) if discrete else _null_space(h2.D21.T)
@@ -120,13 +104,12 @@ class CommonLyapunov:
             self.cost[k] = self._cost(self._unknowns(unit))
 
     def _count(self) -> int:
-        n, n_u, n_y = len(self.A), self.B2.shape[1], self.C2.shape[0]
+        n, _, n_u, q, n_y = self.h2.sizes
         free = self.unseen.shape[1] * n_y + n_u * self.unfed.shape[1]
-        q = self.h2.C1.shape[0]
         return n * (n + 1) + n * n + n * n_y + n_u * n + free + q * (q + 1) // 2
 
     def _unknowns(self, x: AnyArray) -> _Unknowns:
-        n, n_u, n_y, q = len(self.A), self.B2.shape[1], self.C2.shape[0], self.h2.C1.shape[0]
+        n, _, n_u, q, n_y = self.h2.sizes
         sizes = [n * (n + 1) // 2] * 2 + [n * n, n * n_y, n_u * n]
         sizes += [self.unseen.shape[1] * n_y, n_u * self.unfed.shape[1]]
         X, Y, A, B, C, free, other, Q = np.split(x, np.cumsum(sizes))
@@ -136,7 +119,7 @@ class CommonLyapunov:
             _symmetric(Q, q),
         )  # fmt: skip
 
-    def _closed(self, v: _Unknowns, c: Channel) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    def _closed(self, v: _Unknowns, c: PlantMatrices) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         A, B2, C2 = self.A, self.B2, self.C2
         a = np.block([[A @ v.X + B2 @ v.C, A + B2 @ v.D @ C2], [v.A, v.Y @ A + v.B @ C2]])
         b = np.vstack([c.B1 + B2 @ v.D @ c.D21, v.Y @ c.B1 + v.B @ c.D21])
@@ -180,7 +163,7 @@ class CommonLyapunov:
         cones = [solver.PSDTriangleConeT(len(m)) for m in constant]
         settings = solver.DefaultSettings()
         settings.verbose = False
-        settings.max_iter = int(np.clip(self.budget.left / self.step_work, 1, MOST_STEPS))
+        settings.max_iter = int(np.clip(self.budget.left / self.step_work, 1, self.tuning.lyapunov_steps))
         if np.isfinite(self.budget.seconds_left):
             settings.time_limit = max(self.budget.seconds_left, 1e-3)
         nothing = sparse.csc_matrix((len(self.cost), len(self.cost)))
@@ -202,9 +185,8 @@ class CommonLyapunov:
         except (np.linalg.LinAlgError, NoTrustworthyNumber, InputError):  # InputError: entries are not finite
             return None
 
-    @staticmethod
-    def _cost(v: _Unknowns) -> float:
-        return float(np.trace(v.Q) + SIZE * (np.trace(v.X) + np.trace(v.Y)))
+    def _cost(self, v: _Unknowns) -> float:
+        return float(np.trace(v.Q) + self.tuning.lyapunov_size * (np.trace(v.X) + np.trace(v.Y)))
 
     def _rebuilt(self, v: _Unknowns) -> StateSpaceModel:
         """Undo the change of variables (their eq. 35), with ``M N^T = I - X Y`` split evenly."""
@@ -218,9 +200,9 @@ class CommonLyapunov:
         return StateSpaceModel(A, B, C, v.D, where="common Lyapunov matrix")
 
 
-def _channels(channel: Channel) -> int:
+def _channels(p: PlantMatrices) -> int:
     """Channels of w and z together."""
-    return channel.B1.shape[1] + channel.C1.shape[0]
+    return p.B1.shape[1] + p.C1.shape[0]
 
 
 def _null_space(matrix: AnyArray) -> AnyArray:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.magnitude import moderated
 from robustlab.matrix_equations import care, dare, gramians
@@ -18,7 +18,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
-from robustlab.synthesis.problem.independent_check import h2_voice
+from robustlab.synthesis.problem.independent_check import first_confirmed, norm_doubt
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
@@ -26,24 +26,14 @@ from robustlab.synthesis.problem.partition import (
     as_generalized_plant,
     require_performance,
 )
+from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop, separated_modes
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude, equilibrated, paths_first
-from robustlab.synthesis.problem.verified_loop import rebuilt_loop, separated_modes
+from robustlab.synthesis.tuning import H2, H2Tuning
 
-__all__ = ["WORK", "H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
+__all__ = ["H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 
-
-WORK = 60 * MILLION
-LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
-# A smallest singular value of D12 or D21 in scaled units above which that side needs no help.
-REGULAR = 1e-6
-# The regularised optimum falls with the regularisation; two steps that gain less than this end the ladder.
-SETTLED = 1e-4
 # A direct term from w to z below this share of D11 is rounding of the cancellation by D_K.
 CANCELLED = 1e-10
-# Trials, best first, that the second voice is asked about.
-HEARD = 6
-# Riccati equations of singular plants lose digits; the rebuilt loop decides.
-RESIDUAL = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -160,7 +150,7 @@ def h2(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
     require_performance(plant, "synth h2")
-    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
+    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", H2.work, effort, time_limit), progress)
 
 
 def synthesize_h2(
@@ -169,13 +159,13 @@ def synthesize_h2(
     gamma_rel: float,
     budget: Budget,
     progress: Callable[[str], None] | None = None,
+    tuning: H2Tuning = H2,
 ) -> H2Synthesis:
     """The search behind `h2` and `robustlab.lqg`; see there."""
-    where = f"synth {method}"
     if not np.isfinite(gamma_rel) or gamma_rel < 1:
-        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number >= 1")
+        raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number >= 1")
     with one_thread():
-        return _synthesized(plant, method, gamma_rel, budget, progress)
+        return _Search(plant, method, budget, progress or (lambda _: None), tuning).result(gamma_rel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,116 +181,139 @@ class _Trial:
     bare: StateSpaceModel
 
 
-def _synthesized(
-    plant: GeneralizedPlant,
-    method: str,
-    gamma_rel: float,
-    budget: Budget,
-    progress: Callable[[str], None] | None,
-) -> H2Synthesis:
-    where, dt = f"synth {method}", plant.model.dt
-    matrices = plant.matrices()
-    start = cancelling_gain(matrices, dt, where)
-    shifted = _with_gain(matrices, start)
-    trials: list[_Trial] = []
-    for scale in (paths_first, equilibrated, by_magnitude):
-        if scale is by_magnitude and trials:
-            break
-        scaling = scale(shifted, dt > 0)
-        if dt:  # a step has no other unit of time
-            scaling = replace(scaling, rate=1.0)
-        if not trials:
-            _require_stabilisable(plant, shifted, scaling, where)
-        settled = _ladder(plant, shifted, start, scaling, trials, budget, progress)
-        if settled or budget.over:
-            break
-    best = min(trials, key=lambda t: t.norm.value, default=None)
-    if best is None:
-        late = f" ({NOT_REPEATABLE})" if budget.struck else ""
-        raise NoTrustworthyNumber(
-            where,
-            f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
-            hint="look at the plant's scaling and at poles and zeros on the stability boundary",
-        )
-    allowed = [t for t in trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
-    chosen = max(allowed, key=lambda t: t.eps)
-    chosen, gamma, doubt = _heard(plant, [chosen, *sorted(trials, key=lambda t: t.norm.value)[:HEARD]])
-    return _finished(plant, chosen, gamma, doubt, matrices, budget, method, best.norm.value)
+class _Search:
+    """One search; every trial is judged by the loop rebuilt on the plant as given."""
 
+    def __init__(
+        self, plant: GeneralizedPlant, method: str, budget: Budget, say: Callable[[str], None], tuning: H2Tuning
+    ) -> None:
+        self.plant, self.method, self.budget, self.say, self.tuning = plant, method, budget, say, tuning
+        self.where, self.dt, self.matrices = f"synth {method}", plant.model.dt, plant.matrices()
+        # What the search is for is the rest of K beside the direct term that cancels D11.
+        self.gain = cancelling_gain(self.matrices, self.dt, self.where)
+        self.shifted = _with_gain(self.matrices, self.gain)
+        self.trials: list[_Trial] = []
 
-def _heard(plant: GeneralizedPlant, trials: list[_Trial]) -> tuple[_Trial, float, str]:
-    """The first trial whose norm the second voice confirms, in coordinates of K's modes if need be, with that norm; or
-    else the first of all, with the larger number and the reason why it is not verified.
-    """
-    first: tuple[_Trial, float, str] | None = None
-    for trial in trials:
-        for judged in (trial, _in_modes(plant, trial)):
-            if judged is None:
-                continue
-            voice = h2_voice(plant, judged.K, judged.loop, judged.norm.value)
-            doubt = voice.doubt(judged.norm.value, judged.norm.value)
-            if not doubt:
-                return judged, judged.norm.value, ""
-            first = first or (judged, voice.larger(judged.norm.value), doubt)
-    assert first is not None
-    return first
+    def result(self, gamma_rel: float) -> H2Synthesis:
+        for scale in (paths_first, equilibrated, by_magnitude):
+            if scale is by_magnitude and self.trials:
+                break
+            scaling = scale(self.shifted, self.dt > 0)
+            if self.dt:
+                scaling = scaling.in_steps()
+            if not self.trials:
+                _require_stabilisable(self.plant, self.shifted, scaling, self.where)
+            if self._ladder(scaling) or self.budget.over:
+                break
+        best = min(self.trials, key=lambda t: t.norm.value, default=None)
+        if best is None:
+            late = f" ({NOT_REPEATABLE})" if self.budget.struck else ""
+            raise NoTrustworthyNumber(
+                self.where,
+                f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
+                hint="look at the plant's scaling and at poles and zeros on the stability boundary",
+            )
+        allowed = [t for t in self.trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
+        chosen = max(allowed, key=lambda t: t.eps)
+        others = sorted(self.trials, key=lambda t: t.norm.value)[: self.tuning.heard]
+        # A trial that is not confirmed is heard once more in coordinates of K's modes.
+        candidates = (t for trial in (chosen, *others) for t in self._with_modes(trial))
+        chosen, gamma, doubt = first_confirmed(candidates, lambda t: norm_doubt(self.plant, t.K, t.loop, t.norm))
+        return self._finished(chosen, gamma, doubt, best.norm.value)
 
-
-def _in_modes(plant: GeneralizedPlant, trial: _Trial) -> _Trial | None:
-    """The same trial with K in coordinates of its modes; None where its loop is not sound."""
-    modes = separated_modes(trial.K)
-    rebuilt = None if modes is None else rebuilt_loop(plant, modes, np.zeros_like(plant.D22))
-    if rebuilt is None:
-        return None
-    K, loop = rebuilt
-    if not loop.is_discrete:
-        loop = cancelled_direct_term(loop, plant.matrices().D11, K.D)
-        if loop is None:
-            return None
-    norm = h2_norm(loop)
-    return replace(trial, K=K, loop=loop, norm=norm) if norm.status.trustworthy and np.isfinite(norm.value) else None
-
-
-def _ladder(
-    plant: GeneralizedPlant,
-    shifted: PlantMatrices,
-    start: AnyArray,
-    scaling: Scaling,
-    trials: list[_Trial],
-    budget: Budget,
-    progress: Callable[[str], None] | None,
-) -> bool:
-    """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it settled.
-
-    Settled: the regular problem was solved, or smaller regularisations gained next to nothing.
-    """
-    dt = plant.model.dt
-    scaled = scaling.apply(shifted)
-    size_u, size_y = _least_direct(scaled.D12, 1), _least_direct(scaled.D21, 0)
-    ladder = LADDER if min(size_u, size_y) <= REGULAR and not dt else (0.0, *LADDER)
-    best, idle = np.inf, 0
-    for eps in ladder:
-        if budget.over:
-            return False
-        budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))  # two equations, and norms of the loop
-        u = 0.0 if size_u > max(REGULAR, eps) else eps
-        y = 0.0 if size_y > max(REGULAR, eps) else eps
-        regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
-        trial = _trial(plant, scaling, regularised, start, eps)
-        if progress is not None:
+    def _ladder(self, scaling: Scaling) -> bool:
+        """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it
+        settled: the regular problem was solved, or smaller regularisations gained next to nothing.
+        """
+        scaled, regular = scaling.apply(self.shifted), self.tuning.regular
+        size_u, size_y = _least_direct(scaled.D12, 1), _least_direct(scaled.D21, 0)
+        ladder = self.tuning.ladder if min(size_u, size_y) <= regular and not self.dt else (0.0, *self.tuning.ladder)
+        best, idle = np.inf, 0
+        for eps in ladder:
+            if self.budget.over:
+                return False
+            # Two equations, and norms of the loop.
+            self.budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))
+            u = 0.0 if size_u > max(regular, eps) else eps
+            y = 0.0 if size_y > max(regular, eps) else eps
+            regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
+            trial = self._trial(scaling, regularised, eps)
             text = "no verified loop" if trial is None else f"H2 norm {trial.norm.value:.6g}"
-            progress(f"regularisation {eps:.0e}: {text}")
-        if trial is None or not trial.norm.status.trustworthy:
-            idle += bool(trials)
+            self.say(f"regularisation {eps:.0e}: {text}")
+            if trial is None or not trial.norm.status.trustworthy:
+                idle += bool(self.trials)
+            else:
+                self.trials.append(trial)
+                if not eps:
+                    return True
+                idle = idle + 1 if trial.norm.value > best * (1 - self.tuning.settled) else 0
+                best = min(best, trial.norm.value)
+            if idle == 2:
+                return best < np.inf
+        return False
+
+    def _trial(self, scaling: Scaling, regularised: PlantMatrices, eps: float) -> _Trial | None:
+        try:
+            bare = _controller(regularised, self.dt, self.tuning.residual)
+            K = scaling.controller_to_plant(Realisation.of(bare))
+            K = StateSpaceModel(K.A, K.B, K.C, K.D + self.gain, self.dt)
+        except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
+            return None
+        found = self._judged(K, self.plant.D22)
+        return None if found is None else _Trial(*found, eps, scaling, regularised, bare)
+
+    def _judged(self, K: StateSpaceModel, D22: AnyArray) -> tuple[StateSpaceModel, StateSpaceModel, H2Norm] | None:
+        """K with D22 taken back in, its loop, and that loop's norm; None where the loop is unstable or its norm not
+        finite.
+        """
+        rebuilt = rebuilt_loop(self.plant, K, D22)
+        if rebuilt is None:
+            return None
+        full, loop = rebuilt
+        if not self.dt:
+            loop = cancelled_direct_term(loop, self.matrices.D11, K.D)
+            if loop is None:
+                return None
+        norm = h2_norm(loop)
+        return (full, loop, norm) if np.isfinite(norm.value) else None
+
+    def _with_modes(self, trial: _Trial) -> Iterator[_Trial]:
+        """The trial, and the same one with K in coordinates of its modes, where its loop is sound."""
+        yield trial
+        modes = separated_modes(trial.K)
+        found = None if modes is None else self._judged(modes, np.zeros_like(self.plant.D22))
+        if found is not None and found[2].status.trustworthy:
+            K, loop, norm = found
+            yield replace(trial, K=K, loop=loop, norm=norm)
+
+    def _finished(self, best: _Trial, gamma: float, doubt: str, smallest: float) -> H2Synthesis:
+        parts = [doubt or "loop rebuilt from K is stable; both Gramians and P(jw), K(jw) on their own give its norm"]
+        regularised = best.norm.value
+        channels: tuple[str, ...] = ()
+        if best.eps:
+            parts.append(f"kept finite by penalties and noises of {best.eps:.0e} in scaled units")
+            parts.append(f"the smallest norm found with smaller ones is {smallest:.6g}")
+            regularised = max(_regularised_norm(best, self.dt), best.norm.value)
+            channels = _lacking(self.plant, self.matrices)
         else:
-            trials.append(trial)
-            if not eps:
-                return True
-            idle = idle + 1 if trial.norm.value > best * (1 - SETTLED) else 0
-            best = min(best, trial.norm.value)
-        if idle == 2:
-            return best < np.inf
-    return False
+            parts.append("the plant is regular: this is the optimum")
+        sound = Status.INACCURATE if doubt else best.norm.status
+        status, reason = told(sound, parts, self.budget, "a smaller norm")
+        return H2Synthesis(
+            K=best.K,
+            gamma=gamma,
+            closed_loop=best.loop,
+            status=status,
+            reason=reason,
+            limit=_loudest(best.loop),
+            plant=self.plant,
+            method=self.method,
+            norm=best.norm,
+            regularisation=best.eps,
+            regularised_norm=regularised,
+            regularised_channels=channels,
+            smallest_norm=smallest,
+        )
 
 
 def _least_direct(D: AnyArray, axis: int) -> float:
@@ -310,35 +323,13 @@ def _least_direct(D: AnyArray, axis: int) -> float:
     return float(np.linalg.svd(D, compute_uv=False).min(initial=np.inf))
 
 
-def _trial(
-    plant: GeneralizedPlant, scaling: Scaling, regularised: PlantMatrices, start: AnyArray, eps: float
-) -> _Trial | None:
-    dt = plant.model.dt
-    try:
-        bare = _controller(regularised, dt)
-        K = scaling.controller_to_plant(Realisation(bare.A, bare.B, bare.C, bare.D))
-        K = StateSpaceModel(K.A, K.B, K.C, K.D + start, dt)
-    except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
-        return None
-    rebuilt = rebuilt_loop(plant, K, plant.D22)
-    if rebuilt is None:
-        return None
-    full, loop = rebuilt
-    if not dt:
-        loop = cancelled_direct_term(loop, plant.matrices().D11, K.D)
-        if loop is None:
-            return None
-    norm = h2_norm(loop)
-    return _Trial(full, loop, norm, eps, scaling, regularised, bare) if np.isfinite(norm.value) else None
-
-
-def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
+def _controller(p: PlantMatrices, dt: float, residual: float) -> StateSpaceModel:
     """The optimal controller of a regular plant with D22 = 0 (and, in continuous time, D11 = 0)."""
     solve = dare if dt else care
-    control = solve(p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12, tolerance=RESIDUAL)
-    filtering = solve(p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T, tolerance=RESIDUAL)
+    control = solve(p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12, tolerance=residual)
+    filtering = solve(p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T, tolerance=residual)
     F, L = control.gain, filtering.gain.T
-    if not dt:
+    if not dt:  # Doyle, Glover, Khargonekar, Francis 1989, theorem 1
         return StateSpaceModel(p.A + p.B2 @ F + L @ p.C2, -L, F, np.zeros((F.shape[0], L.shape[1])))
     X, Y = control.X, filtering.X
     try:
@@ -407,49 +398,14 @@ def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scali
     require_stabilisable(scaled, plant.model.state_names, where, scaling.rate)
 
 
-def _finished(
-    plant: GeneralizedPlant,
-    best: _Trial,
-    gamma: float,
-    doubt: str,
-    matrices: PlantMatrices,
-    budget: Budget,
-    method: str,
-    smallest: float,
-) -> H2Synthesis:
-    parts = [doubt or "loop rebuilt from K is stable; both Gramians and P(jw), K(jw) on their own give its norm"]
-    regularised = best.norm.value
-    channels: tuple[str, ...] = ()
-    if best.eps:
-        parts.append(f"kept finite by penalties and noises of {best.eps:.0e} in scaled units")
-        parts.append(f"the smallest norm found with smaller ones is {smallest:.6g}")
-        regularised = max(_regularised_norm(best, plant.model.dt), best.norm.value)
-        channels = _lacking(plant, matrices)
-    else:
-        parts.append("the plant is regular: this is the optimum")
-    status, reason = told(Status.INACCURATE if doubt else best.norm.status, parts, budget, "a smaller norm")
-    return H2Synthesis(
-        K=best.K,
-        gamma=gamma,
-        closed_loop=best.loop,
-        status=status,
-        reason=reason,
-        limit=_loudest(best.loop),
-        plant=plant,
-        method=method,
-        norm=best.norm,
-        regularisation=best.eps,
-        regularised_norm=regularised,
-        regularised_channels=channels,
-        smallest_norm=smallest,
-    )
+# --- what the result tells --------------------------------------------------------------------------------------------
 
 
 def _regularised_norm(best: _Trial, dt: float) -> float:
     """H2 norm of the scaled, regularised loop, in the plant's units."""
     model = best.regularised.model()
-    scaled = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
-    bare = StateSpaceModel(best.bare.A, best.bare.B, best.bare.C, best.bare.D, dt)
+    scaled = StateSpaceModel(*Realisation.of(model), dt)
+    bare = StateSpaceModel(*Realisation.of(best.bare), dt)
     return h2_norm(lower_lft(scaled, bare)).value * np.sqrt(best.scaling.rate) / best.scaling.gain
 
 

@@ -9,39 +9,24 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.budget import Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.synthesis.h2.common_lyapunov import Channel, CommonLyapunov, solver_work
+from robustlab.synthesis.h2.common_lyapunov import CommonLyapunov, solver_work
 from robustlab.synthesis.h2.h2_synthesis import cancelled_direct_term, cancelling_gain, synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
-from robustlab.synthesis.problem.independent_check import norm_doubt
+from robustlab.synthesis.problem.independent_check import first_confirmed, norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
+from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
-from robustlab.synthesis.problem.verified_loop import rebuilt_loop
+from robustlab.synthesis.tuning import H2, H2Tuning
 
 __all__ = ["MixedSynthesis", "h2_hinf"]
 
 Names = Sequence[str]
-WORK = 60 * MILLION
-H2_REL = 1.0005  # loss of the H2 designs where they have to be kept finite
-
-# Levels of the H-infinity inequality, in shares of gamma: above 1, because the common Lyapunov matrix makes it
-# conservative; below 1, because the solver may miss its level by a little.
-LEVELS = (1.0, 1.3, 1.7, 2.5, 4.0, 8.0)
-LOWER = (0.995, 0.97, 0.9)
-REFINEMENTS = 5
-# Factors by which the split of the level between w and z is moved, as long as the H2 norm falls by this much.
-SHARES = (3.0, 1 / 3)
-GAIN = 0.01
-ROOM = 1.02
-# Controllers, best first, that the second voice is asked about.
-HEARD = 6
-# Weights of the H-infinity channel in H2 designs.
-WEIGHTS = tuple(float(x) for x in 10 ** (np.arange(-4, 13) / 4))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -163,18 +148,39 @@ def h2_hinf(
     plant = as_generalized_plant(P, n_meas, n_con, where)
     if isinstance(gamma, bool) or not np.isfinite(gamma) or gamma <= 0:
         raise InputError(where, f"gamma is {gamma}", "a positive number")
-    budget = design_budget(where, WORK, effort, time_limit)
+    budget = design_budget(where, H2.work, effort, time_limit)
     channels = _channels(plant, h2_outputs, h2_inputs, hinf_outputs, hinf_inputs)
     with one_thread():
-        return _Mixed(plant, channels, gamma, budget, progress).result()
+        return _Mixed(plant, *channels, gamma, budget, progress or (lambda _: None), H2).result()
 
 
 @dataclass(frozen=True, eq=False)
-class _Pair:
-    """Rows of z and columns of w of the two channels."""
+class _Channel:
+    """Rows of z and columns of w."""
 
-    h2: tuple[list[int], list[int]]
-    hinf: tuple[list[int], list[int]]
+    z: list[int]
+    w: list[int]
+
+    def of_loop(self, m: StateSpaceModel) -> StateSpaceModel:
+        """The channel of a model from w to z."""
+        return _selected(m, self.z, self.w)
+
+    def of_plant(self, plant: GeneralizedPlant) -> GeneralizedPlant:
+        """The plant with this channel only."""
+        m = plant.model
+        rows, columns = [*self.z, *range(plant.n_z, m.n_outputs)], [*self.w, *range(plant.n_w, m.n_inputs)]
+        return GeneralizedPlant(_selected(m, rows, columns), plant.n_meas, plant.n_con)
+
+    def of_matrices(self, p: PlantMatrices) -> PlantMatrices:
+        """The same of its matrices."""
+        z, w = self.z, self.w
+        return replace(p, B1=p.B1[:, w], C1=p.C1[z], D11=p.D11[np.ix_(z, w)], D12=p.D12[z], D21=p.D21[:, w])
+
+
+def _selected(m: StateSpaceModel, rows: list[int], columns: list[int]) -> StateSpaceModel:
+    outputs: list[Signal] = [m.outputs[i] for i in rows]
+    inputs: list[Signal] = [m.inputs[i] for i in columns]
+    return StateSpaceModel(m.A, m.B[:, columns], m.C[rows], m.D[np.ix_(rows, columns)], m.dt, inputs, outputs, m.states)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,20 +201,21 @@ class _Mixed:
     def __init__(
         self,
         plant: GeneralizedPlant,
-        channels: _Pair,
+        h2: _Channel,
+        hinf: _Channel,
         gamma: float,
         budget: Budget,
-        progress: Callable[[str], None] | None,
+        say: Callable[[str], None],
+        tuning: H2Tuning,
     ) -> None:
-        self.plant, self.channels, self.gamma = plant, channels, gamma
-        self.budget, self.skipped = budget, ""
-        self.say = progress or (lambda line: None)
+        self.plant, self.h2, self.hinf, self.gamma = plant, h2, hinf, gamma
+        self.budget, self.say, self.tuning, self.skipped = budget, say, tuning, ""
         self.found: list[_Verified] = []
-        self.alone = {kind: _part(plant, *getattr(channels, kind)) for kind in ("h2", "hinf")}
+        self.h2_alone, self.hinf_alone = h2.of_plant(plant), hinf.of_plant(plant)
 
     def result(self) -> MixedSynthesis:
         where = "synth h2-hinf"
-        free = synthesize_h2(self.alone["h2"], "h2", H2_REL, self.budget)
+        free = synthesize_h2(self.h2_alone, "h2", self.tuning.kept_finite, self.budget)
         norms = self._judge(free.K, "the H2 optimum, which keeps the bound")
         self.say(f"H2 norm without the bound {free.gamma:.6g}")
         smallest = float("nan")
@@ -217,9 +224,10 @@ class _Mixed:
             self._weighted_h2()
             smallest = self._robust()
             if not self.found and smallest > self.gamma:
+                names = ", ".join(self.plant.model.output_names[i] for i in self.hinf.z)
                 raise NoTrustworthyNumber(
                     where,
-                    f"no controller keeps the H-infinity norm of {', '.join(self._names('hinf'))} below {self.gamma:g}",
+                    f"no controller keeps the H-infinity norm of {names} below {self.gamma:g}",
                     f"gamma above {smallest:.6g}, the smallest norm found",
                 )
             self._search()
@@ -229,45 +237,33 @@ class _Mixed:
                 "no controller that keeps the bound was verified with a finite H2 norm",
                 hint=f"a gamma clearly above {smallest:.6g} leaves more room",
             )
-        return self._finished(*self._heard(), free.gamma, smallest, optimal)
+        best_first = sorted(self.found, key=lambda v: v.h2.value)[: self.tuning.heard]
+        return self._finished(*first_confirmed(best_first, self._heard), free.gamma, smallest, optimal)
 
-    def _heard(self) -> tuple[_Verified, float, str]:
-        """The controller of smallest H2 norm that the second voice confirms; or else the one of smallest H2 norm, with
-        the larger number and the reason why it is not verified.
-        """
-        first: tuple[_Verified, float, str] | None = None
-        for verified in sorted(self.found, key=lambda v: v.h2.value)[:HEARD]:
-            gamma, doubt = norm_doubt(self.alone["h2"], verified.K, verified.noisy, verified.h2)
-            if not doubt:
-                loop = _selected(verified.loop, *self.channels.hinf)
-                _, doubt = norm_doubt(self.alone["hinf"], verified.K, loop, verified.hinf)
-            first = first or (verified, gamma, doubt)
-            if not doubt:
-                return verified, gamma, doubt
-        assert first is not None
-        return first
+    def _heard(self, verified: _Verified) -> tuple[float, str]:
+        """What the second voice says of both channels: the H2 norm, and why it is not verified."""
+        gamma, doubt = norm_doubt(self.h2_alone, verified.K, verified.noisy, verified.h2)
+        if not doubt:
+            _, doubt = norm_doubt(self.hinf_alone, verified.K, self.hinf.of_loop(verified.loop), verified.hinf)
+        return gamma, doubt
 
     def _robust(self) -> float:
         """The smallest H-infinity norm found; where nothing keeps the bound yet, its designs are candidates."""
         try:
-            robust = synthesize(self.alone["hinf"], "hinf", 1.0, self.budget.share(0.4))
+            robust = synthesize(self.hinf_alone, "hinf", 1.0, self.budget.share(0.4))
             smallest = robust.smallest_gamma
             self.say(f"smallest H-infinity norm found {smallest:.6g}")
             self._judge(robust.K, "the H-infinity design")
-            if len(self.found) <= 1 and self.gamma > ROOM * smallest and not self.budget.over:
+            if len(self.found) <= 1 and self.gamma > self.tuning.room * smallest and not self.budget.over:
                 # The softest one that keeps the bound has a smaller H2 norm than the tightest.
                 share = self.budget.share(0.4)
-                soft = synthesize(self.alone["hinf"], "hinf", 0.999 * self.gamma / smallest, share)
+                soft = synthesize(self.hinf_alone, "hinf", 0.999 * self.gamma / smallest, share)
                 self._judge(soft.K, "the softest H-infinity design found that keeps the bound")
             return smallest
         except NoTrustworthyNumber:
             if not self.found:
                 raise
             return float("nan")
-
-    def _names(self, kind: str) -> list[str]:
-        rows = getattr(self.channels, kind)[0]
-        return [self.plant.model.output_names[i] for i in rows]
 
     def _judge(self, K: StateSpaceModel, how: str, D22: AnyArray | None = None) -> tuple[H2Norm, HinfNorm] | None:
         """Norms of both channels of the rebuilt loop; K is kept where they are sound and the bound holds."""
@@ -277,14 +273,13 @@ class _Mixed:
         if rebuilt is None:
             return None
         named, loop = rebuilt
-        (z2, w2), (z, w) = self.channels.h2, self.channels.hinf
-        noisy = _selected(loop, z2, w2)
+        noisy = self.h2.of_loop(loop)
         if not loop.is_discrete:
-            cleared = cancelled_direct_term(noisy, self.plant.matrices().D11[np.ix_(z2, w2)], K.D)
+            cleared = cancelled_direct_term(noisy, self.h2_alone.matrices().D11, K.D)
             if cleared is None:
                 return None
             noisy = cleared
-        h2_found, hinf_found = h2_norm(noisy), hinf_norm(_selected(loop, z, w))
+        h2_found, hinf_found = h2_norm(noisy), hinf_norm(self.hinf.of_loop(loop))
         sound = h2_found.status.trustworthy and hinf_found.status.trustworthy and np.isfinite(h2_found.value)
         if sound and hinf_found.upper <= self.gamma:
             self.found.append(_Verified(named, loop, noisy, h2_found, hinf_found, how))
@@ -294,22 +289,21 @@ class _Mixed:
         """H2 designs in which the H-infinity channel carries more and more weight, up to the first that keeps the
         bound: a quick start that works at any size.
         """
-        m = self.plant.model
-        (z2, w2), (z, w) = self.channels.h2, self.channels.hinf
-        n_z, n_w = m.n_outputs - self.plant.n_meas, m.n_inputs - self.plant.n_con
-        for weight in WEIGHTS:
+        m, n_z, n_w = self.plant.model, self.plant.n_z, self.plant.n_w
+        first, last = self.tuning.weight_steps
+        for weight in (float(x) for x in 10 ** (np.arange(first, last + 1) / 4)):
             if self.budget.over:
                 return
             rows, columns = np.ones(m.n_outputs), np.ones(m.n_inputs)
             rows[:n_z], columns[:n_w] = 0.0, 0.0
-            rows[z], columns[w] = weight, 1.0
-            rows[z2], columns[w2] = np.maximum(rows[z2], 1.0), 1.0
+            rows[self.hinf.z], columns[self.hinf.w] = weight, 1.0
+            rows[self.h2.z], columns[self.h2.w] = np.maximum(rows[self.h2.z], 1.0), 1.0
             D = rows[:, None] * m.D * columns
             D[:n_z, :n_w] = 0.0  # only a design is looked for; what it is worth is judged on the plant
             shaped = StateSpaceModel(m.A, m.B * columns, rows[:, None] * m.C, D, m.dt, m.inputs, m.outputs, m.states)
             try:
                 shaped_plant = GeneralizedPlant(shaped, self.plant.n_meas, self.plant.n_con)
-                design = synthesize_h2(shaped_plant, "h2", H2_REL, self.budget)
+                design = synthesize_h2(shaped_plant, "h2", self.tuning.kept_finite, self.budget)
             except NoTrustworthyNumber:
                 continue
             norms = self._judge(design.K, f"an H2 design with weight {weight:.3g} on the H-infinity channel")
@@ -318,24 +312,22 @@ class _Mixed:
                 return
 
     def _search(self) -> None:
-        matrices = self.plant.matrices()
-        (z2, w2), (z, w) = self.channels.h2, self.channels.hinf
-        dt = self.plant.model.dt
-        gain = cancelling_gain(_rows(matrices, z2, w2), dt, "synth h2-hinf")
-        setup, step = solver_work(len(matrices.A), len(z2) + len(w2), len(z) + len(w))
+        matrices, dt = self.plant.matrices(), self.plant.model.dt
+        gain = cancelling_gain(self.h2.of_matrices(matrices), dt, "synth h2-hinf")
+        channels = [len(channel.z) + len(channel.w) for channel in (self.h2, self.hinf)]
+        setup, step = solver_work(len(matrices.A), *channels)
         if setup + 3 * step > self.budget.left:
             self.skipped = "the linear matrix inequalities were too large for the work left: a larger effort tries them"
             self.say(self.skipped)
             return
         for scale in (equilibrated, paths_first):
             scaling = scale(matrices)
-            if dt:  # a step has no other unit of time
-                scaling = replace(scaling, rate=1.0)
+            if dt:
+                scaling = scaling.in_steps()
             p = scaling.apply(matrices)
             gain_scaled = gain / scaling.u[:, None] / scaling.y
-            problem = CommonLyapunov(
-                p.A, p.B2, p.C2, _channel(p, z2, w2), _channel(p, z, w), gain_scaled, self.budget, discrete=bool(dt)
-            )
+            h2, hinf = self.h2.of_matrices(p), self.hinf.of_matrices(p)
+            problem = CommonLyapunov(h2, hinf, gain_scaled, self.budget, discrete=bool(dt), tuning=self.tuning)
 
             def attempt(
                 level: float, share: float, problem: CommonLyapunov = problem, scaling: Scaling = scaling
@@ -349,8 +341,7 @@ class _Mixed:
     def _attempted(self, bare: StateSpaceModel, scaling: Scaling, how: str) -> bool:
         """Whether the true norm of this controller for the scaled plant keeps the bound."""
         try:
-            bare_plant = scaling.controller_to_plant(Realisation(bare.A, bare.B, bare.C, bare.D))
-            K = StateSpaceModel(*bare_plant, self.plant.model.dt)
+            K = StateSpaceModel(*scaling.controller_to_plant(Realisation.of(bare)), self.plant.model.dt)
         except InputError:  # entries overflow when scaled back
             return False
         norms = self._judge(K, f"linear matrix inequalities at {how}", self.plant.D22)
@@ -364,29 +355,30 @@ class _Mixed:
         The H2 norm falls as the level grows, so the last controller that keeps the bound is the best one. False where
         no level gives a controller.
         """
-        low, high = 0.0, LEVELS[-1]
-        for level in LEVELS:
+        levels, lower = self.tuning.levels, self.tuning.lower_levels
+        low, high = 0.0, levels[-1]
+        for level in levels:
             if self.budget.over or not attempt(level, 1.0):
                 high = level
                 break
             low = level
         if low == 0.0:
-            low = next((level for level in LOWER if not self.budget.over and attempt(level, 1.0)), 0.0)
+            low = next((level for level in lower if not self.budget.over and attempt(level, 1.0)), 0.0)
         if low == 0.0:
             return False
-        for _ in range(REFINEMENTS):
+        for _ in range(self.tuning.refinements):
             middle = 0.5 * (low + high)
             if high == low or self.budget.over:
                 break
             low, high = (middle, high) if attempt(middle, 1.0) else (low, middle)
-        for factor in SHARES:
+        for factor in self.tuning.split_factors:
             share = factor
             while not self.budget.over and 1e-4 < share < 1e4:
                 before = min(v.h2.value for v in self.found)
                 # Another share moves the level that the true norm allows: a larger one is tried as well.
                 if attempt(low, share) and attempt(1.1 * low, share):
                     low *= 1.1
-                if min(v.h2.value for v in self.found) > before * (1 - GAIN):
+                if min(v.h2.value for v in self.found) > before * (1 - self.tuning.split_gain):
                     break
                 share *= factor
         return True
@@ -398,11 +390,10 @@ class _Mixed:
         if not optimal:
             parts.append("a better controller may exist")
         parts += [self.skipped] if self.skipped else []
-        status, reason = told(
-            Status.INACCURATE if doubt else Status.CONVERGED, parts, self.budget, "a better controller"
-        )
-        (z, w), bound = self.channels.hinf, f"H-infinity norm {best.hinf.upper:.4g} of {self.gamma:.4g} allowed"
-        peak = limiting_channels(_selected(best.loop, z, w), best.hinf.frequency)
+        sound = Status.INACCURATE if doubt else Status.CONVERGED
+        status, reason = told(sound, parts, self.budget, "a better controller")
+        bound = f"H-infinity norm {best.hinf.upper:.4g} of {self.gamma:.4g} allowed"
+        peak = limiting_channels(self.hinf.of_loop(best.loop), best.hinf.frequency)
         return MixedSynthesis(
             K=best.K,
             gamma=gamma,
@@ -425,9 +416,8 @@ class _Mixed:
 
 def _channels(
     plant: GeneralizedPlant, h2_outputs: Names, h2_inputs: Names | None, outputs: Names | None, inputs: Names | None
-) -> _Pair:
-    zs = plant.model.output_names[: plant.model.n_outputs - plant.n_meas]
-    ws = plant.model.input_names[: plant.model.n_inputs - plant.n_con]
+) -> tuple[_Channel, _Channel]:
+    zs, ws = plant.model.output_names[: plant.n_z], plant.model.input_names[: plant.n_w]
     z2 = _positions(h2_outputs, zs, "h2_outputs")
     w2 = list(range(len(ws))) if h2_inputs is None else _positions(h2_inputs, ws, "h2_inputs")
     others = [i for i in range(len(zs)) if i not in z2]
@@ -436,7 +426,7 @@ def _channels(
     for name, found in (("h2_outputs", z2), ("h2_inputs", w2), ("hinf_outputs", z), ("hinf_inputs", w)):
         if not found:
             raise InputError("synth h2-hinf", f"{name} is empty", "at least one channel", "name it by signal names")
-    return _Pair((z2, w2), (z, w))
+    return _Channel(z2, w2), _Channel(z, w)
 
 
 def _positions(names: Names, known: Sequence[str], what: str) -> list[int]:
@@ -446,26 +436,3 @@ def _positions(names: Names, known: Sequence[str], what: str) -> list[int]:
             hint = did_you_mean(name, tuple(known))
             raise InputError(f"synth h2-hinf: {what}", f"no signal {name!r}", f"one of {', '.join(known)}", hint)
     return [list(known).index(name) for name in names]
-
-
-def _part(plant: GeneralizedPlant, z: list[int], w: list[int]) -> GeneralizedPlant:
-    """The generalised plant with one of its channels only."""
-    m = plant.model
-    rows = [*z, *range(m.n_outputs - plant.n_meas, m.n_outputs)]
-    columns = [*w, *range(m.n_inputs - plant.n_con, m.n_inputs)]
-    return GeneralizedPlant(_selected(m, rows, columns), plant.n_meas, plant.n_con)
-
-
-def _selected(m: StateSpaceModel, rows: list[int], columns: list[int]) -> StateSpaceModel:
-    outputs: list[Signal] = [m.outputs[i] for i in rows]
-    inputs: list[Signal] = [m.inputs[i] for i in columns]
-    return StateSpaceModel(m.A, m.B[:, columns], m.C[rows], m.D[np.ix_(rows, columns)], m.dt, inputs, outputs, m.states)
-
-
-def _rows(p: PlantMatrices, z: list[int], w: list[int]) -> PlantMatrices:
-    return replace(p, B1=p.B1[:, w], C1=p.C1[z], D11=p.D11[np.ix_(z, w)], D12=p.D12[z], D21=p.D21[:, w])
-
-
-def _channel(p: PlantMatrices, z: list[int], w: list[int]) -> Channel:
-    part = _rows(p, z, w)
-    return Channel(part.B1, part.C1, part.D11, part.D12, part.D21)

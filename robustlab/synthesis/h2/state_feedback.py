@@ -17,10 +17,11 @@ from robustlab.matrix_equations import RiccatiSolution, care, dare
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
-from robustlab.synthesis.h2.h2_synthesis import WORK, H2Synthesis, synthesize_h2
+from robustlab.synthesis.h2.h2_synthesis import H2Synthesis, synthesize_h2
 from robustlab.synthesis.problem.design import design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.verified_loop import surely_stable
+from robustlab.synthesis.problem.rebuilt_loop import surely_stable
+from robustlab.synthesis.tuning import H2
 
 __all__ = ["StateFeedback", "lqg", "lqr", "place"]
 
@@ -74,6 +75,11 @@ def lqr(G: Any, Q: ArrayLike, R: ArrayLike, N: ArrayLike | None = None) -> State
         Shapes (n_x, n_x), (n_u, n_u), (n_x, n_u). ``[Q N; N^T R]`` symmetric positive semidefinite; R positive definite
         in continuous time.
 
+    Returns
+    -------
+    StateFeedback
+        With the Riccati solution X; its loop is stable beyond rounding.
+
     Raises
     ------
     InputError
@@ -123,6 +129,11 @@ def place(G: Any, poles: Sequence[complex] | ArrayLike) -> StateFeedback:
     poles
         n_x numbers in rad/s (dt = 0) or in the z plane; complex ones in conjugate pairs; none more often than B has
         independent columns.
+
+    Returns
+    -------
+    StateFeedback
+        Without X; INACCURATE where the poles miss their places.
 
     Raises
     ------
@@ -203,6 +214,11 @@ def lqg(
     time_limit, effort
         As for `robustlab.h2`.
 
+    Returns
+    -------
+    H2Synthesis
+        ``gamma`` is the root of the smallest cost.
+
     Raises
     ------
     InputError
@@ -243,7 +259,7 @@ def lqg(
         A, B, C, D, g.dt, [*(Signal(name) for name in inputs), *g.inputs],
         [*(Signal(name) for name in outputs), *g.outputs], g.states, where="lqg",
     )  # fmt: skip
-    budget = design_budget("synth lqg", WORK, effort, time_limit)
+    budget = design_budget("synth lqg", H2.work, effort, time_limit)
     return synthesize_h2(GeneralizedPlant(model, p, m), "lqg", 1.0, budget)
 
 

@@ -1,38 +1,46 @@
-"""H-infinity synthesis: the controller of smallest verified closed-loop norm, or a sane one close to it."""
+"""H-infinity synthesis: the controller of smallest verified closed-loop norm, or a sane one close to it.
+
+Two Riccati equations come first; projection LMIs where they give nothing; a nonsmooth search where both fail or what
+was found is poor, because it needs no equation to be solvable, only loops to be evaluated. Whatever finds a controller
+adds it to the candidates of one search, which are verified and softened alike.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
+from robustlab.budget import NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.norms import bilinear_to_continuous
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers
-from robustlab.synthesis.hinf.nonsmooth_fallback import descend_from, is_poor, stabilise
-from robustlab.synthesis.hinf.search import Portfolio, Search, portfolio, soften
+from robustlab.synthesis.hinf.search import Candidate, Portfolio, Search, portfolio, soften
 from robustlab.synthesis.hinf.verification import Verified, Verifier
+from robustlab.synthesis.laws.controller_laws import model_of
+from robustlab.synthesis.laws.controller_structures import FixedOrder
+from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
+from robustlab.synthesis.nonsmooth.parameter_search import WEIGHTS, descend, multi_start
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
-from robustlab.synthesis.problem.gamma_bounds import GammaBound, place_in_s, place_in_z, pointwise_bound
+from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
+    Realisation,
     as_generalized_plant,
     require_performance,
 )
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
+from robustlab.synthesis.tuning import HINF, HinfTuning
 
-__all__ = ["WORK", "hinf", "synthesize"]
+__all__ = ["descend_from", "hinf", "is_poor", "stabilise", "synthesize"]
 
-# Work of a design: few plants need a tenth of it.
-WORK = 60 * MILLION
-# What a certified norm may cost where the best loop is so stiff that its norm loses digits.
-CALMER = 1.001
+# Weights of the barrier of a descent: larger ones first, because the start may be far from an optimum.
+FAR = (3.0, 1.0, *WEIGHTS)
 
 
 @told_as("synth hinf")
@@ -106,7 +114,7 @@ def hinf(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
     require_performance(plant, "synth hinf")
-    budget = design_budget("synth hinf", WORK, effort, time_limit)
+    budget = design_budget("synth hinf", HINF.work, effort, time_limit)
     return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 
 
@@ -118,6 +126,7 @@ def synthesize(
     weights: Mapping[str, StateSpaceModel] | None = None,
     bandwidth: float | None = None,
     progress: Callable[[str], None] | None = None,
+    tuning: HinfTuning = HINF,
 ) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
@@ -127,96 +136,126 @@ def synthesize(
         raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
     with one_thread():
         say = progress or (lambda _: None)
-        return _synthesize(plant, method, gamma_rel, budget, weights or {}, bandwidth, say)
+        return _Task(plant, method, gamma_rel, bandwidth, weights or {}, budget, say, tuning).result()
 
 
-def _synthesize(
-    plant: GeneralizedPlant,
-    method: str,
-    gamma_rel: float,
-    budget: Budget,
-    weights: Mapping[str, StateSpaceModel],
-    bandwidth: float | None,
-    say: Callable[[str], None],
-) -> HinfSynthesis:
-    dt = plant.model.dt
-    continuous = plant
-    if dt:
-        continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)
-    matrices = continuous.matrices()
-    scalings = (paths_first(matrices), equilibrated(matrices))
-    scaled, rate = scalings[0].apply(matrices), scalings[0].rate
-    require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
-    lower = pointwise_bound(matrices, scalings, place_in_z(dt) if dt else place_in_s)
-    verifier = Verifier(plant, continuous.D22, budget)
-    found = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
-    best, by = _best_of_all_methods(matrices, found, verifier, lower.value, budget, say)
-    if best is None:
-        raise NoTrustworthyNumber(
-            f"synth {method}",
-            f"no controller could be verified{_ended(budget)} ({len(found.candidates)} were found; {by})",
-            hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
-            more=broken_assumptions(scaled, plant, rate),
-        )
-    if not best.certified:  # so fast a controller that digits are lost: a little more gamma buys a calmer one
-        soften(found.leader, best.candidate, (0.2 + 0.8 * CALMER) * best.gamma)
-        best = verifier.accurate(found.candidates, best, CALMER)
-    chosen = best
-    if gamma_rel > 1:
-        soften(found.leader, best.candidate, gamma_rel * best.gamma)
-        chosen = verifier.sanest(found.candidates, best, gamma_rel)
-        say(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
-    if bandwidth is not None and chosen.candidate.pace > bandwidth:
-        chosen = verifier.within(found.candidates, best, gamma_rel, bandwidth)
-    if chosen.gamma < best.gamma:  # on the way to a softer one a smaller one was found
-        best = chosen
-    return _finished(
-        plant=plant,
-        chosen=chosen,
-        best=best,
-        disagree=found.disagree,
-        lower=lower,
-        optimum=min(found.estimated_optimum(), best.gamma),
-        assumptions=broken_assumptions(scaled, plant, rate),
-        gamma_rel=gamma_rel,
-        budget=budget,
-        by=by,
-        method=method,
-        weights=weights,
-    )
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One design: what is asked for, and what it may cost."""
 
+    plant: GeneralizedPlant
+    method: str
+    gamma_rel: float
+    bandwidth: float | None
+    weights: Mapping[str, StateSpaceModel]
+    budget: Budget
+    say: Callable[[str], None]
+    tuning: HinfTuning
 
-def _best_of_all_methods(
-    matrices: PlantMatrices,
-    found: Portfolio,
-    verifier: Verifier,
-    lower: float,
-    budget: Budget,
-    say: Callable[[str], None],
-) -> tuple[Verified | None, str]:
-    """The best verified controller, by Riccati equations, then LMIs, then nonsmooth search; and what gave it."""
-    best, by = verifier.smallest(found.candidates), "two Riccati equations"
-    say(_line("two Riccati equations", best))
-    optimum, disagree = found.estimated_optimum(), found.disagree
-    if best is None:
-        note = _by_lmi(matrices, found.leader, budget)
-        best, by = verifier.smallest(found.candidates), f"two Riccati equations gave none; {note}"
-        optimum = disagree = float("nan")
-        say(_line(note, best))
-    if best is None:
-        note = stabilise(matrices, found.leader, budget, say)
-        found.leader.polish(found.leader.best)
-        best, by = verifier.smallest(found.candidates), f"{by}; {note}"
-        say(_line(note, best))
-    scale = found.leader.scaling.gain
-    if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale):
+    def result(self) -> HinfSynthesis:
+        plant, budget, calmer = self.plant, self.budget, self.tuning.calmer
+        continuous = plant.continuous()
+        matrices = continuous.matrices()
+        scalings = (paths_first(matrices), equilibrated(matrices))
+        scaled, rate = scalings[0].apply(matrices), scalings[0].rate
+        require_stabilisable(scaled, plant.model.state_names, f"synth {self.method}", rate)
+        lower = pointwise_bound(matrices, scalings, plant.model.dt)
+        verifier = Verifier(plant, continuous.D22, budget, self.tuning)
+        found = portfolio(matrices, scalings, budget, lower.value, continuous.D22, self.tuning)
+        best, by = self._best_of_all_methods(matrices, found, verifier, lower.value)
+        if best is None:
+            raise NoTrustworthyNumber(
+                f"synth {self.method}",
+                f"no controller could be verified{_ended(budget)} ({len(found.candidates)} were found; {by})",
+                hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
+                more=broken_assumptions(scaled, plant, rate),
+            )
+        if not best.certified:  # so fast a controller that digits are lost: a little more gamma buys a calmer one
+            soften(found.leader, best.candidate, (0.2 + 0.8 * calmer) * best.gamma)
+            best = verifier.accurate(found.candidates, best, calmer)
+        chosen = best
+        if self.gamma_rel > 1:
+            soften(found.leader, best.candidate, self.gamma_rel * best.gamma)
+            chosen = verifier.sanest(found.candidates, best, self.gamma_rel)
+            self.say(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
+        if self.bandwidth is not None and chosen.candidate.pace > self.bandwidth:
+            chosen = verifier.within(found.candidates, best, self.gamma_rel, self.bandwidth)
+        if chosen.gamma < best.gamma:  # on the way to a softer one a smaller one was found
+            best = chosen
+        return self._finished(chosen, best, by, found, lower, broken_assumptions(scaled, plant, rate))
+
+    def _best_of_all_methods(
+        self, matrices: PlantMatrices, found: Portfolio, verifier: Verifier, lower: float
+    ) -> tuple[Verified | None, str]:
+        """The best verified controller, by Riccati equations, then LMIs, then nonsmooth search; and what gave it."""
+        best, by = verifier.smallest(found.candidates), "two Riccati equations"
+        self._say_of("two Riccati equations", best)
+        optimum, disagree = found.estimated_optimum(), found.disagree
+        if best is None:
+            note = self._by_lmi(matrices, found.leader)
+            best, by = verifier.smallest(found.candidates), f"two Riccati equations gave none; {note}"
+            optimum = disagree = float("nan")
+            self._say_of(note, best)
+        if best is None:
+            note = stabilise(matrices, found.leader, self.budget, self.say)
+            found.leader.polish(found.leader.best)
+            best, by = verifier.smallest(found.candidates), f"{by}; {note}"
+            self._say_of(note, best)
+        scale = found.leader.scaling.gain
+        if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale, self.tuning):
+            return best, by
+        descended = descend_from(matrices, found.leader, best.candidate, self.budget)
+        again = None if descended is None else verifier.smallest(found.candidates)
+        if again is not None and again.certified >= best.certified and again.gamma < best.gamma:
+            best, by = again, f"{by}; nonsmooth descent"
+        self._say_of("nonsmooth descent", best)
         return best, by
-    descended = descend_from(matrices, found.leader, best.candidate, budget)
-    again = None if descended is None else verifier.smallest(found.candidates)
-    if again is not None and again.certified >= best.certified and again.gamma < best.gamma:
-        best, by = again, f"{by}; nonsmooth descent"
-    say(_line("nonsmooth descent", best))
-    return best, by
+
+    def _say_of(self, stage: str, best: Verified | None) -> None:
+        self.say(f"{stage}: none verified yet" if best is None else f"{stage}: gamma {best.gamma:.6g}")
+
+    def _by_lmi(self, matrices: PlantMatrices, search: Search) -> str:
+        """Add the controllers of the projection LMIs to the search, and refine the best of them; how it went."""
+        controllers, note = lmi_controllers(matrices, search.scaling, self.budget, self.tuning)
+        for K in controllers:
+            search.adopt(K)
+        search.polish(search.best)
+        return note
+
+    def _finished(
+        self,
+        chosen: Verified,
+        best: Verified,
+        by: str,
+        found: Portfolio,
+        lower: GammaBound,
+        assumptions: tuple[str, ...],
+    ) -> HinfSynthesis:
+        status = Status.CERTIFIED if chosen.certified else Status.INACCURATE
+        text = "loop rebuilt from K is stable, its norm was verified, and P(jw), K(jw) on their own give the same"
+        parts = [text if status.trustworthy else chosen.doubt, f"by {by}"]
+        if chosen is not best:
+            allowed = f"allowed {self.gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
+            parts.append(f"the softest controller within the {allowed}")
+        status, reason = told(status, parts, self.budget)
+        return HinfSynthesis(
+            K=chosen.K,
+            gamma=chosen.gamma,
+            closed_loop=chosen.loop,
+            status=status,
+            peak_frequency=chosen.norm.frequency,
+            reason=reason,
+            limit=limiting_channels(chosen.loop, chosen.norm.frequency),
+            smallest_gamma=best.gamma,
+            scalings_disagree=found.disagree,
+            lower_bound=lower,
+            estimated_optimum=min(found.estimated_optimum(), best.gamma),
+            assumptions=assumptions,
+            norm=chosen.norm,
+            plant=self.plant,
+            method=self.method,
+            weights=dict(self.weights),
+        )
 
 
 def _ended(budget: Budget) -> str:
@@ -224,59 +263,69 @@ def _ended(budget: Budget) -> str:
     return f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
 
 
-def _line(stage: str, best: Verified | None) -> str:
-    return f"{stage}: none verified yet" if best is None else f"{stage}: gamma {best.gamma:.6g}"
+# --- nonsmooth search -------------------------------------------------------------------------------------------------
 
 
-def _by_lmi(matrices: PlantMatrices, search: Search, budget: Budget) -> str:
-    """Add the controllers of the projection LMIs to the search, and refine the best of them; how it went."""
-    controllers, note = lmi_controllers(matrices, search.scaling, budget)
-    for K in controllers:
-        search.adopt(K)
-    search.polish(search.best)
-    return note
+def is_poor(
+    gamma: float, optimum: float, lower: float, disagree: float, scale: float = 1.0, tuning: HinfTuning = HINF
+) -> bool:
+    """Whether a verified gamma is so far above what is possible that a descent is worth its time.
+
+    Parameters
+    ----------
+    gamma
+        The smallest verified one.
+    optimum
+        Estimated optimum; NaN where unknown.
+    lower
+        Proved lower bound, often far below the optimum.
+    disagree
+        Relative difference of what two scalings reached; NaN where one of them gave none.
+    scale
+        Factor from gamma to the gain of the plant scaled to order one.
+    """
+    if gamma <= tuning.poor * lower or gamma * scale <= tuning.near_zero:
+        return False
+    return gamma > tuning.poor * optimum if np.isfinite(optimum) else not disagree <= tuning.poor - 1
 
 
-def _finished(
-    *,
-    plant: GeneralizedPlant,
-    chosen: Verified,
-    best: Verified,
-    disagree: float,
-    lower: GammaBound,
-    optimum: float,
-    assumptions: tuple[str, ...],
-    gamma_rel: float,
-    budget: Budget,
-    by: str,
-    method: str,
-    weights: Mapping[str, StateSpaceModel],
-) -> HinfSynthesis:
-    loop = chosen.loop
-    status = Status.CERTIFIED if chosen.certified else Status.INACCURATE
-    text = "loop rebuilt from K is stable, its norm was verified, and P(jw), K(jw) on their own give the same"
-    parts = [text if status.trustworthy else chosen.doubt]
-    parts.append(f"by {by}")
-    if chosen is not best:
-        parts.append(
-            f"the softest controller within the allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
-        )
-    status, reason = told(status, parts, budget)
-    return HinfSynthesis(
-        K=chosen.K,
-        gamma=chosen.gamma,
-        closed_loop=loop,
-        status=status,
-        peak_frequency=chosen.norm.frequency,
-        reason=reason,
-        limit=limiting_channels(loop, chosen.norm.frequency),
-        smallest_gamma=best.gamma,
-        scalings_disagree=disagree,
-        lower_bound=lower,
-        estimated_optimum=optimum,
-        assumptions=assumptions,
-        norm=chosen.norm,
-        plant=plant,
-        method=method,
-        weights=dict(weights),
-    )
+def descend_from(p: PlantMatrices, search: Search, start: Candidate, budget: Budget) -> Candidate | None:
+    """The candidate that nonsmooth descent reaches from one of the search; None where it reaches nothing better.
+
+    The search adopts it, so that it is verified and softened like every other.
+    """
+    if budget.over:
+        return None
+    part = budget.share(min(search.tuning.descent_share, search.tuning.descent_work / budget.left))
+    K0 = StateSpaceModel(*start.K)
+    try:
+        K = descend(p.plant(), K0, part, FAR)
+    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow on the way
+        return None
+    if K is K0:
+        return None
+    found = search.adopt(Realisation.of(K))
+    return found if found is not None and found.gamma < start.gamma else None
+
+
+def stabilise(p: PlantMatrices, search: Search, budget: Budget, say: Callable[[str], None]) -> str:
+    """Add controllers found by minimising the loop's spectral abscissa, then its norm; how it went in words.
+
+    Static gains first, then 2 states, then as many as the plant has: low orders are quick, and often enough.
+    """
+    plant = p.plant()
+    n, starts = p.sizes[0], search.tuning.stabilising_starts
+    for order in sorted({0, min(2, n), n}):
+        if budget.over:
+            return "no work was left for a nonsmooth search"
+        part = budget.share(0.5)
+        try:
+            law = FixedOrder(order).law(plant.measurements, plant.controls, 0.0)
+            found = multi_start(DesignProblem([plant], law, "hinf", (), part), [], starts, 0, say)
+        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
+            continue
+        for start in (s for s in found if np.isfinite(s.gamma)):
+            K = model_of(law, start.p, 0.0, plant.measurements, plant.controls)
+            if search.adopt(Realisation.of(K)) is not None:
+                return f"a nonsmooth search over controllers with {order} states"
+    return "a nonsmooth search stabilised it with no order either"

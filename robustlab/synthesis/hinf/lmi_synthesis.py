@@ -22,16 +22,13 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
+from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["LmiOutcome", "lmi_controllers", "solve_conic"]
 
 
-# The semidefinite programs have n (n + 1) unknowns: beyond this many states they outlast any patience.
-MOST_STATES = 30
+# Singular values below it, relative to the largest, span a null space.
 NULL = 1e-10
-# Back-offs from the optimum and couplings [R tI; tI S] >= 0 for a well-conditioned reconstruction.
-ITERATIONS = 200  # of the solver: three times what it ever needed
-BACKOFFS, COUPLINGS = (0.002, 0.02, 0.1), (1.5, 1.05)
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class LmiOutcome:
     text: str
 
 
-def solve_conic(problem: Any, budget: Budget, work: float = 0.0) -> LmiOutcome:
+def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTuning = HINF) -> LmiOutcome:
     """Solve a cvxpy problem with Clarabel, counted as ``work``, and map every way in which it can end.
 
     Clarabel is Rust: where it panics, a ``PanicException`` comes up that is no ``Exception``.
@@ -55,7 +52,7 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0) -> LmiOutcome:
         return LmiOutcome(False, "no work was left for the LMI")
     budget.spend(work)
     # Its iterations end it; the clock is a guard that the user may have set.
-    limits: dict[str, Any] = {"max_iter": ITERATIONS}
+    limits: dict[str, Any] = {"max_iter": tuning.lmi_steps}
     if np.isfinite(budget.seconds_left):
         limits["time_limit"] = max(budget.seconds_left, 1e-3)
     try:
@@ -71,7 +68,7 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0) -> LmiOutcome:
             raise
         return LmiOutcome(False, f"the LMI solver panicked ({str(error)[:120]})")
     late = problem.status == cp.USER_LIMIT and budget.over and budget.struck
-    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {ITERATIONS} steps"
+    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {tuning.lmi_steps} steps"
     known = {
         cp.OPTIMAL: (True, "solved"),
         cp.OPTIMAL_INACCURATE: (True, "solved, not to full accuracy"),
@@ -84,7 +81,9 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0) -> LmiOutcome:
     return LmiOutcome(*known.get(problem.status, (False, f"the LMI solver ended with {problem.status!r}")))
 
 
-def lmi_controllers(p: PlantMatrices, scaling: Scaling, budget: Budget) -> tuple[list[Realisation], str]:
+def lmi_controllers(
+    p: PlantMatrices, scaling: Scaling, budget: Budget, tuning: HinfTuning = HINF
+) -> tuple[list[Realisation], str]:
     """Controllers from the projection LMIs, unverified, in the units of the plant; and how it went in words.
 
     Parameters
@@ -97,20 +96,20 @@ def lmi_controllers(p: PlantMatrices, scaling: Scaling, budget: Budget) -> tuple
         Every solve is counted there, and none is begun once it is over.
     """
     n = p.sizes[0]
-    if n > MOST_STATES:
-        return [], f"the LMI was not tried: {n} states, at most {MOST_STATES}"
+    if n > tuning.lmi_states:
+        return [], f"the LMI was not tried: {n} states, at most {tuning.lmi_states}"
     scaled = scaling.apply(p)
-    gamma, _, _, outcome = _projection(scaled, None, 1.0, budget)
+    gamma, _, _, outcome = _projection(scaled, None, 1.0, budget, tuning)
     if gamma is None:
         return [], outcome.text
     found: list[Realisation] = []
-    for backoff in BACKOFFS:
-        for coupling in COUPLINGS:
+    for backoff in tuning.lmi_backoffs:
+        for coupling in tuning.lmi_couplings:
             level = gamma * (1 + backoff) + 1e-9
-            _, R, S, outcome = _projection(scaled, level, coupling, budget)
+            _, R, S, outcome = _projection(scaled, level, coupling, budget, tuning)
             if R is None or S is None:
                 continue
-            K = _reconstructed(scaled, R, S, level * (1 + 0.5 * backoff), budget)
+            K = _reconstructed(scaled, R, S, level * (1 + 0.5 * backoff), budget, tuning)
             if K is not None:
                 found.append(scaling.controller_to_plant(K))
                 break
@@ -123,7 +122,7 @@ def _work(n: int) -> float:
 
 
 def _projection(
-    p: PlantMatrices, level: float | None, coupling: float, budget: Budget
+    p: PlantMatrices, level: float | None, coupling: float, budget: Budget, tuning: HinfTuning
 ) -> tuple[float | None, AnyArray | None, AnyArray | None, LmiOutcome]:
     """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``."""
     import cvxpy as cp
@@ -140,7 +139,7 @@ def _projection(
     constraints: list[Any] = [0.5 * (part + part.T) << 0 for part in parts]
     constraints.append(cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0)
     goal = gamma if level is None else cp.trace(R) + cp.trace(S)
-    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), budget, _work(n))
+    outcome = solve_conic(cp.Problem(cp.Minimize(goal), constraints), budget, _work(n), tuning)
     if not outcome.usable or R.value is None or S.value is None:
         return None, None, None, outcome
     value = float(gamma.value) if level is None else level
@@ -157,7 +156,9 @@ def _outer_factors(p: PlantMatrices) -> tuple[AnyArray, AnyArray]:
     return np.asarray(block_diag(by_control, np.eye(m))), np.asarray(block_diag(by_measurement, np.eye(q)))
 
 
-def _reconstructed(p: PlantMatrices, R: AnyArray, S: AnyArray, gamma: float, budget: Budget) -> Realisation | None:
+def _reconstructed(
+    p: PlantMatrices, R: AnyArray, S: AnyArray, gamma: float, budget: Budget, tuning: HinfTuning
+) -> Realisation | None:
     """Controller of full order for given R and S: the bounded real LMI, linear in it, at the largest margin."""
     import cvxpy as cp
     from scipy.linalg import block_diag
@@ -185,7 +186,7 @@ def _reconstructed(p: PlantMatrices, R: AnyArray, S: AnyArray, gamma: float, bud
     real = cp.bmat([[A + A.T, B, C.T], [B.T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
     shift = block_diag(np.eye(2 * n), np.zeros((m + q, m + q)))
     constraints: list[Any] = [0.5 * (real + real.T) + margin * shift << 0, margin <= 1e3]
-    outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), budget, _work(n))
+    outcome = solve_conic(cp.Problem(cp.Maximize(margin), constraints), budget, _work(n), tuning)
     value = K.value
     if not outcome.usable or value is None or not np.isfinite(value).all():
         return None

@@ -19,11 +19,13 @@ from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
-from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
+from robustlab.statespace import Signal, StateSpaceModel, as_model, series
+from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.problem.design import Synthesis, limiting_channels
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
-from robustlab.synthesis.problem.verified_loop import named_controller, surely_stable
+from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable
+from robustlab.synthesis.tuning import HINF
 from robustlab.uncertainty.distances.coprime import (
     CoprimeMargin,
     CoprimeRiccati,
@@ -33,11 +35,7 @@ from robustlab.uncertainty.distances.coprime import (
     four_block,
 )
 
-__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_performance"]
-
-
-# How much the verified gamma may exceed the one asked for.
-KEPT = 1.001
+__all__ = ["NcfSynthesis", "ObserverForm", "four_block_plant", "ncf", "with_default_performance"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +196,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     status, reason = margin.status, "loops of the shaped plant and of the plant as given were rebuilt and are stable"
     if status is not Status.CERTIFIED:
         reason = margin.reason
-    elif gamma > factor * gamma_min * KEPT:
+    elif gamma > factor * gamma_min * HINF.shaped_loss:
         status, reason = Status.INACCURATE, f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
     shaped_loop = shaped_plant.close(inner)
@@ -252,7 +250,7 @@ def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
     return GeneralizedPlant(model, g.n_outputs, g.n_inputs)
 
 
-def with_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
+def with_default_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
     """The plant itself, or, where all of its inputs are controls and all of its outputs measurements, with noise on y
     and a disturbance on u as w, and y and the total u as z: a loop without w and z has no gain to judge it by.
 
@@ -261,8 +259,7 @@ def with_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
     InputError
         Disturbances without performance outputs, or the other way round.
     """
-    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
-    if not n_w and not n_z:
+    if not plant.n_w and not plant.n_z:
         return four_block_plant(plant.model)
     require_performance(plant, where, "or a bare plant, to judge its loop by the four-block gain")
     return plant
@@ -286,22 +283,7 @@ def _weight(given: Any, g: StateSpaceModel, name: str) -> StateSpaceModel:
     where, first = f"synth ncf: {name}", name == "W1"
     names = list(g.input_names if first else g.output_names)
     n = len(names)
-    if given is None:
-        given = np.eye(n)
-    if isinstance(given, (int, float, list, tuple, np.ndarray, np.number)):
-        try:
-            given = StateSpaceModel([], [], [], np.atleast_2d(np.asarray(given, dtype=float)), where=where)
-        except (TypeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(where, f"a {type(given).__name__} that is no matrix", "a model or numbers") from None
-    w = as_model(given, where)
-    if not w.n_states:
-        w = StateSpaceModel(w.A, w.B, w.C, w.D, g.dt)
-    if w.dt != g.dt:
-        raise InputError(where, f"dt is {w.dt:g} s", f"{g.dt:g} s, as the plant")
-    if n > 1 and (w.n_inputs, w.n_outputs) == (1, 1):
-        w = append(*(w.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
+    w = weight_on_channels(np.eye(n) if given is None else given, n, g.dt, where)
     meets = w.n_outputs if first else w.n_inputs
     if meets != n:
         side = "outputs" if first else "inputs"

@@ -9,11 +9,12 @@ import numpy as np
 
 from robustlab.errors import InputError, told_as
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
-from robustlab.synthesis.hinf.hinf_synthesis import WORK, synthesize
+from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.tuning import HINF
 
-__all__ = ["mixed_sensitivity_plant", "mixsyn"]
+__all__ = ["mixed_sensitivity_plant", "mixsyn", "weight_on_channels"]
 
 
 @told_as("synth mixsyn")
@@ -74,7 +75,7 @@ def mixsyn(
     ('certified', True)
     """
     plant, weights = mixed_sensitivity_plant(G, W1, W2, W3)
-    budget = design_budget("synth mixsyn", WORK, effort, time_limit)
+    budget = design_budget("synth mixsyn", HINF.work, effort, time_limit)
     return synthesize(plant, "mixsyn", gamma_rel, budget, weights, progress=progress)
 
 
@@ -93,7 +94,7 @@ def mixed_sensitivity_plant(
     given = {name: w for name, w in (("W1", W1), ("W2", W2), ("W3", W3)) if w is not None}
     if not given:
         raise InputError("mixsyn", "no weight", "at least one of W1, W2, W3")
-    weights = {name: _weight(w, len(channels[name]), name, g.dt) for name, w in given.items()}
+    weights = {name: _stable_weight(w, len(channels[name]), name, g.dt) for name, w in given.items()}
     n, n_y, n_u = g.n_states, g.n_outputs, g.n_inputs
     rows = {
         "W1": (-g.C, np.hstack([np.eye(n_y), -g.D])),
@@ -109,7 +110,7 @@ def mixed_sensitivity_plant(
         g.dt,
         states=g.states,
     )
-    through = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n_y)), np.zeros((n_y, 0)), np.eye(n_y), g.dt)
+    through = StateSpaceModel([], [], [], np.eye(n_y), g.dt)
     filters = [
         w.renamed([f"{name} into {i}" for i in range(w.n_inputs)], [f"{name} out {i}" for i in range(w.n_outputs)])
         for name, w in weights.items()
@@ -138,31 +139,32 @@ def _labels(name: str, channels: list[str], n_outputs: int) -> list[str]:
     return [f"{name} {term}: {channel}" for channel in own]
 
 
-def _weight(weight: Any, n: int, name: str, dt: float) -> StateSpaceModel:
+def _stable_weight(given: Any, n: int, name: str, dt: float) -> StateSpaceModel:
     """The weight as a stable model with n inputs, in the plant's time."""
     where = f"mixsyn: {name}"
-    if isinstance(weight, (int, float, list, tuple, np.ndarray, np.number)):
-        try:
-            gain = np.atleast_2d(np.asarray(weight, dtype=float))
-        except (TypeError, ValueError):
-            hint = "several weights side by side are one model: robustlab.statespace.append(W, W)"
-            raise InputError(
-                where, f"a {type(weight).__name__} that is no matrix", "a model or numbers", hint
-            ) from None
-        weight = StateSpaceModel(
-            np.zeros((0, 0)), np.zeros((0, gain.shape[1])), np.zeros((gain.shape[0], 0)), gain, where=where
-        )
-    model = as_model(weight, where)
-    if not model.n_states and model.dt != dt:
-        model = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
-    if model.dt != dt:
-        raise InputError(where, f"dt is {model.dt:g} s", f"{dt:g} s, as the plant")
-    if not model.is_stable():
+    several = "several weights side by side are one model: robustlab.statespace.append(W, W)"
+    weight = weight_on_channels(given, n, dt, where, several)
+    if not weight.is_stable():
         hint = "no controller can move a weight's pole; make an integrator a slow lag: s + omega_B * A instead of s"
-        raise InputError(where, f"spectral abscissa is {model.spectral_abscissa():.3g}", "a stable weight", hint)
-    if n > 1 and (model.n_inputs, model.n_outputs) == (1, 1):
-        copies = [model.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)]
-        model = append(*copies)
-    if model.n_inputs != n:
-        raise InputError(where, f"{model.n_inputs} inputs", f"{n}, or one input and one output")
-    return model
+        raise InputError(where, f"spectral abscissa is {weight.spectral_abscissa():.3g}", "a stable weight", hint)
+    if weight.n_inputs != n:
+        raise InputError(where, f"{weight.n_inputs} inputs", f"{n}, or one input and one output")
+    return weight
+
+
+def weight_on_channels(given: Any, n: int, dt: float, where: str, hint: str | None = None) -> StateSpaceModel:
+    """A weight in the plant's time, as it was given: a number, a matrix or a model; one of one channel on all n."""
+    if isinstance(given, (int, float, list, tuple, np.ndarray, np.number)):
+        try:
+            gain = np.atleast_2d(np.asarray(given, dtype=float))
+        except (TypeError, ValueError):
+            raise InputError(where, f"a {type(given).__name__} that is no matrix", "a model or numbers", hint) from None
+        given = StateSpaceModel([], [], [], gain, where=where)
+    weight = as_model(given, where)
+    if not weight.n_states and weight.dt != dt:
+        weight = StateSpaceModel(weight.A, weight.B, weight.C, weight.D, dt)
+    if weight.dt != dt:
+        raise InputError(where, f"dt is {weight.dt:g} s", f"{dt:g} s, as the plant")
+    if n > 1 and (weight.n_inputs, weight.n_outputs) == (1, 1):
+        weight = append(*(weight.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
+    return weight

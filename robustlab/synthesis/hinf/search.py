@@ -1,15 +1,9 @@
-"""Search for a controller of small gamma over regularisations of one scaled generalised plant.
+"""Search for controllers of small gamma over regularisations of one plant, in two scalings side by side.
 
 Most practical plants are singular for the two Riccati equations: D12 or D21 has no full rank, or there are zeros on
 the imaginary axis. Each trial adds small penalties on u and x and small noises on y and x, solves that regular
-problem, and judges its controller by the gain of the loop on the plant without them.
-
-Two scalings of one plant searched side by side: each alone fails somewhere, and where they agree trust grows.
-
-Saner controllers near the smallest gamma: slower poles, and no needlessly slow modes of the loop.
-
-The controller of the smallest gamma itself is often absurdly fast. A few per cent more allow large penalties on u and x
-and large noises on y and x, and with them poles that are slower by orders of magnitude.
+problem, and judges its controller by the gain of the loop on the plant without them. Each scaling alone fails
+somewhere; where two agree trust grows.
 """
 
 from __future__ import annotations
@@ -22,34 +16,24 @@ from numpy.typing import NDArray
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
-from robustlab.synthesis.nonsmooth.loop_gain import closed, loop_gain, responses, trial_frequencies
+from robustlab.matrix_equations import balanced_eigenvalues
+from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude
-from robustlab.synthesis.problem.verified_loop import well_posed_neighbours
+from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = [
     "Candidate",
+    "Portfolio",
     "Regularisation",
     "Search",
-    "smallest",
-    "Portfolio",
     "portfolio",
+    "smallest",
     "soften",
+    "trial_loop",
+    "trial_norm",
 ]
-
-
-LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-# A central controller at gamma itself is ill-conditioned: gamma is backed off until the gain of the loop agrees.
-COARSE, FINE = (1e-2, 0.1), (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
-# Shares of the closed loop's gain that the self-scaled regularisation may cost; the optimum rises by their squares.
-SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
-SELF_SCALED_STEPS = 14
-IMPROVEMENT = 5e-4
-PROVED = 3e-4
-REGULAR = 1e-6
-# In a plant scaled to order one, a gain below this is zero for every purpose.
-NEGLIGIBLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +103,11 @@ class Search:
         budget: Budget,
         floor: float = 0.0,
         D22: AnyArray | None = None,
+        tuning: HinfTuning = HINF,
     ) -> None:
         self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
-        self.scaling, self.plant = scaling, scaling.apply(plant)
-        self.budget, self.floor, self.careful, self.probes = budget, floor, False, PROBES[:1]
+        self.scaling, self.plant, self.tuning = scaling, scaling.apply(plant), tuning
+        self.budget, self.floor, self.careful, self.probes = budget, floor, False, tuning.probes[:1]
         self.candidates: list[Candidate] = []
         # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
         self.regular_gamma: float | None = None
@@ -146,34 +131,35 @@ class Search:
 
     def proved(self, candidate: Candidate) -> bool:
         """True where no controller can be better by more than a few parts in ten thousand."""
-        return candidate.gamma <= (1 + PROVED) * self.floor
+        return candidate.gamma <= (1 + self.tuning.proved) * self.floor
 
     def take_care(self) -> None:
         """From now on solve in two ways, and probe far below every gamma found."""
-        self.careful, self.probes = True, PROBES
+        self.careful, self.probes = True, self.tuning.probes
 
     def negligible(self, candidate: Candidate) -> bool:
         """True for a gain that is zero for every purpose, in the plant scaled to order one."""
-        return candidate.gamma * self.scaling.gain <= NEGLIGIBLE
+        return candidate.gamma * self.scaling.gain <= self.tuning.negligible
 
     def ladder(self) -> None:
         """Regularisations of fixed size, from large to small, until gamma falls no more."""
         s_u = np.linalg.svd(self.plant.D12, compute_uv=False)
         s_y = np.linalg.svd(self.plant.D21, compute_uv=False)
         _, n_w, n_u, n_z, n_y = self.plant.sizes
+        regular, coarse = self.tuning.regular, self.tuning.coarse_backoffs
         size_u = float(s_u.min()) if n_z >= n_u else 0.0
         size_y = float(s_y.min()) if n_w >= n_y else 0.0
-        if size_u > REGULAR and size_y > REGULAR:
-            self.regular_gamma, _ = self._trial(Regularisation(), 1.0, 1e-4, FINE)
+        if size_u > regular and size_y > regular:
+            self.regular_gamma, _ = self._trial(Regularisation(), 1.0, 1e-4, self.tuning.fine_backoffs)
             if self.settled:
                 return
         worse, best, start = 0, np.inf, 1.0
-        for eps in LADDER:
+        for eps in self.tuning.ladder:
             if self.budget.over:
                 return
-            u = 0.0 if size_u > max(REGULAR, eps) else eps
-            y = 0.0 if size_y > max(REGULAR, eps) else eps
-            gamma, found = self._trial(Regularisation(u, y, eps / 10, eps / 10), start, 2e-2, COARSE)
+            u = 0.0 if size_u > max(regular, eps) else eps
+            y = 0.0 if size_y > max(regular, eps) else eps
+            gamma, found = self._trial(Regularisation(u, y, eps / 10, eps / 10), start, 2e-2, coarse)
             if gamma is not None:
                 start = gamma * self.scaling.gain
             if found is None:
@@ -183,10 +169,10 @@ class Search:
             if worse == 2:
                 return
 
-    def polish(self, best: Candidate | None, shares: tuple[float, ...] = SHARES) -> None:
+    def polish(self, best: Candidate | None, shares: tuple[float, ...] | None = None) -> None:
         """Regularisations scaled by the best loop so far, smaller and smaller, until gamma falls no more."""
-        k = 0
-        for _ in range(SELF_SCALED_STEPS):
+        k, shares = 0, self.tuning.shares if shares is None else shares
+        for _ in range(self.tuning.self_scaled_steps):
             if best is None or k == len(shares) or self.budget.over:
                 return
             if self.negligible(best) or self.proved(best):
@@ -195,10 +181,10 @@ class Search:
             if regularisation is None:
                 return
             rtol = float(np.clip(0.2 * shares[k] ** 2, 5e-5, 5e-3))
-            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE)
+            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, self.tuning.fine_backoffs)
             if gamma is not None:
                 self.optima.append((shares[k], gamma))
-            if found is None or found.gamma >= best.gamma * (1 - max(IMPROVEMENT, rtol)):
+            if found is None or found.gamma >= best.gamma * (1 - max(self.tuning.improvement, rtol)):
                 k += 1
             if found is not None and found.gamma < best.gamma:
                 best = found
@@ -206,7 +192,7 @@ class Search:
     def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
         """The central controller of this regularisation at gamma, where it exists and its loop stays below gamma."""
         try:
-            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful, self.budget)
+            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful, self.budget, self.tuning)
         except NoTrustworthyNumber:
             return None
         return self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
@@ -230,11 +216,11 @@ class Search:
         """Peak gains in scaled units on a grid: w to each u, noise on each y to z, w to x, x disturbance to z."""
         n, n_w, n_u, n_z, n_y = self.plant.sizes
         self.budget.spend(dense(n + len(candidate.K.A), 2))
-        loop = closed(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
+        loop = trial_loop(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
         if not all(np.isfinite(part).all() for part in loop):
             return None
-        omega = trial_frequencies(np.linalg.eigvals(loop.A) if loop.A.size else np.zeros(0))
-        response = responses(loop, omega)
+        omega = trial_frequencies(np.linalg.eigvals(loop.A) if loop.A.size else np.zeros(0), self.tuning)
+        response = trial_responses(loop, omega)
         if not np.isfinite(response).all():
             return None
         size_of = np.linalg.norm
@@ -249,7 +235,7 @@ class Search:
     ) -> tuple[float | None, Candidate | None]:
         """Smallest gamma of the regularised problem in the plant's units, and the best controller found for it."""
         try:
-            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful, self.budget)
+            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful, self.budget, self.tuning)
         except NoTrustworthyNumber:
             return None, None
         gamma = problem.smallest_gamma(start, rtol, self.probes)
@@ -293,9 +279,9 @@ class Search:
     def _entered(self, K: Realisation, limit: float) -> Candidate | None:
         """The same for a controller that can take D22 back in."""
         scale = self.scaling
-        loop = closed(self.plant, K)
+        loop = trial_loop(self.plant, K)
         self.budget.spend(dense(len(loop.A), 3))  # its poles, responses on a grid, a few Hamiltonians of twice its size
-        gain = loop_gain(loop, limit * scale.gain)
+        gain = trial_norm(loop, limit * scale.gain, self.tuning)
         if not np.isfinite(gain):
             return None
         poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))
@@ -314,11 +300,6 @@ class Search:
 def smallest(candidates: list[Candidate]) -> Candidate | None:
     """The candidate of smallest gamma."""
     return min(candidates, key=lambda c: c.gamma, default=None)
-
-
-# The other scaling confirms the leader's gamma with the regularisation of this size.
-CONFIRMATION = SHARES[3:4]
-DISAGREEMENT = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,13 +347,14 @@ def portfolio(
     budget: Budget,
     floor: float = 0.0,
     D22: NDArray[np.float64] | None = None,
+    tuning: HinfTuning = HINF,
 ) -> Portfolio:
     """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
 
     ``floor`` is a proved lower bound of gamma: a search that meets it is done. ``D22`` is the direct term that was left
     out of the plant.
     """
-    one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
+    one, two = (Search(matrices, scaling, budget, floor, D22, tuning) for scaling in scalings)
     for search in (one, two):
         search.ladder()
         if search.best is not None and search.proved(search.best):
@@ -382,22 +364,22 @@ def portfolio(
             search.take_care()
             search.ladder()
     if one.best is None and two.best is None:  # a control or a measurement of quite another size than its cost
-        one = Search(matrices, by_magnitude(matrices), budget, floor, D22)
+        one = Search(matrices, by_magnitude(matrices), budget, floor, D22, tuning)
         one.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.polish(leader.best)
     if leader.best is not None and leader.proved(leader.best):
         return Portfolio(leader, other, _difference(leader, _gamma(other.best)))
-    # Settled or not: the Riccati test may have failed by rounding alone.
-    reached = min(_gamma(other.best), _confirmed(leader, other, CONFIRMATION))
+    # Settled or not (the Riccati test may have failed by rounding alone), one regularisation has to confirm it.
+    reached = min(_gamma(other.best), _confirmed(leader, other, tuning.shares[3:4]))
     if leader.best is not None and not _agree(leader.best, leader, reached):
         # One of them is stuck: go over both once more from the better loop, with every solver and all probes.
         for search in (leader, other):
             search.take_care()
         leader.polish(leader.best)
-        reached = min(reached, _confirmed(leader, other, SHARES[1:]))
-        if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
+        reached = min(reached, _confirmed(leader, other, tuning.shares[1:]))
+        if reached < _gamma(leader.best) * (1 - tuning.improvement):
             leader, other = other, leader
             reached = _gamma(other.best)
     return Portfolio(leader, other, _difference(leader, reached))
@@ -416,19 +398,18 @@ def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> floa
 
 
 def _agree(best: Candidate, leader: Search, reached: float) -> bool:
-    return leader.negligible(best) or abs(reached - best.gamma) <= DISAGREEMENT * best.gamma
+    return leader.negligible(best) or abs(reached - best.gamma) <= leader.tuning.disagreement * best.gamma
 
 
 def _gamma(candidate: Candidate | None) -> float:
     return float("inf") if candidate is None else candidate.gamma
 
 
-ROUNDS, STEPS, LATER_STEPS = 3, 5, 3
-BASE_SHARE = 0.05
-
-
 def soften(search: Search, start: Candidate, gamma: float) -> None:
-    """Add saner candidates up to this gamma to the search.
+    """Add saner candidates up to this gamma to the search: slower poles, no needlessly slow modes of the loop.
+
+    The controller of the smallest gamma itself is often absurdly fast. A few per cent more allow large penalties and
+    noises on u, y and x, and with them poles that are slower by orders of magnitude.
 
     The added channels are made as large as the test at this gamma allows. Once with all of them relative to the gains
     of the loop; and once after half of the slack has gone into an x disturbance and penalty of fixed size, because a
@@ -437,9 +418,9 @@ def soften(search: Search, start: Candidate, gamma: float) -> None:
     """
     _slowest_poles(search, start, gamma, 0.0)
     half = 0.5 * (start.gamma + gamma)
-    base = search.relative(start, BASE_SHARE, 0.0)
+    base = search.relative(start, search.tuning.soften_share, 0.0)
     low, high, size = 1e-4, 1e2, 0.0
-    for _ in range(STEPS):
+    for _ in range(search.tuning.soften_steps):
         if base is None or search.budget.over:
             return
         middle = float(np.sqrt(low * high))
@@ -453,8 +434,8 @@ def soften(search: Search, start: Candidate, gamma: float) -> None:
 
 def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> None:
     """Largest relative weights by bisection, repeated because their scale follows the loop found last."""
-    low, high, steps = 1e-2, 10.0, STEPS
-    for _ in range(ROUNDS):
+    low, high, steps = 1e-2, 10.0, search.tuning.soften_steps
+    for _ in range(search.tuning.soften_rounds):
         softest: Candidate | None = None
         for _ in range(steps):
             if search.budget.over:
@@ -470,4 +451,113 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
                 high = middle
         if softest is None or softest.pace > 0.7 * start.pace:
             return
-        start, low, high, steps = softest, low / 2, 3 * low, LATER_STEPS
+        start, low, high, steps = softest, low / 2, 3 * low, search.tuning.soften_later_steps
+
+
+# --- the loop of a trial and its gain ---------------------------------------------------------------------------------
+
+
+def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:
+    """The loop from w to z for ``u = K y`` on a plant without D22."""
+    by_y, by_w = p.B2 @ K.D, p.D12 @ K.D
+    return Realisation(
+        np.block([[p.A + by_y @ p.C2, p.B2 @ K.C], [K.B @ p.C2, K.A]]),
+        np.vstack([p.B1 + by_y @ p.D21, K.B @ p.D21]),
+        np.hstack([p.C1 + by_w @ p.C2, p.D12 @ K.C]),
+        p.D11 + by_w @ p.D21,
+    )
+
+
+def trial_norm(loop: Realisation, limit: float = np.inf, tuning: HinfTuning = HINF) -> float:
+    """H-infinity norm of a loop to about 1e-5, from below; infinite for an unstable loop and above ``limit``.
+
+    Quick, attained at a frequency, not proved: what leaves a search is verified by `robustlab.norms.hinf_norm`.
+    """
+    if not all(np.isfinite(part).all() for part in loop):
+        return np.inf
+    if not loop.D.size:
+        return 0.0
+    gain = float(np.linalg.norm(loop.D, 2))
+    if not loop.A.size:
+        return gain
+    poles = np.linalg.eigvals(loop.A)
+    if poles.real.max() >= 0 or gain > limit:
+        return np.inf
+    gain = max(gain, _largest(loop, trial_frequencies(poles, tuning)))
+    for _ in range(tuning.gain_levels):
+        if gain > limit or not np.isfinite(gain):
+            return np.inf
+        level = gain * (1 + tuning.gain_accuracy)
+        omega = _trial_crossings(loop, level)
+        if not len(omega):
+            break
+        found = _largest(loop, omega)
+        if found <= level:
+            break
+        gain = found
+    return gain if gain <= limit else np.inf
+
+
+def _largest(loop: Realisation, omega: AnyArray) -> float:
+    response = trial_responses(loop, omega)
+    if not np.isfinite(response).all():
+        return np.inf
+    if 1 in response.shape[1:]:
+        return float(np.linalg.norm(response, axis=(1, 2)).max())
+    return float(np.linalg.svd(response, compute_uv=False)[:, 0].max())
+
+
+def trial_frequencies(poles: AnyArray, tuning: HinfTuning) -> AnyArray:
+    """Zero, the poles' frequencies and resonances, and a coarse grid around them."""
+    size = np.abs(poles)
+    size = size[size > 0]
+    if not len(size):
+        return np.array([0.0, 1.0])
+    low, high = size.min() / 10, size.max() * 10
+    points = int(np.clip(tuning.grid_per_decade * np.log10(high / low), 8, tuning.largest_grid))
+    upper: AnyArray = poles[np.imag(poles) >= 0]
+    resonance = np.sqrt(np.maximum(np.imag(upper) ** 2 - np.real(upper) ** 2, 0.0))
+    omega = np.sort(np.concatenate([np.abs(upper), np.imag(upper), resonance, np.geomspace(low, high, points)]))
+    omega = omega[omega > 0]
+    # Frequencies closer than a share of the nearest pole's damping tell nothing new; keep all that are apart.
+    return np.concatenate([[0.0], omega[np.append(True, np.diff(omega) > 1e-6 * omega[1:])]])
+
+
+def trial_responses(loop: Realisation, omega: AnyArray) -> AnyArray:
+    """``C (jw - A)^-1 B + D`` at each frequency, shape (n_omega, n_z, n_w); infinite where w hits a pole."""
+    n = loop.A.shape[0]
+    if n == 0:
+        return np.broadcast_to(loop.D.astype(complex), (len(omega), *loop.D.shape))
+    try:
+        shifted = 1j * omega[:, None, None] * np.eye(n) - loop.A
+        if loop.B.shape[1] <= loop.C.shape[0]:
+            return loop.C @ np.linalg.solve(shifted, loop.B[None].astype(complex)) + loop.D
+        left = np.linalg.solve(shifted.transpose(0, 2, 1), loop.C.T[None].astype(complex))
+        return left.transpose(0, 2, 1) @ loop.B + loop.D
+    except np.linalg.LinAlgError:
+        return np.full((len(omega), *loop.D.shape), np.inf + 0j)
+
+
+def _trial_crossings(loop: Realisation, level: float) -> AnyArray:
+    """Frequencies at which a singular value may cross the level, and points between them."""
+    if level <= 0:
+        return np.zeros(0)
+    root = np.sqrt(level)
+    b, c, d = loop.B / root, loop.C / root, loop.D / level
+    try:
+        r = np.linalg.solve(np.eye(d.shape[1]) - d.T @ d, np.hstack([d.T @ c, b.T]))
+        s = np.linalg.solve(np.eye(d.shape[0]) - d @ d.T, c)
+    except np.linalg.LinAlgError:
+        return np.zeros(0)
+    n = loop.A.shape[0]
+    a1 = loop.A + b @ r[:, :n]
+    hamiltonian = np.block([[a1, b @ r[:, n:]], [-c.T @ s, -a1.T]])
+    values = balanced_eigenvalues(hamiltonian)
+    if values is None:
+        return np.zeros(0)
+    size = np.abs(values)
+    near = np.abs(np.real(values)) < np.maximum(1e-4 * size, 1e-10 * size.max())
+    crossing = np.unique(np.abs(np.imag(values)[near]))
+    if not len(crossing):
+        return crossing
+    return np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0], 1.5 * crossing[-1]]])

@@ -1,6 +1,9 @@
-"""The two Riccati equations of H-infinity synthesis with a general D11 (Glover and Doyle), for one gamma.
+"""The two Riccati equations of H-infinity synthesis with a general D11, for one gamma.
 
-Best read with Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 17.1, at hand; names are theirs.
+Best read with Glover, Doyle, "State-space formulae for all stabilizing controllers that satisfy an H-infinity norm
+bound and relations to risk sensitivity", Systems & Control Letters 11 (1988) at hand: numbers in parentheses are its
+equations. The controller's states are those of Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 17.1:
+Z of (27) stands in B instead of C.
 """
 
 from __future__ import annotations
@@ -14,19 +17,13 @@ from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import care, hamiltonian_riccati
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["RiccatiPair", "TwoRiccatiProblem"]
 
 
-# An exact X = 0 comes out as noise of this size in a plant scaled to order one; it must not count as indefinite.
-PSD_TOLERANCE = 1e-6
-# The controller is verified on the plant afterwards, so a poor residual here only costs a try.
-RESIDUAL = 1e-3
+# Smallest singular value of D12 or D21, relative to the largest, that is none.
 RANK = 1e-13
-# Range of gamma that is searched, in a plant scaled to order one.
-SMALLEST, LARGEST = 1e-9, 1e9
-# Shares of the smallest gamma found that are tried once more: the test in floating point is not monotone in gamma.
-PROBES = (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +54,9 @@ class TwoRiccatiProblem:
         D12 has no full column rank or D21 no full row rank.
     """
 
-    def __init__(self, plant: PlantMatrices, careful: bool = False, budget: Budget | None = None) -> None:
+    def __init__(
+        self, plant: PlantMatrices, careful: bool = False, budget: Budget | None = None, tuning: HinfTuning = HINF
+    ) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
@@ -65,7 +64,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
-        self.careful, self.budget = careful, Budget() if budget is None else budget
+        self.careful, self.budget, self.tuning = careful, Budget() if budget is None else budget, tuning
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
@@ -77,11 +76,12 @@ class TwoRiccatiProblem:
         self.D11 = z_turn.T @ plant.D11 @ w_turn
         D12 = np.vstack([np.zeros((self.a, n_u)), np.eye(n_u)])
         D21 = np.hstack([np.zeros((n_y, self.b)), np.eye(n_y)])
-        parts = (self.D11[: self.a], self.D11[:, : self.b])
+        parts = (self.D11[: self.a], self.D11[:, : self.b])  # [D1111 D1112] and [D1111; D1121]: no gamma below them
         self.floor = max((float(np.linalg.norm(part, 2)) if part.size else 0.0) for part in parts)
         row, column = np.hstack([self.D11, D12]), np.vstack([self.D11, D21])
-        self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w)
-        self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z)
+        residual, least = tuning.residual, tuning.semidefinite
+        self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w, residual, least)
+        self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z, residual, least)
 
     def solve(self, gamma: float) -> RiccatiPair | None:
         """The pair at this gamma, or None where the test fails (gamma too small, or lost to rounding)."""
@@ -101,8 +101,8 @@ class TwoRiccatiProblem:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
-    def smallest_gamma(self, start: float, rtol: float = 1e-4, probes: tuple[float, ...] = PROBES) -> float | None:
-        """Smallest gamma that passes the test; None where none up to ``LARGEST`` does.
+    def smallest_gamma(self, start: float, rtol: float = 1e-4, probes: tuple[float, ...] | None = None) -> float | None:
+        """Smallest gamma that passes the test; None where none up to the largest one tried does.
 
         Brackets from ``start`` by growing steps and closes the bracket: by a secant in log gamma where the coupling
         fails, which is a smooth function, and by bisection where a solution ceases to exist. Then it probes below the
@@ -112,13 +112,13 @@ class TwoRiccatiProblem:
         high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
         while (at_high := self.solve(high)) is None:
             low, high = high, 4 * high
-            if high > LARGEST or self.budget.over:
+            if high > self.tuning.largest_gamma or self.budget.over:
                 return None
         while True:
             high = self._closed(low, at_high, rtol)
-            if high < SMALLEST:
+            if high < self.tuning.smallest_gamma:
                 return high
-            for share in probes:
+            for share in self.tuning.probes if probes is None else probes:
                 if self.budget.over:
                     return high
                 at_high = self.solve(high * share)
@@ -136,7 +136,7 @@ class TwoRiccatiProblem:
             high = at_high.gamma
             # rho(X Y) falls with gamma: below this one the coupling is 1 or more.
             low = max(low, high * float(np.sqrt(at_high.coupling)) * (1 - 1e-9), 1e-3 * high)
-            if high - low <= rtol * high or high < SMALLEST:
+            if high - low <= rtol * high or high < self.tuning.smallest_gamma:
                 return high
             if at_low is not None and at_high.coupling > 0:
                 slope = float(np.log(at_low.coupling / at_high.coupling))
@@ -159,7 +159,7 @@ class TwoRiccatiProblem:
         return at_high.gamma
 
     def central_controller(self, pair: RiccatiPair) -> Realisation:
-        """The central controller of a pair, from y to u of the plant given.
+        """The central controller of a pair, (19) to (27) without its free parameter, from y to u of the plant given.
 
         Raises
         ------
@@ -175,18 +175,18 @@ class TwoRiccatiProblem:
             L12, L2 = L[:, a : self.n_z], L[:, self.n_z :]
             left = np.linalg.solve(g2 * np.eye(a) - D1111 @ D1111.T, D1112)
             right = np.linalg.solve(g2 * np.eye(b) - D1111.T @ D1111, D1121.T)
-            D11 = -D1121 @ D1111.T @ left - D1122
-            D12 = np.linalg.cholesky(np.eye(self.n_u) - D1121 @ right)
-            D21 = np.linalg.cholesky(np.eye(self.n_y) - D1112.T @ left).T
-            Z = np.eye(self.A.shape[0]) - pair.Y @ pair.X / g2
-            B2 = np.linalg.solve(Z, (self.B2 + L12) @ D12)
-            C2 = -D21 @ (self.C2 + F12)
-            B1 = -np.linalg.solve(Z, L2) + B2 @ np.linalg.solve(D12, D11)
+            D11 = -D1121 @ D1111.T @ left - D1122  # (19)
+            D12 = np.linalg.cholesky(np.eye(self.n_u) - D1121 @ right)  # (20)
+            D21 = np.linalg.cholesky(np.eye(self.n_y) - D1112.T @ left).T  # (21)
+            Z = np.eye(self.A.shape[0]) - pair.Y @ pair.X / g2  # the inverse of (27)
+            B2 = np.linalg.solve(Z, (self.B2 + L12) @ D12)  # (22)
+            C2 = -D21 @ (self.C2 + F12)  # (23)
+            B1 = -np.linalg.solve(Z, L2) + B2 @ np.linalg.solve(D12, D11)  # (24)
             to_state = np.linalg.solve(D21, C2)
         except np.linalg.LinAlgError:
             raise NoTrustworthyNumber("central controller", "gamma is too close to its limit") from None
-        C1 = F2 + D11 @ to_state
-        A = self.A + np.hstack([self.B1, self.B2]) @ F + B1 @ to_state
+        C1 = F2 + D11 @ to_state  # (25)
+        A = self.A + np.hstack([self.B1, self.B2]) @ F + B1 @ to_state  # (26)
         found = Realisation(A, B1 @ self.y_into, self.u_back @ C1, self.u_back @ D11 @ self.y_into)
         if not all(np.isfinite(part).all() for part in found):
             raise NoTrustworthyNumber("central controller", "the controller is not finite")
@@ -194,9 +194,22 @@ class TwoRiccatiProblem:
 
 
 class _Equation:
-    """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``."""
+    """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``.
 
-    def __init__(self, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_disturbances: int) -> None:
+    With (7) for R it is (9), the control equation; of the transposed plant, with (8), it is (10).
+    """
+
+    def __init__(
+        self,
+        A: AnyArray,
+        B: AnyArray,
+        C: AnyArray,
+        D: AnyArray,
+        n_disturbances: int,
+        residual: float,
+        semidefinite: float,
+    ) -> None:
+        self.residual, self.semidefinite = residual, semidefinite
         self.A, self.B, self.Q, self.S, self.R = A, B, C.T @ C, C.T @ D, D.T @ D
         self.disturbance = np.zeros(D.shape[1])
         self.disturbance[:n_disturbances] = 1.0
@@ -214,19 +227,19 @@ class _Equation:
         n = self.A.shape[0]
         by_B, by_S = solved[:, :n], solved[:, n:]
         G, Q = self.B @ by_B, self.Q - self.S @ by_S
-        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=RESIDUAL)
+        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=self.residual)
         if X is None and careful:
             try:
-                X = care(self.A, self.B, self.Q, R, self.S, tolerance=RESIDUAL).X
+                X = care(self.A, self.B, self.Q, R, self.S, tolerance=self.residual).X
             except NoTrustworthyNumber:
                 return None
         if X is None:
             return None
         values, vectors = np.linalg.eigh(X)
-        if n and values[0] < -PSD_TOLERANCE * max(1.0, values[-1]):
+        if n and values[0] < -self.semidefinite * max(1.0, values[-1]):
             return None
         return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
     def gain(self, gamma: float, X: AnyArray) -> AnyArray:
-        """``-R^-1 (B' X + S')``."""
+        """``-R^-1 (B' X + S')``: F of (11), and the transposed L of (12)."""
         return -np.linalg.solve(self._weight(gamma), self.B.T @ X + self.S.T)

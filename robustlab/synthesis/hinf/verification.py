@@ -15,17 +15,10 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.search import Candidate
 from robustlab.synthesis.problem.independent_check import SecondVoice, hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.verified_loop import moderate_states, named_controller, with_direct_term
+from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
+from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["Verified", "Verifier"]
-
-# Candidates that are verified before the search counts as failed, where no norm of them is sure so many, and the loss
-# against the search's own figure that sends the verification on to the next one.
-TRIES, MOST_TRIES, LOSS = 8, 40, 1.0005
-# A rebuilt loop whose norm is farther (relative) from that of its plant and controller is built again in other states.
-DRIFT = 1e-5
-# Difference (relative) of the two up to which an uncertified norm is credible; how much more a certified one may be.
-CREDIBLE, MUCH = 0.05, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +33,7 @@ class Verified:
     loop: StateSpaceModel
     norm: HinfNorm
     voice: SecondVoice
+    tuning: HinfTuning = HINF
 
     @property
     def gamma(self) -> float:
@@ -61,7 +55,7 @@ class Verified:
     @property
     def credible(self) -> bool:
         """Whether both voices give about the same norm: certified or not, it is not far from the truth."""
-        return self.drift <= CREDIBLE and not self.voice.disagreement(0.0, np.inf)
+        return self.drift <= self.tuning.credible and not self.voice.disagreement(0.0, np.inf)
 
     @property
     def drift(self) -> float:
@@ -82,8 +76,10 @@ class Verifier:
         Verifications are counted there; once it is over no second candidate is verified.
     """
 
-    def __init__(self, plant: GeneralizedPlant, D22: NDArray[np.float64], budget: Budget) -> None:
-        self.plant, self.D22, self.budget = plant, D22, budget
+    def __init__(
+        self, plant: GeneralizedPlant, D22: NDArray[np.float64], budget: Budget, tuning: HinfTuning = HINF
+    ) -> None:
+        self.plant, self.D22, self.budget, self.tuning = plant, D22, budget, tuning
         self._known: dict[int, Verified | None] = {}
 
     def __call__(self, candidate: Candidate) -> Verified | None:
@@ -96,25 +92,30 @@ class Verifier:
     def smallest(self, candidates: list[Candidate]) -> Verified | None:
         """The candidate of smallest verified norm; one without lost digits goes before others not much better."""
         found: list[Verified] = []
-        for tried, candidate in enumerate(sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]):
-            if tried >= TRIES and any(verified.credible for verified in found):
+        tuning = self.tuning
+        for tried, candidate in enumerate(sorted(candidates, key=lambda c: c.gamma)[: tuning.most_tries]):
+            if tried >= tuning.tries and any(verified.credible for verified in found):
                 break
             verified = self(candidate)
             if verified is None:
                 continue
             found.append(verified)
-            if (verified.certified and verified.gamma <= LOSS * candidate.gamma) or self.budget.over:
+            if (verified.certified and verified.gamma <= tuning.loss * candidate.gamma) or self.budget.over:
                 break
         best = min(found, key=lambda v: (not v.certified, not v.credible, v.gamma), default=None)
         # A certificate is worth a larger gamma, but not any.
         near = min((v for v in found if v.credible), key=lambda v: v.gamma, default=best)
-        return near if best is not None and near is not None and best.gamma > MUCH * near.gamma else best
+        return (
+            near
+            if best is not None and near is not None and best.gamma > tuning.certificate_worth * near.gamma
+            else best
+        )
 
     def sanest(self, candidates: list[Candidate], best: Verified, gamma_rel: float) -> Verified:
         """Of those within the ratio of the best gamma, the one of least stiffness that verifies; else the best."""
         limit = gamma_rel * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
-        for candidate in allowed[:TRIES]:
+        for candidate in allowed[: self.tuning.tries]:
             if self.budget.over:
                 break
             verified = self(candidate)
@@ -125,7 +126,9 @@ class Verifier:
     def accurate(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
         """The sanest candidate within the ratio of the best gamma whose norm is certified; else the best."""
         limit = ratio * best.gamma
-        for candidate in sorted((c for c in candidates if c.gamma <= limit), key=lambda c: c.stiffness)[:TRIES]:
+        for candidate in sorted((c for c in candidates if c.gamma <= limit), key=lambda c: c.stiffness)[
+            : self.tuning.tries
+        ]:
             verified = self(candidate)
             if verified is not None and verified.certified and verified.gamma <= limit:
                 return verified
@@ -142,7 +145,7 @@ class Verifier:
         limit = gamma_rel * best.gamma
         allowed = [c for c in candidates if c.gamma <= limit]
         slow = sorted((c for c in allowed if c.pace <= bandwidth), key=lambda c: c.gamma)
-        for candidate in slow[:TRIES]:
+        for candidate in slow[: self.tuning.tries]:
             verified = self(candidate)
             if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
                 return verified
@@ -165,7 +168,7 @@ class Verifier:
         # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
         states, other = moderate_states(model)
         found = self._judged(candidate, states)
-        if (found is not None and found.certified and found.drift <= DRIFT) or other is None:
+        if (found is not None and found.certified and found.drift <= self.tuning.drift) or other is None:
             return found
         again = self._judged(candidate, other)
         both = [verified for verified in (found, again) if verified is not None]
@@ -182,4 +185,4 @@ class Verifier:
             return None
         if not np.isfinite(norm.upper):
             return None
-        return Verified(candidate, named, loop, norm, hinf_voice(plant, named, loop, [norm.frequency]))
+        return Verified(candidate, named, loop, norm, hinf_voice(plant, named, loop, [norm.frequency]), self.tuning)

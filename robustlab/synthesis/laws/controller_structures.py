@@ -25,8 +25,8 @@ from robustlab.synthesis.laws.controller_laws import (
     SeriesLaw,
     SumLaw,
 )
-from robustlab.synthesis.nonsmooth.design_problem import common_scaling
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.scaling import common_scaling
 
 __all__ = [
     "PID",

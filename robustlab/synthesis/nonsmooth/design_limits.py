@@ -13,7 +13,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily, Pole
-from robustlab.synthesis.nonsmooth.peak_gain import LoopMatrices, bilinear, crossings, resolvent_point
+from robustlab.synthesis.nonsmooth.objectives import LoopMatrices, bilinear, crossings, resolvent_point
 
 __all__ = ["Bandwidth", "Damping", "Decay", "Limit", "RollOff", "StableController"]
 

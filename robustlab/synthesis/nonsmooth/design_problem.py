@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.synthesis.laws.controller_laws import Law, Parameter
-from robustlab.synthesis.nonsmooth.active_peaks import Piece
+from robustlab.synthesis.nonsmooth.descent_methods import Piece
 from robustlab.synthesis.nonsmooth.design_limits import Limit, RollOff, StableController
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.scaling import Scaling, equilibrated
+from robustlab.synthesis.problem.scaling import common_scaling
 
-__all__ = ["DesignProblem", "common_scaling"]
+__all__ = ["DesignProblem"]
 
 
 # Share of the range between two bounds that a start keeps away from them.
 INSIDE = 1e-3
-
-
-def common_scaling(plants: Sequence[GeneralizedPlant]) -> list[Scaling]:
-    """A scaling for every plant that differs only in the states: signals and time unit are those of the first."""
-    matrices = [plant.matrices() for plant in plants]
-    first = equilibrated(matrices[0])
-    if plants[0].model.dt:
-        first = replace(first, rate=1.0)
-    return [first, *(replace(first, states=equilibrated(other).states) for other in matrices[1:])]
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.lapack import lapack
-from robustlab.synthesis.nonsmooth.entropy import entropy
-from robustlab.synthesis.nonsmooth.peak_gain import (
+from robustlab.synthesis.nonsmooth.objectives import (
     LoopMatrices,
     PeakFinder,
     bilinear,
     bilinear_pullback,
+    entropy,
     resolvent_point,
 )
 from robustlab.synthesis.problem.partition import PlantMatrices

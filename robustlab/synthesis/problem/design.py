@@ -1,7 +1,4 @@
-"""Finished controller designs with the evidence to check them again.
-
-A controller as it is stored and exchanged: the model, its sign convention, and what was verified about it.
-"""
+"""A finished design: the controller as it is stored, what was verified about it, and how its search ended."""
 
 from __future__ import annotations
 
@@ -22,12 +19,12 @@ from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 __all__ = [
+    "Controller",
     "HinfSynthesis",
     "Synthesis",
     "design_budget",
     "limiting_channels",
     "told",
-    "Controller",
 ]
 
 

@@ -14,7 +14,7 @@ plane it is the price of that zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from robustlab.magnitude import LARGEST, is_moderate
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = ["GammaBound", "place_in_s", "place_in_z", "pointwise_bound"]
+__all__ = ["GammaBound", "point_in_words", "pointwise_bound"]
 
 
 RADII, ANGLES = 48, (0.0, 0.5, 1.0, 1.35, 1.5, np.pi / 2)
@@ -60,7 +60,7 @@ class GammaBound:
         return vars(self).copy()
 
 
-def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], place: Callable[[complex], str]) -> GammaBound:
+def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0) -> GammaBound:
     """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones.
 
     Parameters
@@ -70,8 +70,8 @@ def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], place: Callab
     scalings
         Scalings of it. Points are searched on the first; a bound counts only as far as all of them give it, because
         they round differently.
-    place
-        Text for a point of the closed right half plane in rad/s.
+    dt
+        Sample time in s of the discrete plant whose bilinear image p is; points are told in its z plane.
     """
     first = scalings[0]
     scaled = first.apply(p)
@@ -92,32 +92,24 @@ def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], place: Callab
     if value <= 0:
         return GammaBound(0.0, "at no single frequency does anything keep gamma from zero", True)
     if at_zero >= max(float(values[best]), at_infinity):
-        return GammaBound(value, f"proved at the zero {place(zero)}", True)
+        return GammaBound(value, f"proved at the zero {point_in_words(zero, dt)}", True)
     if at_infinity >= values[best]:
         return GammaBound(value, "proved: D11 leaves it at infinite frequency", True)
     point = complex(points[best])
-    return GammaBound(value, f"proved at {place(point * first.rate if abs(point) > AT_ZERO else 0j)}", True)
+    place = point_in_words(point * first.rate if abs(point) > AT_ZERO else 0j, dt)
+    return GammaBound(value, f"proved at {place}", True)
 
 
-def place_in_s(s: complex) -> str:
-    """A point of the closed right half plane, and what the bound there says."""
+def point_in_words(s: complex, dt: float = 0.0) -> str:
+    """A point of the closed right half plane in rad/s (of the z plane, with dt), and what the bound there says."""
     if abs(s.real) <= 1e-9 * abs(s):
-        return f"{abs(s.imag):.4g} rad/s: no controller, causal or not, can do better"
-    text = f"{s.real:.4g}" if abs(s.imag) <= 1e-3 * abs(s) else f"{s.real:.4g}{s.imag:+.4g}j"
-    return f"s = {text} rad/s: no stable loop can do better at this point of the right half plane"
-
-
-def place_in_z(dt: float) -> Callable[[complex], str]:
-    """The same for the discrete plant whose bilinear map is searched."""
-
-    def place(s: complex) -> str:
-        if abs(s.real) <= 1e-9 * abs(s):
-            return place_in_s(1j * 2 / dt * np.arctan(abs(s.imag) * dt / 2))
-        z = (2 / dt + s) / (2 / dt - s)
-        text = f"{z.real:.4g}" if abs(z.imag) <= 1e-3 * abs(z) else f"{z.real:.4g}{z.imag:+.4g}j"
+        omega = 2 / dt * np.arctan(abs(s.imag) * dt / 2) if dt else abs(s.imag)
+        return f"{omega:.4g} rad/s: no controller, causal or not, can do better"
+    point = (2 / dt + s) / (2 / dt - s) if dt else s
+    text = f"{point.real:.4g}" if abs(point.imag) <= 1e-3 * abs(point) else f"{point.real:.4g}{point.imag:+.4g}j"
+    if dt:
         return f"z = {text}: no stable loop can do better at this point outside the unit circle"
-
-    return place
+    return f"s = {text} rad/s: no stable loop can do better at this point of the right half plane"
 
 
 def _points(p: PlantMatrices) -> AnyArray:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
+from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
@@ -30,12 +31,17 @@ __all__ = [
 
 
 class Realisation(NamedTuple):
-    """Bare matrices of a model or a controller inside a search."""
+    """Bare matrices of a loop or a controller inside a search."""
 
     A: NDArray[Any]
     B: NDArray[Any]
     C: NDArray[Any]
     D: NDArray[Any]
+
+    @classmethod
+    def of(cls, model: StateSpaceModel) -> Realisation:
+        """The matrices of a model."""
+        return cls(model.A, model.B, model.C, model.D)
 
 
 NO_PERFORMANCE = "mixsyn and ncf make them for a bare plant; in P they come before the controls and measurements"
@@ -82,6 +88,11 @@ class PlantMatrices:
             np.block([[self.D11, self.D12], [self.D21, np.zeros((n_y, n_u))]]),
         )
 
+    def plant(self) -> GeneralizedPlant:
+        """As a generalised plant."""
+        _, _, n_u, _, n_y = self.sizes
+        return GeneralizedPlant(self.model(), n_y, n_u)
+
 
 @dataclass(frozen=True, eq=False)
 class GeneralizedPlant:
@@ -105,30 +116,45 @@ class GeneralizedPlant:
                 raise InputError("generalised plant", f"{name} is {count!r}", f"a whole number from 1 to {most}")
 
     @property
+    def n_w(self) -> int:
+        """Number of disturbances w."""
+        return self.model.n_inputs - self.n_con
+
+    @property
+    def n_z(self) -> int:
+        """Number of performance outputs z."""
+        return self.model.n_outputs - self.n_meas
+
+    @property
     def measurements(self) -> tuple[Signal, ...]:
         """The measured outputs y."""
-        return self.model.outputs[self.model.n_outputs - self.n_meas :]
+        return self.model.outputs[self.n_z :]
 
     @property
     def controls(self) -> tuple[Signal, ...]:
         """The control inputs u."""
-        return self.model.inputs[self.model.n_inputs - self.n_con :]
+        return self.model.inputs[self.n_w :]
 
     @property
     def D22(self) -> Array:
         """Direct term from u to y, shape (n_meas, n_con)."""
-        return self.model.D[self.model.n_outputs - self.n_meas :, self.model.n_inputs - self.n_con :]
+        return self.model.D[self.n_z :, self.n_w :]
 
     def matrices(self) -> PlantMatrices:
         """The matrices with D22 left out."""
-        m = self.model
-        w, z = m.n_inputs - self.n_con, m.n_outputs - self.n_meas
+        m, w, z = self.model, self.n_w, self.n_z
         parts = (m.A, m.B[:, :w], m.B[:, w:], m.C[:z], m.C[z:], m.D[:z, :w], m.D[:z, w:], m.D[z:, :w])
         return PlantMatrices(*(np.array(part) for part in parts))
 
     def close(self, K: StateSpaceModel) -> StateSpaceModel:
         """The closed loop from w to z for ``u = K y``."""
         return lower_lft(self.model, K)
+
+    def continuous(self) -> GeneralizedPlant:
+        """Itself, or the image of a discrete plant under the bilinear map, which keeps norms."""
+        if not self.model.dt:
+            return self
+        return GeneralizedPlant(bilinear_to_continuous(self.model), self.n_meas, self.n_con)
 
     def to_model(self) -> StateSpaceModel:
         """The model."""
@@ -161,10 +187,9 @@ def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERF
     InputError
         It names which of the two is missing.
     """
-    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
-    if n_w and n_z:
+    if plant.n_w and plant.n_z:
         return
-    missing = " and ".join(["no disturbance w"] * (not n_w) + ["no performance output z"] * (not n_z))
+    missing = " and ".join(["no disturbance w"] * (not plant.n_w) + ["no performance output z"] * (not plant.n_z))
     size = f"P of {plant.model.n_inputs} inputs and {plant.model.n_outputs} outputs has"
     rest = f"beside {plant.n_con} controls and {plant.n_meas} measurements"
     raise InputError(where, f"{size} {missing} {rest}", "at least one of both", hint)
@@ -193,6 +218,11 @@ def generalized_plant(
         Names of the inputs w; all inputs that are no controls where left out.
     performance
         Names of the outputs z; all outputs where left out.
+
+    Returns
+    -------
+    GeneralizedPlant
+        With inputs [Delta's; w; u] and outputs [Delta's; z; y], and the perturbation blocks of an uncertain model.
 
     Raises
     ------

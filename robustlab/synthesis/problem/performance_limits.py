@@ -1,6 +1,6 @@
 """What no controller can do better for a given plant: limits from right-half-plane zeros and poles, and from delay.
 
-What limits a finished design, whatever its controller: zeros, poles, integrals of the plant in its problem.
+The same in words for a finished design, whose plant is what leads from its controls to its measurements.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ __all__ = [
     "Mode",
     "PerformanceLimits",
     "WeightedBound",
-    "performance_limits",
-    "transmission_zeros",
     "limits_in_words",
     "limits_of",
+    "performance_limits",
+    "transmission_zeros",
 ]
 
 
@@ -225,6 +225,11 @@ def performance_limits(G: Any, *, delay: float = 0.0) -> PerformanceLimits:
     delay
         Time delay of the loop in s, of a continuous plant with one input and output: T is at least as large as its
         values at the poles, ``|exp(p delay)|``; not in the plant.
+
+    Returns
+    -------
+    PerformanceLimits
+        Peaks of S, T and K S that nothing gets below, with zeros, poles and the rules of thumb for bandwidth.
 
     Raises
     ------
@@ -494,10 +499,9 @@ def limits_in_words(design: Synthesis) -> list[str]:
 
     Examples
     --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> from robustlab.synthesis import mixsyn, performance_weight
+    >>> import robustlab as rl
     >>> G = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])  # (s - 1) / (s + 1)
-    >>> limits_in_words(mixsyn(G, performance_weight(0.1), 0.1))[-1][:13]
+    >>> limits_in_words(rl.mixsyn(G, rl.performance_weight(0.1), 0.1))[-1][:13]
     'gamma >= 0.59'
     """
     try:

@@ -6,6 +6,7 @@ undone exactly in the controller.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from robustlab.magnitude import TINY, balancing_exponents, is_moderate, times_po
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
-__all__ = ["Scaling", "by_magnitude", "equilibrated", "in_ordinary_units", "paths_first"]
+__all__ = ["Scaling", "by_magnitude", "common_scaling", "equilibrated", "in_ordinary_units", "paths_first"]
 
 
 # Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
@@ -54,6 +55,10 @@ class Scaling:
                 "scaling", found, "gains between 1e-307 and 1e307", "choose other units of w and z"
             )
         return gain
+
+    def in_steps(self) -> Scaling:
+        """The same for a discrete plant, whose step has no other unit of time."""
+        return replace(self, rate=1.0)
 
     def apply(self, p: PlantMatrices) -> PlantMatrices:
         """The scaled plant."""
@@ -275,3 +280,12 @@ def equilibrated(p: PlantMatrices, discrete: bool = False) -> Scaling:
         if all(np.array_equal(getattr(s, k), getattr(before, k)) for k in ("states", "u", "y", "w", "z")):
             break
     return s
+
+
+def common_scaling(plants: Sequence[GeneralizedPlant]) -> list[Scaling]:
+    """A scaling for every plant that differs only in the states: signals and time unit are those of the first."""
+    matrices = [plant.matrices() for plant in plants]
+    first = equilibrated(matrices[0])
+    if plants[0].model.dt:
+        first = first.in_steps()
+    return [first, *(replace(first, states=equilibrated(other).states) for other in matrices[1:])]

@@ -12,17 +12,17 @@ from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.hinf.loop_shaping import with_performance
-from robustlab.synthesis.nonsmooth.descent import descend
-from robustlab.synthesis.nonsmooth.performance_measure import (
+from robustlab.synthesis.hinf.loop_shaping import with_default_performance
+from robustlab.synthesis.nonsmooth.parameter_search import descend
+from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.performance_measure import (
     Evidence,
     MeasureName,
     Performance,
     PerformanceMeasure,
     make_measure,
 )
-from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.controller_candidates import CandidateFamily, candidate_families
 from robustlab.uncertainty.blocks import Block
 
@@ -245,7 +245,7 @@ def _plant_and_controller(
         plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    return with_performance(plant, WHERE), full
+    return with_default_performance(plant, WHERE), full
 
 
 def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequence[Block] | None]:

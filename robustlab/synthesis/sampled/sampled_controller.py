@@ -16,10 +16,10 @@ from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.hinf.loop_shaping import with_performance
-from robustlab.synthesis.nonsmooth.performance_measure import given_scalings, scaled_plant
+from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.performance_measure import given_scalings, plant_with_scalings
 from robustlab.synthesis.sampled.discretisation import METHODS, MergedModes, discretise, merged_modes
 from robustlab.synthesis.sampled.lifting import lift
 from robustlab.synthesis.sampled.sampled_data import (
@@ -244,14 +244,14 @@ def discretise_controller(
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    plant = with_performance(plant, WHERE)
+    plant = with_default_performance(plant, WHERE)
     known = ("auto", "direct", *METHODS)
     if method not in known:
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
     budget = design_budget(WHERE, WORK, effort, time_limit)
-    judged = plant if scalings is None else scaled_plant(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
+    judged = plant if scalings is None else plant_with_scalings(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
     filtered = with_antialiasing(judged, antialiasing, WHERE)
     with one_thread():
         continuous = hinf_norm(judged.close(full))

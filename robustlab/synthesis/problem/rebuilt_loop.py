@@ -1,7 +1,5 @@
 r"""A controller for the plant as given, from one for its bare matrices: direct term, states, names, the rebuilt loop.
 
-Controllers near one that cannot take the plant's direct term D22 back in.
-
 Synthesis leaves D22 out and gives the controller for the whole plant as :math:`K (I + D_{22} K)^{-1}`. Without a
 penalty on the control the optimum often makes :math:`I + D_{22} D_K` singular: sensitivity at infinite frequency wants
 to be zero. That controller is improper (of a discrete plant only the bilinear image is: K has a pole at z = -1); with
@@ -36,6 +34,8 @@ __all__ = [
 
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
+# Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
+DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
 # Above this condition number modes are no basis.
 NO_BASIS = 1e12
 # From this on the errors of entries count so much that other states are better.
@@ -60,6 +60,31 @@ def with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpace
         A, B = K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D
     refuse_overflow("controller", A, B, C, D)
     return StateSpaceModel(A, B, C, D, K.dt)
+
+
+def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
+    r"""K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``.
+
+    With :math:`I + D_{22} D_K = U \Sigma V^T` the small singular values are raised to each of `DISTANCES`:
+
+    .. math:: \Delta D_K = D_{22}^+ \, U \max(\delta - \Sigma, 0) V^T
+
+    Parameters
+    ----------
+    K
+        Controller for the plant without D22.
+    D22
+        The direct term, shape (n_y, n_u).
+    """
+    with np.errstate(all="ignore"):
+        back = np.eye(len(D22)) + D22 @ K.D
+    if not np.isfinite(back).all():  # K overflows
+        return []
+    U, s, Vt = np.linalg.svd(back)
+    if s[-1] >= DISTANCES[0]:
+        return [K]
+    inverse = np.linalg.pinv(D22, rcond=1e-10)
+    return [K._replace(D=K.D + inverse @ (U * np.maximum(delta - s, 0.0)) @ Vt) for delta in DISTANCES]
 
 
 def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
@@ -157,32 +182,3 @@ def surely_stable(loop: StateSpaceModel) -> bool:
     t = balancing_factors(loop.A)
     size = float(np.linalg.norm(loop.A / t[:, None] * t, 1))
     return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * max(size, 1.0 if loop.is_discrete else 0.0)
-
-
-# Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
-DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
-
-
-def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
-    r"""K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``.
-
-    With :math:`I + D_{22} D_K = U \Sigma V^T` the small singular values are raised to each of `DISTANCES`:
-
-    .. math:: \Delta D_K = D_{22}^+ \, U \max(\delta - \Sigma, 0) V^T
-
-    Parameters
-    ----------
-    K
-        Controller for the plant without D22.
-    D22
-        The direct term, shape (n_y, n_u).
-    """
-    with np.errstate(all="ignore"):
-        back = np.eye(len(D22)) + D22 @ K.D
-    if not np.isfinite(back).all():  # K overflows
-        return []
-    U, s, Vt = np.linalg.svd(back)
-    if s[-1] >= DISTANCES[0]:
-        return [K]
-    inverse = np.linalg.pinv(D22, rcond=1e-10)
-    return [K._replace(D=K.D + inverse @ (U * np.maximum(delta - s, 0.0)) @ Vt) for delta in DISTANCES]

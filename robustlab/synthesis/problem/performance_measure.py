@@ -38,7 +38,7 @@ __all__ = [
     "Scalings",
     "given_scalings",
     "make_measure",
-    "scaled_plant",
+    "plant_with_scalings",
 ]
 
 MeasureName = Literal["hinf", "h2", "mu"]
@@ -126,7 +126,7 @@ class PerformanceMeasure:
     def _margin(self, loop: StateSpaceModel, K: StateSpaceModel) -> Performance:
         try:
             part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
-            margin = margin_within(with_performance(_uncertain(loop, self.blocks)), part, tolerance=1e-3)
+            margin = margin_within(with_performance(UncertainModel(loop, self.blocks)), part, tolerance=1e-3)
         except NoTrustworthyNumber:  # the nominal loop is not stable
             norm = hinf_norm(loop)
             return Performance(np.inf, norm, np.nan)
@@ -169,11 +169,11 @@ def make_measure(
     if name != "mu":
         return PerformanceMeasure(plant, name, budget=budget)
     known = tuple(plant.blocks if blocks is None else blocks)
-    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
+    n_w, n_z = plant.n_w, plant.n_z
     if known and structure_size(known) == (n_w, n_z) and known[-1].is_ball and not known[-1].is_scalar:
         known = known[:-1]  # the last block is the performance block
     if scalings is not None:
-        scaled = scaled_plant(plant, given_scalings(scalings, plant.model.dt, where), where)
+        scaled = plant_with_scalings(plant, given_scalings(scalings, plant.model.dt, where), where)
         return PerformanceMeasure(plant, "mu", known, scaled, budget)
     q, p = structure_size(known) if known else (0, 0)
     if not known or q >= n_w or p >= n_z:
@@ -184,12 +184,11 @@ def make_measure(
     return PerformanceMeasure(plant, "mu", known, None, budget)
 
 
-def scaled_plant(plant: GeneralizedPlant, scalings: Scalings, where: str = "scaled plant") -> GeneralizedPlant:
+def plant_with_scalings(plant: GeneralizedPlant, scalings: Scalings, where: str = "scaled plant") -> GeneralizedPlant:
     r"""The plant with ``z -> D_z z`` and ``w -> D_w^{-1} w``; ``scalings`` is ``(D_z, D_w^{-1})``, both stable."""
     on_z, on_w = scalings
     m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
-    n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
-    for name, d, size in (("D_z", on_z, n_z), ("D_w^-1", on_w, n_w)):
+    for name, d, size in (("D_z", on_z, plant.n_z), ("D_w^-1", on_w, plant.n_w)):
         if (d.n_outputs, d.n_inputs) != (size, size):
             raise InputError(where, f"{name} is {d.n_outputs} x {d.n_inputs}", f"{size} x {size}")
         if d.n_states and not d.is_stable():
@@ -234,7 +233,3 @@ def _straight(n: int, dt: float) -> StateSpaceModel:
 def _performance_block(loop: StateSpaceModel, blocks: tuple[Block, ...]) -> FullBlock:
     q, p = structure_size(blocks)
     return FullBlock(PERFORMANCE, loop.n_inputs - q, loop.n_outputs - p)
-
-
-def _uncertain(loop: StateSpaceModel, blocks: tuple[Block, ...]) -> UncertainModel:
-    return UncertainModel(loop, blocks)

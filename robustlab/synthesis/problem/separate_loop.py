@@ -1,0 +1,360 @@
+r"""The loop of P and K, each evaluated on its own at given frequencies, with a bound of every error.
+
+A closed-loop realisation that was rebuilt from P and K carries the rounding of its products; where K has large entries
+it may be the realisation of another loop. Nothing here uses its response. With the matrices of P and of K as they are,
+
+.. math:: P = C (j\omega I - A)^{-1} B + D, \qquad
+   \begin{bmatrix} I & -P_{22} \\ -K & I \end{bmatrix} \begin{bmatrix} y \\ u \end{bmatrix} =
+   \begin{bmatrix} P_{21} \\ 0 \end{bmatrix}, \qquad T = P_{11} + P_{12} u
+
+and every step has a bound of its error. Where ordinary precision leaves the bound too wide, all is done again with
+about 30 digits. The characteristic polynomial of the true loop, which has to be that of the rebuilt one, is
+
+.. math:: \chi(s) = \det(sI - A_P) \det(sI - A_K) \det(I - P_{22} K) / \det(I - D_{22} D_K)
+
+References
+----------
+Rump, "Verification methods: rigorous results using floating-point arithmetic", Acta Numerica 19 (2010); Higham (2002),
+*Accuracy and Stability of Numerical Algorithms*, chapters 7, 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import AnyArray
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
+from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.rebuilt_loop import balanced_states
+from robustlab.synthesis.problem.scaling import in_ordinary_units
+
+__all__ = ["ROUCHE", "SeparateLoop", "SeparateValues", "frobenius", "poles_in_s"]
+
+# Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
+ROUCHE = 0.1
+# A value whose error bound exceeds this share of the largest gain, or of the polynomial, is computed with more digits.
+QUICK, QUICK_EVERYWHERE, QUICK_ROUCHE = 1e-6, 1e-5, 2e-2
+PER_DECADE, MOST_POINTS = 5, 120
+# Frequencies that hit a pole move by this share of the distance to the loop's poles, which T cannot feel.
+ASIDE = 1e-6
+# Work with many digits that one check may do, in points times states cubed; numbers of a stack that is kept in memory.
+CAREFUL_WORK, CHUNK = 2e6, 4_000_000
+# Steps towards an enclosure of the error.
+ENCLOSING = 12
+EPS = float(np.finfo(float).eps)
+
+
+class SeparateValues(NamedTuple):
+    """At each frequency: T with the bounds of its entries, its largest singular value with a bound, Rouche's relative
+    difference (0 where it was not asked for), and the size of the terms of T.
+    """
+
+    omega: AnyArray
+    T: AnyArray
+    T_error: AnyArray
+    gain: AnyArray
+    error: AnyArray
+    rouche: AnyArray
+    size: AnyArray
+
+    def at(self, index: AnyArray) -> SeparateValues:
+        """Those of some frequencies."""
+        return SeparateValues(*(part[index] for part in self))
+
+    def joined(self, other: SeparateValues) -> SeparateValues:
+        """Both, frequencies increasing."""
+        order = np.argsort(np.concatenate([self.omega, other.omega]), kind="stable")
+        return SeparateValues(*(np.concatenate([a, b])[order] for a, b in zip(self, other, strict=True)))
+
+
+class SeparateLoop:
+    """P and K as they are given, never as one model.
+
+    Where their entries are too large or too small to be multiplied, in other units: frequencies are ``2^rate`` and
+    gains ``2^-gain`` times what is found here.
+    """
+
+    def __init__(self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel) -> None:
+        plant, K, loop, self.rate, self.gain = in_ordinary_units(plant, K, loop)
+        self.dt = plant.model.dt
+        self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
+        self.n_y, self.n_u = plant.n_meas, plant.n_con
+        self.n_z, self.n_w = plant.model.n_outputs - self.n_y, plant.model.n_inputs - self.n_u
+        self.poles = [poles_in_s(m.poles(), self.dt) for m in (self.loop, self.P, self.K)]
+        self.log_direct = complex(np.log(complex(np.linalg.det(np.eye(self.n_u) - K.D @ plant.D22))))
+
+    # --- where -------------------------------------------------------------------------------------------------------
+
+    def corners(self) -> AnyArray:
+        """Frequencies of all poles and of their resonances, increasing."""
+        poles = np.concatenate(self.poles)
+        re, im = np.abs(np.real(poles)), np.abs(np.imag(poles))
+        resonance = np.sqrt(np.maximum(im - re, 0.0)) * np.sqrt(im + re)  # no squares
+        own = np.unique(np.concatenate([np.abs(poles), im, resonance]))
+        own = own[np.isfinite(own) & (own > 0)]
+        return own[own > 1e-20 * own[-1]] if len(own) else np.ones(1)
+
+    def frequencies(self, peaks: Iterable[float]) -> AnyArray:
+        """Increasing; infinity last where time is continuous, else the Nyquist frequency."""
+        own = self.corners()
+        points = int(np.clip(PER_DECADE * np.log10(own[-1] / own[0] * 1e3), 8, MOST_POINTS))
+        grid = np.geomspace(own[0] / 30, own[-1] * 30, points)
+        # Corners that lie closer than eigenvalues are known tell nothing new.
+        own = own[np.append(True, np.diff(own) > 1e-9 * own[1:])]
+        omega = np.unique(np.concatenate([[0.0], own, grid, np.asarray(list(peaks), dtype=float)]))
+        omega = omega[np.isfinite(omega)]
+        if self.dt:
+            return np.append(omega[omega < np.pi / self.dt], np.pi / self.dt)
+        return np.append(omega, np.inf)
+
+    # --- what --------------------------------------------------------------------------------------------------------
+
+    def values(
+        self, omega: AnyArray, polynomial: bool = False, everywhere: bool = False, scale: float = 0.0
+    ) -> SeparateValues:
+        """In ordinary precision, and with more digits where that is not enough; frequencies on a pole move aside.
+
+        ``scale`` is the largest gain known so far: smaller ones need no digits, unless they are asked for everywhere.
+        """
+
+        def wide(found: SeparateValues) -> AnyArray:
+            if everywhere:
+                return np.asarray(~(found.error <= QUICK_EVERYWHERE * found.gain))
+            top = max(np.max(found.gain[np.isfinite(found.gain)], initial=0.0), scale)
+            return np.asarray(~((found.error <= QUICK * top) | (found.gain + found.error < (1 - QUICK) * top)))
+
+        with np.errstate(all="ignore"):
+            found = self._evaluated(omega, _Doubles, polynomial)
+            apart = ~(found.rouche <= QUICK_ROUCHE)
+            doubtful = wide(found) | apart
+            if not doubtful.any():
+                return found
+            once_more = polynomial and bool(apart.any())
+            kept = self._affordable(found, np.flatnonzero(doubtful), once_more)
+            again = self._evaluated(found.omega[kept], DoubleDouble, once_more)
+            if not once_more:
+                again = again._replace(rouche=found.rouche[kept])
+            rest = ~doubtful
+            rest[doubtful] = everywhere  # those that are left out are kept with the few digits they have
+            rest[kept] = False
+            found = found.at(rest).joined(again)
+            doubtful = (wide(found) | ~(found.rouche <= ROUCHE)) & np.isfinite(found.omega)
+            if not doubtful.any():
+                return found
+            aside = self._evaluated(self._aside(found.omega[doubtful]), DoubleDouble, polynomial)
+            return found.at(~doubtful).joined(aside)
+
+    def _affordable(self, found: SeparateValues, which: AnyArray, polynomial: bool) -> AnyArray:
+        """All of them; of too many those at the ends and those of the largest gains, the others are left out."""
+        n = self.loop.n_states if polynomial else max(self.P.n_states, self.K.n_states)
+        most = int(max(CAREFUL_WORK / max(n, 1) ** 3, 12))
+        if len(which) <= most:
+            return which
+        omega, gain = found.omega[which], np.nan_to_num(found.gain[which], nan=np.inf)
+        order = np.lexsort((-gain, ~((omega == 0) | np.isinf(omega))))
+        return np.sort(which[order[:most]])
+
+    def _aside(self, omega: AnyArray) -> AnyArray:
+        poles = self.poles[0]
+        distance = np.abs(1j * omega[:, None] - poles).min(axis=1) if len(poles) else np.ones(len(omega))
+        moved = np.maximum(omega + ASIDE * distance, omega * (1 + 1e-12))
+        return np.where(moved < np.pi / self.dt, moved, omega * (1 - ASIDE)) if self.dt else moved
+
+    def _evaluated(
+        self, omega: AnyArray, kind: type[_Doubles] | type[DoubleDouble], polynomial: bool
+    ) -> SeparateValues:
+        size = max(self.P.n_states, self.K.n_states, self.loop.n_states * polynomial, 1)
+        step = max(1, int(CHUNK / size**2))
+        parts = [self._chunk(omega[i : i + step], kind, polynomial) for i in range(0, len(omega), step)]
+        return parts[0] if len(parts) == 1 else SeparateValues(*(np.concatenate(p) for p in zip(*parts, strict=True)))
+
+    def _chunk(self, omega: AnyArray, kind: Any, polynomial: bool) -> SeparateValues:
+        s = np.exp(1j * omega * self.dt) if self.dt else _on_axis(omega)
+        P, K = _response(self.P, s, kind), _response(self.K, s, kind)
+        z, w, y, u = slice(0, self.n_z), slice(0, self.n_w), slice(self.n_z, None), slice(self.n_w, None)
+        T, T_error, size, log_det, log_det_error = _closed(P, K, z, w, y, u, kind)
+        rouche = np.zeros(len(omega))
+        if polynomial:
+            finite = np.isfinite(s)
+            ours = _shifted(self.loop, s, kind)
+            total = P.log_det + K.log_det + log_det - self.log_direct - ours.log_det
+            error = P.log_det_error + K.log_det_error + log_det_error + ours.log_det_error
+            rouche = np.where(finite, np.abs(np.expm1(np.where(finite, total, 0))) + 1.5 * error, 0.0)
+            rouche = np.where(np.isfinite(rouche) & ((error < 0.1) | ~finite), rouche, np.inf)
+        if not T[0].size:
+            none = np.zeros(len(omega))
+            return SeparateValues(omega, T, T_error, none, none, rouche, none)
+        gain = np.full(len(omega), np.nan)
+        sound = np.isfinite(T).all(axis=(1, 2))
+        gain[sound] = np.linalg.norm(T[sound], 2, axis=(1, 2))
+        error = frobenius(T_error) + 16 * EPS * gain
+        error = np.where(np.isnan(error), np.inf, error)
+        return SeparateValues(omega, T, T_error, gain, error, rouche, frobenius(size))
+
+
+class _Inverse(NamedTuple):
+    """Approximate inverses X of a stack of matrices A."""
+
+    matrix: Any
+    inverse: Any
+    residual: AnyArray  # bounds of the moduli of I - A X
+    rounding: float  # of a product with A, relative to that of the moduli
+    log_det: AnyArray
+    log_det_error: AnyArray
+
+
+class _Response(NamedTuple):
+    value: Any
+    error: AnyArray
+    log_det: AnyArray
+    log_det_error: AnyArray
+
+
+class _Through(NamedTuple):
+    size: AnyArray  # bounds of the moduli of x
+    value: Any
+    error: AnyArray
+
+
+# --- the evaluation and the bounds of its errors ---------------------------------------------------------------------
+
+
+class _Doubles:
+    """Ordinary complex matrices, with what `DoubleDouble` has."""
+
+    unit = 2.0**-51
+
+    @staticmethod
+    def of(matrices: AnyArray) -> AnyArray:
+        return np.asarray(matrices, dtype=complex)
+
+
+def _inverted(matrix: Any, kind: Any) -> _Inverse:
+    of = abs(matrix)
+    n = of.shape[-1]
+    if kind is _Doubles:
+        sign, log = np.linalg.slogdet(matrix)
+        found = np.full(matrix.shape, np.nan + 0j)
+        sound = np.isfinite(log)
+        try:
+            found[sound] = np.linalg.inv(matrix[sound])
+        except np.linalg.LinAlgError:  # a pivot underflows where the determinant does not
+            found[:] = np.nan
+        log_det = np.log(sign) + log
+    else:
+        found, log_det = inverse(matrix)
+    rounding, back = (n + 4) * kind.unit, abs(found)
+    residual = abs(kind.of(np.broadcast_to(np.eye(n), of.shape)) - matrix @ found) + rounding * (of @ back)
+    # d log det A = tr(A^-1 dA), with the backward error of the elimination for dA.
+    error = 8 * rounding * (back * np.swapaxes(of, 1, 2)).sum(axis=(1, 2)) + 8 * EPS * (n + np.abs(log_det))
+    return _Inverse(matrix, found, residual, rounding, log_det, error)
+
+
+def _through(c: Any, a: _Inverse, b: Any, a_error: AnyArray | float = 0.0, b_error: AnyArray | float = 0.0) -> _Through:
+    """``c A^-1 b`` with bounds of its entries' errors, those of A and b themselves included.
+
+    ``c A^-1 b - c x = c A^-1 (b - A x)``, and ``c A^-1 = c X (I - (I - A X))^-1``: the error is judged by how far
+    the residual is seen in the output, which no cancellation in ``c x`` spoils.
+    """
+    x = a.inverse @ b
+    size = abs(x)
+    left = abs(b - a.matrix @ x) + a.rounding * (abs(a.matrix) @ size + abs(b)) + b_error
+    grows = a.residual
+    if not isinstance(a_error, float):
+        left, grows = left + a_error @ size, grows + a_error @ abs(a.inverse)
+    left = _enclosed(grows, left)
+    seen = abs(c @ a.inverse) + a.rounding * (abs(c) @ abs(a.inverse))
+    return _Through(size + abs(a.inverse) @ left, c @ x, seen @ left + a.rounding * (abs(c) @ size))
+
+
+def _enclosed(G: AnyArray, v: AnyArray) -> AnyArray:
+    """E with ``v + G E <= E`` up to rounding, which bounds every e with ``e <= v + G e``; inf where none is found."""
+    e, found = v, np.full(v.shape, np.inf)
+    for steps in (3, ENCLOSING):  # few are enough, unless exact zeros of v are reached by long chains only
+        for _ in range(steps):
+            e = v + G @ e
+        holds = (v + 2 * (G @ e) <= 2 * (1 + 1e-9) * e).all(axis=(1, 2))
+        if holds.all():
+            break
+    found[holds] = 2 * e[holds]
+    return found
+
+
+def _shifted(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Inverse:
+    """Of sI - A at every s; an infinite s counts as zero."""
+    diagonal = np.where(np.isfinite(s), s, 0.0)[:, None, None] * np.eye(m.n_states)
+    return _inverted(kind.of(diagonal) - kind.of(np.broadcast_to(m.A, diagonal.shape)), kind)
+
+
+def _response(m: StateSpaceModel, s: AnyArray, kind: Any) -> _Response:
+    k, infinite = len(s), ~np.isfinite(s)
+    b, c, d = (kind.of(np.broadcast_to(x, (k, *x.shape))) for x in (m.B, m.C, m.D))
+    if not m.n_states:
+        return _Response(d, np.zeros((k, *m.D.shape)), np.zeros(k, complex), np.zeros(k))
+    a = _shifted(m, s, kind)
+    found = _through(c, a, b)
+    value, error = found.value + d, found.error + a.rounding * (abs(found.value) + abs(d))
+    if infinite.any():
+        value, error = _chosen(infinite, d, value), np.where(infinite[:, None, None], 0.0, error)
+    return _Response(value, error, a.log_det, a.log_det_error)
+
+
+def _chosen(where: AnyArray, one: Any, other: Any) -> Any:
+    if isinstance(one, DoubleDouble):
+        mask = where[None, :, None, None]
+        return DoubleDouble(np.where(mask, one.high, other.high), np.where(mask, one.low, other.low))
+    return np.where(where[:, None, None], one, other)
+
+
+def _closed(
+    P: _Response, K: _Response, z: slice, w: slice, y: slice, u: slice, kind: Any
+) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
+    """T with the bounds of its entries' errors and the sizes of its terms, and log det(I - P22 K) with its error."""
+    (k, n_u, n_y), (n_z, n_w) = K.error.shape, P.error[0, z, w].shape
+    n = n_y + n_u
+    # Unknowns y, u; no products are formed.
+    matrix, error = kind.of(np.broadcast_to(np.eye(n), (k, n, n)).copy()), np.zeros((k, n, n))
+    into, into_error = kind.of(np.zeros((k, n, n_w))), np.zeros((k, n, n_w))
+    out = kind.of(np.zeros((k, n_z, n)))
+    _put(matrix, slice(0, n_y), slice(n_y, n), -P.value[:, y, u])
+    _put(matrix, slice(n_y, n), slice(0, n_y), -K.value)
+    _put(into, slice(0, n_y), slice(0, n_w), P.value[:, y, w])
+    _put(out, slice(0, n_z), slice(n_y, n), P.value[:, z, u])
+    error[:, :n_y, n_y:], error[:, n_y:, :n_y] = P.error[:, y, u], K.error
+    into_error[:, :n_y] = P.error[:, y, w]
+    inverted = _inverted(matrix, kind)
+    found = _through(out, inverted, into, error, into_error)
+    T = P.value[:, z, w] + found.value
+    size = abs(P.value[:, z, w]) + abs(P.value[:, z, u]) @ found.size[:, n_y:]
+    T_error = P.error[:, z, w] + P.error[:, z, u] @ found.size[:, n_y:] + found.error + inverted.rounding * size
+    log_det_error = inverted.log_det_error + (abs(inverted.inverse) * np.swapaxes(error, 1, 2)).sum(axis=(1, 2))
+    return (T.rounded() if isinstance(T, DoubleDouble) else T), T_error, size, inverted.log_det, log_det_error
+
+
+def _put(matrix: Any, rows: slice, columns: slice, part: Any) -> None:
+    if isinstance(matrix, DoubleDouble):
+        matrix.high[:, :, rows, columns], matrix.low[:, :, rows, columns] = part.high, part.low
+    else:
+        matrix[:, rows, columns] = part
+
+
+def poles_in_s(poles: AnyArray, dt: float) -> AnyArray:
+    """Poles in rad/s; of a discrete model ``log(z)/dt`` of those that are not at zero."""
+    return np.log(poles[np.abs(poles) > 1e-12]) / dt if dt else poles
+
+
+def frobenius(stack: AnyArray) -> AnyArray:
+    """Norm of each matrix, without overflow or underflow of squares."""
+    size = np.abs(stack).max(axis=(1, 2))
+    scale = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    return scale * np.linalg.norm(stack / scale[:, None, None], axis=(1, 2))
+
+
+def _on_axis(omega: AnyArray) -> AnyArray:
+    s = np.full(len(omega), np.inf + 0j)
+    s[np.isfinite(omega)] = 1j * omega[np.isfinite(omega)]
+    return s
