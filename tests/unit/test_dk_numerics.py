@@ -15,9 +15,9 @@ from robustlab.mu_analysis.matrix.upper import points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dk_iteration import _Search, structure_with_performance
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, unit_scalings
-from robustlab.synthesis.dk.pointwise_scalings import CHUNK, as_complex, mu_curve
 from robustlab.synthesis.dk.riccati_level import LevelSearch, scaled_plant
-from robustlab.synthesis.dk.robust_loop import RobustProblem, nominal_start
+from robustlab.synthesis.dk.robust_problem import RobustProblem, nominal_start
+from robustlab.synthesis.dk.scalings_fit import CHUNK, as_complex, mu_curve
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem

@@ -14,7 +14,7 @@ from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.dk.dk_iteration import structure_with_performance
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, Factor, unit_scalings
 from robustlab.synthesis.dk.riccati_level import scaled_loop
-from robustlab.synthesis.dk.robust_loop import RobustProblem
+from robustlab.synthesis.dk.robust_problem import RobustProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks.base import ComplexScalar, FullBlock, ParameterRange, RealScalar
 

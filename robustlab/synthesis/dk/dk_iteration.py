@@ -18,13 +18,12 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.dk.direct_scalings import grown, minimised
+from robustlab.synthesis.dk.direct_minimisation import grown, minimised
 from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, unit_scalings
-from robustlab.synthesis.dk.pointwise_scalings import MuCurve, as_complex, mu_curve
 from robustlab.synthesis.dk.riccati_level import proved_level
-from robustlab.synthesis.dk.robust_loop import Iterate, RobustProblem, nominal_start
-from robustlab.synthesis.dk.scalings_fit import fitted_scalings
+from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
+from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant

@@ -22,7 +22,7 @@ from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.sampled.discretisation import METHODS, MergedModes, discretise, merged_modes
 from robustlab.synthesis.sampled.lifting import lift
-from robustlab.synthesis.sampled.sampled_data import (
+from robustlab.synthesis.sampled.sampled_norm import (
     SampledDataNorm,
     check_sampling,
     norm_work,

@@ -19,7 +19,7 @@ from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.problem.design import design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.sampled.lifting import lift
-from robustlab.synthesis.sampled.sampled_data import check_sampling, norm_work, sampled_loop_norm, with_antialiasing
+from robustlab.synthesis.sampled.sampled_norm import check_sampling, norm_work, sampled_loop_norm, with_antialiasing
 from robustlab.synthesis.sampled.sampled_uncertainty import REST, SampledUncertainPlant, sample_uncertain_plant
 from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 from robustlab.uncertainty.blocks.base import RealScalar, block_slices

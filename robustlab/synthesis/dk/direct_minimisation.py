@@ -22,7 +22,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, DynamicScalings
 from robustlab.synthesis.dk.riccati_level import Branches, Level, LevelSearch
-from robustlab.synthesis.dk.robust_loop import RobustProblem
+from robustlab.synthesis.dk.robust_problem import RobustProblem
 
 __all__ = ["grown", "minimised"]
 
