@@ -288,7 +288,7 @@ def test_derivatives_of_the_level_against_differences_of_levels() -> None:
     search, theta = problem.search(scalings), scalings.parameters()
     level = search.smallest(theta, 0.5, 1e-10)
     assert level is not None
-    branches = search.branches(theta, level, 0.3, 3)
+    branches = search.branches(theta, level)
     assert branches is not None
 
     def log_level(at: np.ndarray) -> float:
