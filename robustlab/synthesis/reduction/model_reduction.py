@@ -18,9 +18,9 @@ from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.reduction.balancing import (
     Balancing,
     Projection,
+    block_factor,
     gramian_factors,
     split_stable,
-    triangular_root,
 )
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 
@@ -307,15 +307,10 @@ def weighted_factors(
     n = model.n_states
     reach, see = gramian_factors(model)
     if into is not None:  # states of the series connection: weight first, then model
-        reach = _rows(gramian_factors(series(into, model))[0], slice(into.n_states, None))
+        reach = block_factor(gramian_factors(series(into, model))[0][into.n_states :])
     if out is not None:
-        see = _rows(gramian_factors(series(model, out))[1], slice(0, n))
+        see = block_factor(gramian_factors(series(model, out))[1][:n])
     return reach, see
-
-
-def _rows(factor: Array, rows: slice) -> Array:
-    """Square factor of the diagonal block of ``L L^T`` with these rows."""
-    return triangular_root(factor[rows].T).T
 
 
 def error_bound(values: Array, order: int) -> float:
