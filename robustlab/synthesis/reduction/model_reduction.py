@@ -123,6 +123,21 @@ def hankel_singular_values(model: Any) -> Array:
 
     with the controllability and observability Gramians P, Q (continuous or discrete), from factors of them.
 
+    Parameters
+    ----------
+    model
+        StateSpaceModel, controller or python-control object; states of modes that are not stable are left out.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (n_stable,), in output units per input unit.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        Stable modes cannot be told from the others, or Gramians that are no floating-point numbers.
+
     Examples
     --------
     >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[3.0]], [[0.0]])
@@ -140,6 +155,21 @@ def balanced_truncation(model: Any, order: int | None = None, *, tolerance: floa
     r"""Balanced truncation: `reduce_model` with ``method="truncation"``.
 
     .. math:: \sigma_{r+1} \le \|G - G_r\|_\infty \le 2 \sum_{i > r} \sigma_i
+
+    Parameters
+    ----------
+    model, order, tolerance
+        As in `reduce_model`.
+
+    Returns
+    -------
+    ReducedModel
+        With its certified error beside the bound above.
+
+    Raises
+    ------
+    InputError, NoTrustworthyNumber
+        As `reduce_model`.
 
     Examples
     --------
@@ -185,6 +215,11 @@ def reduce_model(
     input_weight, output_weight
         Stable models W_i (as many outputs as G has inputs) and W_o (as many inputs as G has outputs): one or both
         (Enns). Large where the error shall be small.
+
+    Returns
+    -------
+    ReducedModel
+        With its certified error; its states are balanced, those kept apart come last.
 
     Raises
     ------

@@ -60,6 +60,11 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     prewarp
         Frequency in rad/s at which ``"tustin-prewarp"`` is exact, below pi / dt.
 
+    Returns
+    -------
+    StateSpaceModel
+        Discrete, with n states (``"matched"``: as many as there are poles), and the signals of the model.
+
     Raises
     ------
     InputError

@@ -1,6 +1,5 @@
-"""The functions of a loop that a designer looks at, S, T, K S and S G, and the bounds that weights put on them.
-
-Curves of a finished design over frequency: the weighted loop, its peak, the controller's gains.
+"""What a designer looks at in a loop: S, T, K S and S G with the bounds that weights put on them, and the curves of a
+finished design over frequency.
 """
 
 from __future__ import annotations
@@ -18,18 +17,19 @@ from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
+from robustlab.synthesis.specifications.weight_design import smallest_gain
 
 __all__ = [
     "FUNCTIONS",
-    "LoopFunctions",
-    "loop_functions",
-    "loop_functions_of",
     "LoopCurves",
+    "LoopFunctions",
     "frequencies",
     "loop_curves",
+    "loop_functions",
+    "loop_functions_of",
 ]
 
-
+POINTS, SPAN = 400, 1e3  # of a picture: frequencies, and how far from the middle pole others still stretch it
 # Which weight of a mixed-sensitivity problem bounds which function.
 FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
 
@@ -86,10 +86,8 @@ class LoopFunctions:
         weight = self.weights.get(FUNCTIONS[name])
         if weight is None:
             return None
-        sigma = np.linalg.svd(frequency_response(weight, omega), compute_uv=False)
-        smallest = sigma[:, -1] if weight.n_outputs >= weight.n_inputs else np.zeros(len(sigma))
         with np.errstate(divide="ignore"):
-            return self.gamma / smallest
+            return self.gamma / smallest_gain(weight, np.atleast_1d(omega))
 
     def is_stable(self) -> bool:
         """True where the loop is internally stable."""
@@ -108,6 +106,11 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunction
         Plant (n_y outputs, n_u inputs) and controller (n_u, n_y).
     sign
         s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``.
+
+    Returns
+    -------
+    LoopFunctions
+        Each function with all states of the loop; no weights.
 
     Raises
     ------
@@ -168,6 +171,21 @@ def loop_functions_of(design: Synthesis) -> LoopFunctions:
     A mixed-sensitivity controller (one whose design has ``weights``) measures the error ``r - y``; every other design
     measures y, and a reference enters as ``u = K (y - r)``. The plant is what leads from the controls to the
     measurements of the design's generalised plant.
+
+    Parameters
+    ----------
+    design
+        Any finished design.
+
+    Returns
+    -------
+    LoopFunctions
+        With the weights and gamma of a mixed-sensitivity design.
+
+    Raises
+    ------
+    InputError
+        An algebraic loop.
     """
     weights = dict(getattr(design, "weights", {}))
     plant = design.plant
@@ -179,10 +197,6 @@ def loop_functions_of(design: Synthesis) -> LoopFunctions:
     names = [(s.name.removeprefix("e "), s.unit) for s in g.outputs]
     found = loop_functions(g.renamed(None, names), design.K, sign=-1)
     return LoopFunctions(found.S, found.T, found.KS, found.SG, weights, design.gamma)
-
-
-POINTS = 400
-SPAN = 1e3
 
 
 @dataclass(frozen=True, eq=False)
