@@ -244,7 +244,7 @@ def reduce_controller(
 
     Examples
     --------
-    >>> from robustlab.synthesis import hinf
+    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
     >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     >>> small = reduce_controller(hinf(P, 1, 1), loss=0.1)
     >>> small.K.n_states, small.loss <= 0.1, small.status.value

@@ -230,6 +230,7 @@ def discretise_controller(
 
     Examples
     --------
+    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
     >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     >>> digital = discretise_controller(hinf(P, 1, 1), 0.05)
     >>> digital.status.value, digital.loss < 0.1, digital.K.dt

@@ -254,7 +254,7 @@ def loop_curves(design: Synthesis) -> LoopCurves:
 
     Examples
     --------
-    >>> from robustlab.synthesis import hinf
+    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
     >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     >>> curves = loop_curves(hinf(P, 1, 1))
     >>> bool((curves.closed_loop[:, 0] <= curves.peak[1] * (1 + 1e-9)).all())
