@@ -95,7 +95,7 @@ _PUBLIC = {
     "reduce_controller": "synthesis.reduction.controller_reduction",
     "discretise": "synthesis.sampled.discretisation",
     "discretise_controller": "synthesis.sampled.sampled_controller",
-    "sampled_data_norm": "synthesis.sampled.sampled_data",
+    "sampled_data_norm": "synthesis.sampled.sampled_norm",
     "sampled_robustness": "synthesis.sampled.sampled_robustness",
     # measurements
     "compare": "identification",

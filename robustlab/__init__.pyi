@@ -55,7 +55,7 @@ from robustlab.synthesis.reduction.model_reduction import hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled.discretisation import discretise as discretise
 from robustlab.synthesis.sampled.sampled_controller import discretise_controller as discretise_controller
-from robustlab.synthesis.sampled.sampled_data import sampled_data_norm as sampled_data_norm
+from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.specifications.loop_functions import loop_functions_of as loop_functions_of

@@ -29,7 +29,7 @@ def pictures(design: Synthesis) -> dict[str, Callable[[], Figure]]:
 
 def loop_picture(design: Synthesis) -> Figure:
     """The weighted closed loop with its peak marked, and the controller."""
-    from robustlab.synthesis.specifications.loop_curves import loop_curves
+    from robustlab.synthesis.specifications.loop_functions import loop_curves
 
     curves = loop_curves(design)
     heading = "closed loop, channels of Δ included" if design.plant.blocks else "weighted closed loop"
@@ -41,8 +41,7 @@ def functions_picture(design: Synthesis) -> Figure:
     """S, T, K S and S G of the loop at what the controller measures, against 1 / |W| and gamma / |W| where known."""
     import numpy as np
 
-    from robustlab.synthesis.specifications.loop_curves import frequencies
-    from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, loop_functions_of
+    from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, frequencies, loop_functions_of
 
     loop = loop_functions_of(design)
     omega = frequencies(loop.S, around=getattr(design, "peak_frequency", None))
@@ -65,7 +64,7 @@ def mu_picture(design: Any) -> Figure:
     """Bounds of mu of a D-K design over frequency, proved on the whole axis once more from its closed loop alone."""
     from robustlab.mu_analysis import robust_performance
     from robustlab.report.mu_figures import mu_figure
-    from robustlab.synthesis.specifications.loop_curves import frequencies
+    from robustlab.synthesis.specifications.loop_functions import frequencies
     from robustlab.uncertainty.lft import UncertainModel
 
     loop = UncertainModel(design.closed_loop, [b for b in design.blocks if b.name != "performance"])

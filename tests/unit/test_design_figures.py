@@ -22,7 +22,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.problem.performance_limits import limits_in_words, limits_of
-from robustlab.synthesis.specifications.loop_curves import frequencies, loop_curves
+from robustlab.synthesis.specifications.loop_functions import frequencies, loop_curves
 from robustlab.synthesis.specifications.weight_design import performance_weight
 
 OMEGA = np.geomspace(0.1, 100, 50)

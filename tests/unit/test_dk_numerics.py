@@ -14,10 +14,11 @@ from robustlab.mu_analysis.axis import intervals
 from robustlab.mu_analysis.matrix.upper import points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dk_iteration import _Search, structure_with_performance
-from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, unit_scalings
-from robustlab.synthesis.dk.pointwise_scalings import CHUNK, as_complex, mu_curve
-from robustlab.synthesis.dk.riccati_level import LevelSearch, scaled_plant
-from robustlab.synthesis.dk.robust_loop import RobustProblem, nominal_start
+from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, plant_at_level, unit_scalings
+from robustlab.synthesis.dk.riccati_level import LevelSearch
+from robustlab.synthesis.dk.robust_problem import RobustProblem, nominal_start
+from robustlab.synthesis.dk.scalings_fit import as_complex, mu_curve
+from robustlab.synthesis.dk.tuning import TUNING
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem
@@ -61,7 +62,7 @@ def test_a_negative_x_is_seen_beside_one_that_is_larger_by_ten_decades(start: fl
     # Between 1 / sqrt(2) and 1 both stabilising solutions exist, with X = Y < 0 there and 1e10 elsewhere.
     scalings = unit_scalings([FullBlock("all", 4, 4)])
     same = Scaling(1.0, np.ones(3), np.ones(1), np.ones(1))
-    search = LevelSearch(lambda _, beta: scaled_plant(three_modes(), scalings, beta), same)
+    search = LevelSearch(lambda _, beta: plant_at_level(three_modes(), scalings, beta), same)
     level = search.smallest(scalings.parameters(), start)
     assert level is not None
     assert level.smooth
@@ -149,9 +150,9 @@ def test_the_curve_of_mu_asks_the_budget_between_chunks() -> None:
     model = StateSpaceModel([[-0.01, 1.0], [-1.0, -0.01]], np.eye(2), np.eye(2), np.zeros((2, 2)))
     blocks = [ComplexScalar("a"), ComplexScalar("b")]
     whole = mu_curve(model, blocks, Budget())
-    chunk = points_work(blocks, CHUNK) + dense(2)
+    chunk = points_work(blocks, TUNING.chunk) + dense(2)
     for looks in (0, 1, 3, 6, 7):
         part = mu_curve(model, blocks, Budget((looks + 0.5) * chunk))
-        assert len(part.omega) <= min(CHUNK * (looks + 1), len(whole.omega))
+        assert len(part.omega) <= min(TUNING.chunk * (looks + 1), len(whole.omega))
         assert (np.diff(part.omega) > 0).all()
         assert len(part.bounds) == len(part.response) == len(part.omega)

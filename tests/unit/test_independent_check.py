@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from robustlab.synthesis.problem.verified_loop import balanced_states, separated_modes
 
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber
@@ -18,7 +19,7 @@ from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.independent_check import h2_voice, hinf_voice, separate_responses
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import balanced_states, separated_modes
-from robustlab.synthesis.sampled import sampled_data
+from robustlab.synthesis.sampled import sampled_norm
 from robustlab.uncertainty.distances import coprime
 
 HOSTILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "hostile" / "hinf_r150.npz"
@@ -244,7 +245,7 @@ def lying_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
 
 @pytest.fixture
 def lie(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (partition, coprime, sampled_data):
+    for module in (partition, coprime, sampled_norm):
         monkeypatch.setattr(module, "lower_lft", lying_lft)
 
 
@@ -292,7 +293,7 @@ def test_reduction_and_discretisation_do_not_trust_it_either(monkeypatch: pytest
     design = rl.hinf(PLANT, 1, 1)
     assert rl.reduce_controller(design, loss=0.5).status is Status.CERTIFIED
     assert rl.discretise_controller(design, 0.01, method="tustin").status.trustworthy
-    for module in (partition, sampled_data):
+    for module in (partition, sampled_norm):
         monkeypatch.setattr(module, "lower_lft", lying_lft)
     with pytest.raises(NoTrustworthyNumber, match="evaluated separately"):
         rl.reduce_controller(design, loss=0.5)

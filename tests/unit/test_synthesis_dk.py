@@ -12,9 +12,15 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.dk.dk_iteration import structure_with_performance
-from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, Factor, unit_scalings
-from robustlab.synthesis.dk.riccati_level import scaled_loop
-from robustlab.synthesis.dk.robust_loop import RobustProblem
+from robustlab.synthesis.dk.dynamic_scalings import (
+    BlockScaling,
+    CoprimePair,
+    DynamicScalings,
+    Factor,
+    loop_at_level,
+    unit_scalings,
+)
+from robustlab.synthesis.dk.robust_problem import RobustProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
 
@@ -132,9 +138,9 @@ def test_the_mixed_bound_recomputed_at_single_frequencies(pair: tuple[DKSynthesi
     loop = frequency_response(real.closed_loop, OMEGA)
     levels = rl.mu(loop[::30], real.blocks).lower
     assert max(levels) <= real.gamma * (1 + 1e-6)
-    tight = scaled_loop(real.closed_loop, real.scalings, real.scaled_level)
+    tight = loop_at_level(real.closed_loop, real.scalings, real.scaled_level)
     assert np.linalg.norm(frequency_response(tight, OMEGA), 2, axis=(1, 2)).max() <= 1 + 1e-9
-    loose = scaled_loop(real.closed_loop, real.scalings, 0.99 * real.scaled_level)
+    loose = loop_at_level(real.closed_loop, real.scalings, 0.99 * real.scaled_level)
     assert np.linalg.norm(frequency_response(loose, OMEGA), 2, axis=(1, 2)).max() > 1
 
 
@@ -282,7 +288,7 @@ def test_derivatives_of_the_level_against_differences_of_levels() -> None:
     search, theta = problem.search(scalings), scalings.parameters()
     level = search.smallest(theta, 0.5, 1e-10)
     assert level is not None
-    branches = search.branches(theta, level, 0.3, 3)
+    branches = search.branches(theta, level)
     assert branches is not None
 
     def log_level(at: np.ndarray) -> float:

@@ -117,7 +117,7 @@ def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
     """Certified mu and worst-case gain of one problem under each controller."""
     import robustlab as rl
     from robustlab.report.design_figures import mu_comparison_figure
-    from robustlab.synthesis.specifications.loop_curves import frequencies
+    from robustlab.synthesis.specifications.loop_functions import frequencies
 
     margins: dict[str, Any] = {}
     rows: dict[str, dict[str, Any]] = {}

@@ -207,7 +207,7 @@ def _draw_loop(found: Any, work: Workspace) -> None:
 def _draw_functions(found: Any, of: str, work: Workspace, proved: bool = True) -> None:
     """S, K S and T of a tracking problem against what the weights ask for and, if wanted, what gamma proves."""
     from robustlab.report.design_figures import functions_figure, tracking_panels
-    from robustlab.synthesis.specifications.loop_curves import frequencies
+    from robustlab.synthesis.specifications.loop_functions import frequencies
     from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
     problem = work.values[of]

@@ -7,8 +7,7 @@ from typing import Any
 
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
-from robustlab.synthesis.dk.riccati_level import proved_level
+from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis
 from robustlab.uncertainty.blocks import Block
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.budget import MILLION, Budget, one_thread
+from robustlab.budget import Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid
 from robustlab.mu_analysis.axis.axis_model import continuous
@@ -18,13 +18,18 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.dk.direct_scalings import grown, minimised
+from robustlab.synthesis.dk.direct_minimisation import grown, minimised
 from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
-from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, CoprimePair, DynamicScalings, unit_scalings
-from robustlab.synthesis.dk.pointwise_scalings import MuCurve, as_complex, mu_curve
-from robustlab.synthesis.dk.riccati_level import proved_level
-from robustlab.synthesis.dk.robust_loop import Iterate, RobustProblem, nominal_start
-from robustlab.synthesis.dk.scalings_fit import fitted_scalings
+from robustlab.synthesis.dk.dynamic_scalings import (
+    BlockScaling,
+    CoprimePair,
+    DynamicScalings,
+    proved_level,
+    unit_scalings,
+)
+from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
+from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
+from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Controller, Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
@@ -34,24 +39,6 @@ from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_valu
 __all__ = ["dk", "structure_with_performance"]
 
 PERFORMANCE = "performance"
-WORK = 120 * MILLION
-# Shares of the work: of the H-infinity start, and at which D-K iteration, the whole search and the search for slower
-# controllers have to end; the rest is for the proof. The search keeps at least LEAST.
-START, CLASSICAL, SEARCH, SOFTENING, LEAST = 0.25, 0.5, 0.8, 0.85, 0.3
-ITERATIONS = 60
-# Loss at single frequencies that a fit of D may have: in D-K iteration, and where direct minimisation starts.
-FIT_LOSS, FIRST_LOSS = 0.002, 0.2
-# Relative progress below which a stage ends; D-K iteration ends earlier where direct minimisation follows.
-PROGRESS, ROUGH_PROGRESS = 5e-4, 2e-2
-# Shares of the loop's gain that regularisation of a singular plant may cost: while iterating, and at the end.
-ROUGH, FINE = 0.1, 0.03
-# Numbers of blocks: above the one D starts at constants fitted, above the other less is computed on the side.
-FEW, MANY = 6, 30
-CURVES, POINTS = 1.5, 112  # work to keep for the end, in curves of mu; most frequencies of one
-BAND_LEVEL, BEYOND = 0.3, 30.0
-CLEARLY = 0.9  # share of the peak of mu at which the nominal start is preferred
-FALLS = 2  # enlargements of the scalings in a row that bring less than PROGRESS end the search
-PROOF_ACCURACY = 1e-3
 
 
 @told_as("synth dk")
@@ -69,6 +56,7 @@ def dk(
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
+    tuning: DKTuning = TUNING,
 ) -> DKSynthesis:
     r"""Controller ``u = K y`` (positive feedback) that makes the peak of mu of the closed loop small.
 
@@ -111,6 +99,8 @@ def dk(
         ends the same way everywhere; ``reason`` says where it might have gone on.
     progress
         Called with one line at each iterate.
+    tuning
+        Numbers that choose speed and accuracy of the search, for those who measure them.
 
     Returns
     -------
@@ -143,7 +133,7 @@ def dk(
     plant, structure = structure_with_performance(P, blocks, n_meas, n_con)
     if not 0 <= order_rel < 1:
         raise InputError("synth dk", f"order_rel is {order_rel}", "a number in [0, 1)")
-    budget = design_budget("synth dk", WORK, effort, time_limit)
+    budget = design_budget("synth dk", tuning.work, effort, time_limit)
     n = plant.model.n_states
     if max_order is None:
         max_order = max(3 * n, n + 24)
@@ -151,9 +141,9 @@ def dk(
         raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
     with one_thread():
         compile_kernels()
-        search = _Search(plant, structure, budget, int(max_order), mixed, progress)
+        search = _Search(plant, structure, budget, int(max_order), mixed, progress, tuning)
         search.start(K0)
-        search.alternate(ROUGH_PROGRESS if direct else PROGRESS)
+        search.alternate(direct)
         if direct:
             search.descend()
         return search.finished(order_rel)
@@ -203,15 +193,17 @@ class _Search:
         max_order: int,
         mixed: bool,
         progress: Callable[[str], None] | None,
+        tuning: DKTuning = TUNING,
     ) -> None:
+        self.tuning = tuning
         self.budget, self.whole = budget, budget.left
         self.plant, self.max_order, self.progress = plant, max_order, progress
         some_real = any(b.g_basis() for b in blocks)
         self.mixed = mixed and some_real
         self.real, self.blocks = blocks, as_complex(blocks)
-        self.curve_work = points_work(self.real if self.mixed else self.blocks, POINTS)
-        self.problem = RobustProblem(plant, budget)
-        self.problem.budget = self.search = self._until(SEARCH)
+        self.curve_work = points_work(self.real if self.mixed else self.blocks, tuning.curve_points)
+        self.problem = RobustProblem(plant, budget, tuning)
+        self.problem.budget = self.search = self._until(tuning.search_end)
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
@@ -220,7 +212,8 @@ class _Search:
 
     def _until(self, end: float) -> Budget:
         """A budget that is over when this share of the whole is spent, and enough for a last curve of mu is left."""
-        end = min(end, max(1 - CURVES * self.curve_work / self.whole, LEAST))
+        needed = self.tuning.last_curves * self.curve_work
+        end = min(end, max(1 - needed / self.whole, self.tuning.least_search))
         left = self.budget.left
         return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
 
@@ -245,7 +238,7 @@ class _Search:
         """
         scalings = unit_scalings(self.blocks)
         if K0 is None:
-            K = synthesize(self.plant, "hinf", 1.0, self.search.share(START)).K
+            K = synthesize(self.plant, "hinf", 1.0, self.search.share(self.tuning.start_share)).K
         else:
             K = _controller(K0, self.plant)
             if isinstance(K0, DKSynthesis) and K0.scalings.blocks in (self.blocks, self.real):
@@ -257,7 +250,8 @@ class _Search:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
         if K0 is None and self.blocks[-1].name == PERFORMANCE and not self._late():
-            K = nominal_start(self.plant, self.blocks[-1].rows, self.blocks[-1].cols, self.search.share(START))
+            last, part = self.blocks[-1], self.search.share(self.tuning.start_share)
+            K = nominal_start(self.plant, last.rows, last.cols, part, self.tuning)
             other = None if K is None else self.problem.proved(K, scalings, 1.0)
             if other is not None:
                 self._prefer(other, found)
@@ -265,26 +259,27 @@ class _Search:
     def _prefer(self, other: Iterate, found: Iterate) -> None:
         """Go on from the other start where its mu is clearly smaller."""
         before = self._followed(found)
-        if self._followed(other).peak < CLEARLY * before.peak:
+        if self._followed(other).peak < self.tuning.clearly * before.peak:
             self._keep(other, "nominal start")
         else:
             self.curve, self.curved = before, found
 
-    def alternate(self, progress: float) -> None:
-        """D-K iteration until two iterations in a row gain less than ``progress``."""
-        if progress > PROGRESS:
-            self.problem.budget = self._until(CLASSICAL)
+    def alternate(self, rough: bool) -> None:
+        """D-K iteration until two in a row gain little; ``rough``: direct minimisation goes on from there."""
+        progress = self.tuning.rough_progress if rough else self.tuning.progress
+        if rough:
+            self.problem.budget = self._until(self.tuning.classical_end)
         now, stuck = self.iterates[-1], 0
-        for _ in range(ITERATIONS):
+        for _ in range(self.tuning.iterations):
             if self._late() or stuck == 2:
                 break
             self.curve = self._followed(now)
             before = self.best.level
-            scalings = fitted_scalings(self.curve, self.blocks, FIT_LOSS, self.max_states, self.problem.budget)
+            scalings = self._fitted(self.curve, self.tuning.fit_loss, self.problem.budget)
             refitted = self.problem.proved(now.K, scalings, now.level)
             if refitted is not None and refitted.level < before:
                 self._keep(refitted, "D-K", self.curve.peak)
-            self.problem.regularise(refitted or now, ROUGH)
+            self.problem.regularise(refitted or now, self.tuning.rough)
             found = self.problem.solve(scalings, min(now.level, 1.1 * self.curve.peak))
             if found is None:
                 break
@@ -299,12 +294,12 @@ class _Search:
 
         Where blocks are real, then over D and G from a D of low order; that gets two thirds of the work.
         """
-        self.problem.regularise(self.best, FINE)
+        self.problem.regularise(self.best, self.tuning.fine)
         starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
         if self.curve is not None and self.warm is None:
-            if len(self.blocks) > FEW:  # the way from D = I is long then
-                starts = [fitted_scalings(self.curve, self.blocks, np.inf, self.max_states, self.search)]
-            fitted = fitted_scalings(self.curve, self.blocks, FIRST_LOSS, self.max_states, self.search)
+            if len(self.blocks) > self.tuning.few_blocks:  # the way from D = I is long then
+                starts = [self._fitted(self.curve, np.inf, self.search)]
+            fitted = self._fitted(self.curve, self.tuning.first_loss, self.search)
             starts += [fitted] if fitted.n_states and not self.mixed else []
         share = 1 / 3 if self.mixed else 1 / len(starts)
         for k, scalings in enumerate(starts):
@@ -318,8 +313,8 @@ class _Search:
 
     def _few_states(self) -> DynamicScalings:
         """A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states."""
-        known = self._chosen(FIRST_LOSS).scalings
-        fitted = fitted_scalings(self._followed(self.best), self.blocks, FIRST_LOSS, self.max_states, self.search)
+        known = self._chosen(self.tuning.first_loss).scalings
+        fitted = self._fitted(self._followed(self.best), self.tuning.first_loss, self.search)
         return min(known, fitted, key=lambda scalings: scalings.n_states)
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
@@ -337,25 +332,29 @@ class _Search:
             iterate = (self.problem.at_level if self._late() else self.problem.solve)(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
-            falls = falls + 1 if level > before * (1 - PROGRESS) else 0
-            if falls == FALLS or self._late():
+            falls = falls + 1 if level > before * (1 - self.tuning.progress) else 0
+            if falls == self.tuning.falls or self._late():
                 break
             before = level
             larger = grown(self.problem, scalings, level, band, self.max_states)
             found = None if larger is None else minimised(self.problem, *larger)
 
+    def _fitted(self, curve: MuCurve, loss: float, budget: Budget) -> DynamicScalings:
+        return fitted_scalings(curve, self.blocks, loss, self.max_states, budget, self.tuning)
+
     def _followed(self, iterate: Iterate) -> MuCurve:
         """The curve of complex mu of an iterate; it is not computed again for the same one."""
         if self.curve is None or self.curved is not iterate:
-            self.curve, self.curved = mu_curve(iterate.loop, self.blocks, self.problem.budget), iterate
+            self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget, tuning=self.tuning)
+            self.curved = iterate
         return self.curve
 
     def _band(self) -> tuple[float, float]:
         """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
         if self.curve is None:
             self.curve = self._followed(self.best)
-        high = self.curve.omega[self.curve.levels > BAND_LEVEL * self.curve.peak]
-        return float(high[0] / BEYOND), float(high[-1] * BEYOND)
+        high = self.curve.omega[self.curve.levels > self.tuning.band_level * self.curve.peak]
+        return float(high[0] / self.tuning.beyond), float(high[-1] * self.tuning.beyond)
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
@@ -377,20 +376,21 @@ class _Search:
     def finished(self, order_rel: float) -> DKSynthesis:
         """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
         chosen = self._chosen(order_rel)
-        self.problem.budget = self._until(SOFTENING)
+        self.problem.budget = self._until(self.tuning.softening_end)
         chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
         # All that costs work comes before the proof by intervals, which takes whatever is left.
         norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
         curve = self._last_curve(chosen, blocks, norm.frequency)
-        lower, delta, omega = _lower(curve, blocks)
+        lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < self.tuning.many_blocks else 1)
         loop = self.plant.close(chosen.K)
         stable = proved_stable(loop.A, loop.is_discrete)
         cover = AxisCover()
-        if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
+        accuracy = self.tuning.proof_accuracy
+        if curve.peak * (1 + accuracy) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
             cover = cover_axis(
-                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=PROOF_ACCURACY
+                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=accuracy
             )
         proved = not cover.open and cover.beta < chosen.level
         gamma = cover.beta if proved else chosen.level
@@ -429,10 +429,10 @@ class _Search:
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:
         """The curve of mu, or, where little work is left, around the peak of the scaled loop alone (rad/s)."""
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
-        if self.budget.left < 0.6 * CURVES * self.curve_work or self.budget.over:
-            return mu_curve(chosen.loop, blocks, Budget(0.0), around)
-        first = np.unique(np.concatenate([default_grid(chosen.loop, 40, 1.0), around]))
-        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
+        if self.budget.left < 0.6 * self.tuning.last_curves * self.curve_work or self.budget.over:
+            return mu_curve(chosen.loop, blocks, Budget(0.0), around, self.tuning)
+        first = np.unique(np.concatenate([default_grid(chosen.loop, self.tuning.first_points, 1.0), around]))
+        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first, self.tuning)
 
     def _reasons(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> list[str]:
         how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
@@ -470,9 +470,9 @@ def _without_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicS
     return DynamicScalings(blocks, parts)
 
 
-def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:
+def _lower(curve: MuCurve, blocks: tuple[Block, ...], most: int) -> tuple[float, dict[str, Any], float]:
     """Largest attained lower bound at the frequencies of the highest upper ones."""
-    top = np.argsort(-curve.levels)[: 4 if len(blocks) < MANY else 1]
+    top = np.argsort(-curve.levels)[:most]
     found = lower_bounds(curve.response[top], blocks, restarts=4, steps=24)
     best = max(range(len(found)), key=lambda k: found[k][0])
     value, delta = found[best]

@@ -19,6 +19,12 @@ them
 
 .. math:: \| D_z M D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \quad \Rightarrow \quad \sup_\omega \mu(M) \le \beta .
 
+so that beta bounds mu where the loop of K and the plant with these scalings at level beta,
+
+.. math:: \tilde P_\beta: \quad \tilde z = D_z z - G_N \tilde w, \qquad w = D_w^{-1} G_M \tilde w / \beta ,
+
+has a norm of at most one.
+
 References
 ----------
 Young, "Robustness with parametric and dynamic uncertainty", PhD thesis (1993), chapter 9; Fan, Tits, Doyle (1991).
@@ -33,6 +39,9 @@ from functools import lru_cache
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.norms import HinfNorm, hinf_norm
+from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 __all__ = [
@@ -41,6 +50,9 @@ __all__ = [
     "DynamicScalings",
     "Factor",
     "Realisation",
+    "loop_at_level",
+    "plant_at_level",
+    "proved_level",
     "reference_block",
     "unit_scalings",
 ]
@@ -206,6 +218,14 @@ class BlockScaling:
         """States of all G."""
         return sum(pair.n_states for pair in self.g)
 
+    def with_factor(self, k: int, factor: Factor) -> BlockScaling:
+        """With one factor replaced."""
+        return replace(self, factors=(*self.factors[:k], factor, *self.factors[k + 1 :]))
+
+    def with_pair(self, k: int, pair: CoprimePair) -> BlockScaling:
+        """With the G of one channel replaced."""
+        return replace(self, g=(*self.g[:k], pair, *self.g[k + 1 :]))
+
     def triangular(self) -> AnyArray:
         """T, shape (r, r)."""
         r = len(self.factors)
@@ -280,14 +300,12 @@ class DynamicScalings:
 
     def on_outputs(self) -> Realisation:
         """``D_z(s)``, shape (p, p)."""
-        p = structure_size(self.blocks)[1]
-        pieces: list[tuple[Realisation, slice, slice]] = []
-        for block, part, (_, z) in self._with_slices():
-            pieces += [
-                (factor.realisation(), slice(i, i + 1), slice(i, i + 1))
-                for factor, i in _channels(block, part, z.start, block.cols)
-            ]
-        A, B, C, D = _placed(pieces, p, p, _ones(self, 1))
+        pieces = [
+            (factor.realisation(), i)
+            for block, part, (_, z) in self._with_slices()
+            for factor, i in _channels(block, part, z.start, block.cols)
+        ]
+        A, B, C, D = self._diagonal(pieces, 1)
         if not self._mixes:
             return A, B, C, D
         T = self._mixing(1)
@@ -295,12 +313,12 @@ class DynamicScalings:
 
     def on_inputs(self) -> Realisation:
         """``D_w(s)^{-1}``, shape (q, q)."""
-        q = structure_size(self.blocks)[0]
-        pieces: list[tuple[Realisation, slice, slice]] = []
-        for block, part, (w, _) in self._with_slices():
-            for factor, i in _channels(block, part, w.start, block.rows):
-                pieces.append((_inverse(factor), slice(i, i + 1), slice(i, i + 1)))
-        A, B, C, D = _placed(pieces, q, q, _ones(self, 0))
+        pieces = [
+            (_inverse(factor), i)
+            for block, part, (w, _) in self._with_slices()
+            for factor, i in _channels(block, part, w.start, block.rows)
+        ]
+        A, B, C, D = self._diagonal(pieces, 0)
         if not self._mixes:
             return A, B, C, D
         back = np.linalg.inv(self._mixing(0))
@@ -325,6 +343,20 @@ class DynamicScalings:
     def _with_slices(self) -> list[tuple[Block, BlockScaling, tuple[slice, slice]]]:
         return list(zip(self.blocks, self.parts, block_slices(self.blocks), strict=True))
 
+    def _diagonal(self, pieces: list[tuple[Realisation, int]], side: int) -> Realisation:
+        """The factors on their channels, and one on those of blocks whose D is one."""
+        size, n = structure_size(self.blocks)[side], sum(len(piece[0][0]) for piece in pieces)
+        A, B, C, D = np.zeros((n, n)), np.zeros((n, size)), np.zeros((size, n)), np.zeros((size, size))
+        for _, part, where in self._with_slices():
+            if not part.factors:
+                D[where[side], where[side]] = np.eye(where[side].stop - where[side].start)
+        at = 0
+        for (a, b, c, d), i in pieces:
+            here = slice(at, at + len(a))
+            A[here, here], B[here, i], C[i, here], D[i, i] = a, b[:, 0], c[0], d[0, 0]
+            at += len(a)
+        return A, B, C, D
+
     @property
     def _mixes(self) -> bool:
         return any(part.mixing for part in self.parts)
@@ -343,30 +375,6 @@ def _channels(block: Block, part: BlockScaling, start: int, size: int) -> list[t
         return []
     factors = part.factors * size if block.d_order == 1 else part.factors
     return [(factor, start + i) for i, factor in enumerate(factors)]
-
-
-def _ones(scalings: DynamicScalings, side: int) -> list[int]:
-    """Channels of blocks whose D is one."""
-    slices = block_slices(scalings.blocks)
-    return [
-        i
-        for part, where in zip(scalings.parts, slices, strict=True)
-        if not part.factors
-        for i in range(where[side].start, where[side].stop)
-    ]
-
-
-def _placed(pieces: list[tuple[Realisation, slice, slice]], rows: int, cols: int, ones: list[int]) -> Realisation:
-    n = sum(len(piece[0][0]) for piece in pieces)
-    A, B, C, D = np.zeros((n, n)), np.zeros((n, cols)), np.zeros((rows, n)), np.zeros((rows, cols))
-    D[ones, ones] = 1.0
-    at = 0
-    for (a, b, c, d), row, col in pieces:
-        m = len(a)
-        A[at : at + m, at : at + m] = a
-        B[at : at + m, col], C[row, at : at + m], D[row, col] = b, c, d
-        at += m
-    return A, B, C, D
 
 
 @lru_cache(maxsize=4096)
@@ -419,3 +427,83 @@ def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
         g = (CoprimePair(),) * r if block.g_basis() else ()
         parts.append(BlockScaling(factors, (0.0,) * (r * (r - 1) // 2), g))
     return DynamicScalings(tuple(blocks), tuple(parts))
+
+
+# --- what they prove --------------------------------------------------------------------------------------------------
+
+
+def plant_at_level(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> PlantMatrices:
+    """The plant with these scalings at a level; channels beyond the blocks (regularisation) get beta alone."""
+    _, n_w, n_u, n_z, n_y = p.sizes
+    q, r = structure_size(scalings.blocks)
+    Az, Bz, Cz, Dz = _padded(scalings.on_outputs(), n_z - r)
+    Aw, Bw, Cw, Dw = _padded(scalings.on_inputs(), n_w - q)
+    Ag, Bg, F, Cg = scalings.coprime()
+    Bg = np.hstack([Bg, np.zeros((len(Ag), n_w - q))])
+    F = np.vstack([F, np.zeros((n_w - q, len(Ag)))]) / beta
+    Cg = np.vstack([Cg, np.zeros((n_z - r, len(Ag)))])
+    n, a, b, g = len(p.A), len(Az), len(Aw), len(Ag)
+    A = np.zeros((n + a + b + g,) * 2)
+    x, z, w, c = slice(0, n), slice(n, n + a), slice(n + a, n + a + b), slice(n + a + b, None)
+    A[x, x], A[x, w], A[x, c] = p.A, p.B1 @ Cw, p.B1 @ (Dw @ F)
+    A[z, x], A[z, z], A[z, w], A[z, c] = Bz @ p.C1, Az, Bz @ (p.D11 @ Cw), Bz @ (p.D11 @ (Dw @ F))
+    A[w, w], A[w, c], A[c, c] = Aw, Bw @ F, Ag
+    Dw = Dw / beta
+    B1, B2 = np.zeros((len(A), n_w)), np.zeros((len(A), n_u))
+    B1[x], B1[z], B1[w], B1[c] = p.B1 @ Dw, Bz @ (p.D11 @ Dw), Bw / beta, Bg
+    B2[x], B2[z] = p.B2, Bz @ p.D12
+    C1, C2 = np.zeros((n_z, len(A))), np.zeros((n_y, len(A)))
+    C1[:, x], C1[:, z], C1[:, w] = Dz @ p.C1, Cz, Dz @ (p.D11 @ Cw)
+    C1[:, c] = Dz @ (p.D11 @ (beta * Dw @ F)) - Cg
+    C2[:, x], C2[:, w], C2[:, c] = p.C2, p.D21 @ Cw, p.D21 @ (beta * Dw @ F)
+    return PlantMatrices(A, B1, B2, C1, C2, Dz @ p.D11 @ Dw, Dz @ p.D12, p.D21 @ Dw)
+
+
+def _padded(system: Realisation, extra: int) -> Realisation:
+    """With ``extra`` channels more that go straight through."""
+    A, B, C, D = system
+    if not extra:
+        return system
+    n, m = len(A), len(D)
+    direct = np.eye(m + extra)
+    direct[:m, :m] = D
+    return A, np.hstack([B, np.zeros((n, extra))]), np.vstack([C, np.zeros((extra, n))]), direct
+
+
+def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:
+    """A continuous loop, whose inputs and outputs are those of the blocks, with these scalings at a level."""
+    none_in, none_out = np.zeros((loop.n_states, 0)), np.zeros((0, loop.n_states))
+    bare = PlantMatrices(
+        loop.A, loop.B, none_in, loop.C, none_out, loop.D, np.zeros((loop.n_outputs, 0)), np.zeros((0, loop.n_inputs))
+    )
+    s = plant_at_level(bare, scalings, beta)
+    return StateSpaceModel(s.A, s.B1, s.C1, s.D11, where="scaled loop")
+
+
+def proved_level(
+    loop: StateSpaceModel, scalings: DynamicScalings, guess: float = 1.0, rtol: float = 1e-6
+) -> tuple[float, HinfNorm]:
+    """Smallest beta that these scalings prove for mu of a stable continuous loop at all frequencies; inf where none.
+
+    Without G it is the norm of the scaled loop; with G the level at which that norm is one, sought from ``guess`` on
+    (every larger level is proved as well). The norm that comes with it is that of the scaled loop at one and at beta.
+    """
+    norm = hinf_norm(loop_at_level(loop, scalings), rtol)
+    if not scalings.mixed:
+        return norm.upper, norm
+    low, high, step, proof = 0.0, np.inf, 1e-4, None
+    trial = guess
+    for _ in range(80):
+        norm = hinf_norm(loop_at_level(loop, scalings, trial), min(rtol, 1e-7))
+        if norm.upper <= 1:
+            high, proof = trial, norm
+        else:
+            low = trial
+        if proof is not None and high - low <= rtol * high:
+            break
+        if proof is None:
+            trial = low * (1 + step)
+        else:
+            trial = high * (1 - step) if low == 0.0 else float(np.sqrt(low * high))
+        step = min(3 * step, 0.9)
+    return (float("inf"), norm) if proof is None else (high, proof)

@@ -9,13 +9,6 @@ an equation for beta that can be differentiated, eigenvalue by eigenvalue: with 
 
 where M_X is the matrix of the Riccati equation's quadratic form at X held fixed and ``A_X = A + B F``. One Lyapunov
 equation for each of X and Y therefore gives the derivative by *all* parameters.
-
-A generalised plant, or a closed loop, with the rational scalings D, G of its perturbation at a level beta.
-
-.. math:: \tilde P_\beta: \quad \tilde z = D_z z - G_N \tilde w, \qquad w = D_w^{-1} G_M \tilde w / \beta
-
-K makes mu at most beta, as far as these scalings can prove it, where the lower LFT of this plant and K has a norm of at
-most one.
 """
 
 from __future__ import annotations
@@ -30,32 +23,19 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.matrix_equations import balanced_eigenvalues, care
-from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, Realisation
+from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
-from robustlab.uncertainty.blocks import structure_size
 
 __all__ = [
     "Branches",
     "Level",
     "LevelSearch",
-    "proved_level",
-    "scaled_loop",
-    "scaled_plant",
 ]
 
 
-# After Newton's steps of `care`. At 1e-3 the test passed levels that nothing could prove, and failed on others.
-RESIDUAL = 1e-7
-# Step of the logarithmic parameters in the derivative of the frozen quadratic forms, which are smooth.
-STEP = 1e-5
-NEGLIGIBLE = 1e-6
-STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
-RTOL = 1e-7
-MAX_TESTS = 40
 # Work of a test and of a pair of frozen forms beside that of their factorisations, as measured.
 TEST_WORK, FORM_WORK = 300, 250
 
@@ -123,21 +103,26 @@ class LevelSearch:
     """
 
     def __init__(
-        self, plant: Callable[[AnyArray, float], PlantMatrices], scaling: Scaling, budget: Budget | None = None
+        self,
+        plant: Callable[[AnyArray, float], PlantMatrices],
+        scaling: Scaling,
+        budget: Budget | None = None,
+        tuning: DKTuning = TUNING,
     ) -> None:
-        self._plant, self.scaling = plant, scaling
+        self._plant, self.scaling, self.tuning = plant, scaling, tuning
         self.budget = Budget() if budget is None else budget
 
-    def smallest(self, theta: AnyArray, start: float, rtol: float = RTOL) -> Level | None:
+    def smallest(self, theta: AnyArray, start: float, rtol: float | None = None) -> Level | None:
         """The smallest level near ``start``; None where none is found.
 
         Above it rho(X Y) < 1. It is bracketed by growing steps, and found by false position (Illinois) on log rho.
         """
+        rtol = self.tuning.level_rtol if rtol is None else rtol
         high = low = None  # (log beta, log rho) with rho < 1; with rho > 1, or rho None where the test fails
         best: tuple[float, _Pair] | None = None
         log_beta, step = float(np.log(start)), 1e-4
         side = 0
-        for _ in range(MAX_TESTS):
+        for _ in range(self.tuning.max_tests):
             pair = self._test(theta, float(np.exp(log_beta)))
             value = None if pair is None else float(np.log(max(pair.coupling, 1e-300)))
             if pair is not None and value is not None and value < 0:
@@ -161,37 +146,30 @@ class LevelSearch:
             return None
         return Level(best[0], low[1] is not None, best[1])
 
-    def branches(self, theta: AnyArray, level: Level, within: float, most: int) -> Branches | None:
-        """The largest eigenvalues of X Y as functions of theta; None where the level is not smooth.
-
-        Parameters
-        ----------
-        within
-            Eigenvalues whose own level lies further below than this (in log beta) are left out.
-        most
-            At most so many are kept.
-        """
+    def branches(self, theta: AnyArray, level: Level) -> Branches | None:
+        """The largest eigenvalues of X Y, at and little below the level, by theta; None: no smooth level."""
         if not level.smooth:
             return None
-        n = len(self.scaling.states)
+        n, most, step = len(self.scaling.states), self.tuning.most, self.tuning.step
         self.budget.spend(dense(n, 2 * most) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
-        forms = self._frozen(theta, level, most)
+        forms = self._frozen(theta, level)
         log_beta = float(np.log(level.beta))
-        slope = (forms(theta, log_beta + STEP) - forms(theta, log_beta - STEP)) / (2 * STEP)
+        slope = (forms(theta, log_beta + step) - forms(theta, log_beta - step)) / (2 * step)
         size = level.pair.eigenvalues[:most]
         below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
         if not below[0] > -np.inf:
             return None
         # Of an eigenvalue at the level of rounding both the logarithm and the slope are noise.
-        kept = np.flatnonzero((below - below[0] > -within) & np.isfinite(below) & (size > NEGLIGIBLE * size[0]))
+        near = (below - below[0] > -self.tuning.within) & np.isfinite(below)
+        kept = np.flatnonzero(near & (size > self.tuning.negligible * size[0]))
         slopes = np.zeros((len(slope), len(theta)))
         for i in range(len(theta)):
             e = np.zeros(len(theta))
-            e[i] = STEP
-            slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * STEP)
+            e[i] = step
+            slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * step)
         relative = slopes[kept] / -slope[kept, None]
         # An eigenvalue at the level of rounding has no derivative worth the name.
-        sound = np.abs(relative).max(axis=1, initial=0.0) < STEEPEST
+        sound = np.abs(relative).max(axis=1, initial=0.0) < self.tuning.steepest
         found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
         return found if len(sound) and sound[0] else None
 
@@ -215,8 +193,8 @@ class LevelSearch:
         self.budget.spend(TEST_WORK + dense(len(self.scaling.states), 4))
         try:
             p = self._scaled(theta, beta)
-            first = _solution(*_quadratic(p, self.scaling.gain))
-            second = None if first is None else _solution(*_quadratic(_dual(p), self.scaling.gain))
+            first = self._solution(p)
+            second = None if first is None else self._solution(_dual(p))
         except (InputError, np.linalg.LinAlgError):  # entries overflow
             return None
         if first is None or second is None:
@@ -227,13 +205,34 @@ class LevelSearch:
         values, vectors = values[::-1] / self.scaling.gain**2, vectors[:, ::-1]
         return _Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
 
-    def _frozen(self, theta: AnyArray, level: Level, most: int) -> Callable[[AnyArray, float], AnyArray]:
+    def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
+        r"""Stabilising positive semidefinite solution and its gain; None where R or X has the wrong signs.
+
+        X is semidefinite where the plant is stable with the control that is best without disturbances,
+        ``A_0 = A - B_2 R_22^{-1} (B_2^T X + S_2^T)``: with it the equation is ``A_0^T X + X A_0 + P^T P = 0`` for some
+        P. Unlike the signs of X's eigenvalues, which are lost where these span more than 16 decades, that is
+        independent of the units of the states.
+        """
+        A, B, Q, R, S, n_w = _quadratic(p, self.scaling.gain)
+        if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
+            return None
+        try:
+            found = care(A, B, Q, R, S, tolerance=self.tuning.residual)
+        except NoTrustworthyNumber:
+            return None
+        B_2, S_2 = B[:, n_w:], S[:, n_w:]
+        poles = balanced_eigenvalues(A - B_2 @ np.linalg.solve(R[n_w:, n_w:], B_2.T @ found.X + S_2.T))
+        if poles is None or np.real(poles).max(initial=-1.0) >= 0:
+            return None
+        return found.X, found.gain
+
+    def _frozen(self, theta: AnyArray, level: Level) -> Callable[[AnyArray, float], AnyArray]:
         """``tr(V_X M_X) + tr(V_Y M_Y)`` of each eigenvalue with X, Y, V fixed: its derivatives are those of rho."""
         pair, gain = level.pair, self.scaling.gain
         p = self._scaled(theta, level.beta)
         A_X, A_Y = p.A + np.hstack([p.B1, p.B2]) @ pair.F, p.A.T + np.vstack([p.C1, p.C2]).T @ pair.L
         weights = []
-        for rho, direction in zip(pair.eigenvalues[:most], pair.directions.T, strict=False):
+        for rho, direction in zip(pair.eigenvalues[: self.tuning.most], pair.directions.T, strict=False):
             # With Y = S S^T and q an eigenvector of S^T X S: u = X S q, Y u = rho S q, u^T Y u = rho^2.
             seen = pair.X @ direction / np.sqrt(rho * gain**2)
             weights.append((_adjoint(A_X, pair.F, direction), _adjoint(A_Y, pair.L, seen)))
@@ -265,29 +264,6 @@ def _quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyA
     R = row.T @ row
     R[:n_w, :n_w] -= gamma**2 * np.eye(n_w)
     return p.A, B, p.C1.T @ p.C1, 0.5 * (R + R.T), p.C1.T @ row, n_w
-
-
-def _solution(
-    A: AnyArray, B: AnyArray, Q: AnyArray, R: AnyArray, S: AnyArray, n_w: int
-) -> tuple[AnyArray, AnyArray] | None:
-    r"""Stabilising positive semidefinite solution and its gain; None where R or X has the wrong signs.
-
-    X is semidefinite where the plant is stable with the control that is best without disturbances,
-    ``A_0 = A - B_2 R_22^{-1} (B_2^T X + S_2^T)``: with it the equation is ``A_0^T X + X A_0 + P^T P = 0`` for some P.
-    Unlike the signs of X's eigenvalues, which are lost where these span more than 16 decades, that is independent of
-    the units of the states.
-    """
-    if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
-        return None
-    try:
-        found = care(A, B, Q, R, S, tolerance=RESIDUAL)
-    except NoTrustworthyNumber:
-        return None
-    B_2, S_2 = B[:, n_w:], S[:, n_w:]
-    poles = balanced_eigenvalues(A - B_2 @ np.linalg.solve(R[n_w:, n_w:], B_2.T @ found.X + S_2.T))
-    if poles is None or np.real(poles).max(initial=-1.0) >= 0:
-        return None
-    return found.X, found.gain
 
 
 def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
@@ -322,80 +298,3 @@ def _next(low: tuple[float, float | None], high: tuple[float, float | None], rto
     point = (a * g - b * f) / (g - f)
     edge = 0.25 * rtol
     return float(min(max(point, a + edge), b - edge))
-
-
-def scaled_plant(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> PlantMatrices:
-    """The scaled plant; channels beyond those of the blocks (regularisation) are scaled by beta alone."""
-    _, n_w, n_u, n_z, n_y = p.sizes
-    q, r = structure_size(scalings.blocks)
-    Az, Bz, Cz, Dz = _padded(scalings.on_outputs(), n_z - r)
-    Aw, Bw, Cw, Dw = _padded(scalings.on_inputs(), n_w - q)
-    Ag, Bg, F, Cg = scalings.coprime()
-    Bg = np.hstack([Bg, np.zeros((len(Ag), n_w - q))])
-    F = np.vstack([F, np.zeros((n_w - q, len(Ag)))]) / beta
-    Cg = np.vstack([Cg, np.zeros((n_z - r, len(Ag)))])
-    n, a, b, g = len(p.A), len(Az), len(Aw), len(Ag)
-    A = np.zeros((n + a + b + g,) * 2)
-    x, z, w, c = slice(0, n), slice(n, n + a), slice(n + a, n + a + b), slice(n + a + b, None)
-    A[x, x], A[x, w], A[x, c] = p.A, p.B1 @ Cw, p.B1 @ (Dw @ F)
-    A[z, x], A[z, z], A[z, w], A[z, c] = Bz @ p.C1, Az, Bz @ (p.D11 @ Cw), Bz @ (p.D11 @ (Dw @ F))
-    A[w, w], A[w, c], A[c, c] = Aw, Bw @ F, Ag
-    Dw = Dw / beta
-    B1, B2 = np.zeros((len(A), n_w)), np.zeros((len(A), n_u))
-    B1[x], B1[z], B1[w], B1[c] = p.B1 @ Dw, Bz @ (p.D11 @ Dw), Bw / beta, Bg
-    B2[x], B2[z] = p.B2, Bz @ p.D12
-    C1, C2 = np.zeros((n_z, len(A))), np.zeros((n_y, len(A)))
-    C1[:, x], C1[:, z], C1[:, w] = Dz @ p.C1, Cz, Dz @ (p.D11 @ Cw)
-    C1[:, c] = Dz @ (p.D11 @ (beta * Dw @ F)) - Cg
-    C2[:, x], C2[:, w], C2[:, c] = p.C2, p.D21 @ Cw, p.D21 @ (beta * Dw @ F)
-    return PlantMatrices(A, B1, B2, C1, C2, Dz @ p.D11 @ Dw, Dz @ p.D12, p.D21 @ Dw)
-
-
-def _padded(system: Realisation, extra: int) -> Realisation:
-    """With ``extra`` channels more that go straight through."""
-    A, B, C, D = system
-    if not extra:
-        return system
-    n, m = len(A), len(D)
-    direct = np.eye(m + extra)
-    direct[:m, :m] = D
-    return A, np.hstack([B, np.zeros((n, extra))]), np.vstack([C, np.zeros((extra, n))]), direct
-
-
-def scaled_loop(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:
-    """The scaled closed loop (continuous, inputs and outputs those of the blocks), from w~ to z~."""
-    none_in, none_out = np.zeros((loop.n_states, 0)), np.zeros((0, loop.n_states))
-    bare = PlantMatrices(
-        loop.A, loop.B, none_in, loop.C, none_out, loop.D, np.zeros((loop.n_outputs, 0)), np.zeros((0, loop.n_inputs))
-    )
-    s = scaled_plant(bare, scalings, beta)
-    return StateSpaceModel(s.A, s.B1, s.C1, s.D11, where="scaled loop")
-
-
-def proved_level(
-    loop: StateSpaceModel, scalings: DynamicScalings, guess: float = 1.0, rtol: float = 1e-6
-) -> tuple[float, HinfNorm]:
-    """Smallest beta that these scalings prove for mu of a stable continuous loop at all frequencies; inf where none.
-
-    Without G it is the norm of the scaled loop; with G the level at which that norm is one, sought from ``guess`` on
-    (every larger level is proved as well). The norm that comes with it is that of the scaled loop at one and at beta.
-    """
-    norm = hinf_norm(scaled_loop(loop, scalings), rtol)
-    if not scalings.mixed:
-        return norm.upper, norm
-    low, high, step, proof = 0.0, np.inf, 1e-4, None
-    trial = guess
-    for _ in range(80):
-        norm = hinf_norm(scaled_loop(loop, scalings, trial), min(rtol, 1e-7))
-        if norm.upper <= 1:
-            high, proof = trial, norm
-        else:
-            low = trial
-        if proof is not None and high - low <= rtol * high:
-            break
-        if proof is None:
-            trial = low * (1 + step)
-        else:
-            trial = high * (1 - step) if low == 0.0 else float(np.sqrt(low * high))
-        step = min(3 * step, 0.9)
-    return (float("inf"), norm) if proof is None else (high, proof)

@@ -1,13 +1,22 @@
-"""Rational scalings of low order that come close to the optimal ones of single frequencies."""
+r"""Optimal scalings of a closed loop at single frequencies, and rational ones of low order that come close to them.
+
+The second half of a D-K iteration with K fixed: at each frequency the D, G of the smallest upper bound of mu, on a grid
+that follows mu and D; then factors d(s) whose modulus is close to D there, :math:`\min_d \sum_k w_k^2 \big(\log
+|d(j\omega_k)| - \log d_k\big)^2`, of growing order until the scaled peak is close to that of mu.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import Budget
+from robustlab.budget import Budget, dense
+from robustlab.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
+from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import (
     BlockScaling,
     DynamicScalings,
@@ -16,26 +25,116 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     unit_scalings,
 )
 from robustlab.synthesis.dk.pointwise_scalings import MuCurve
+from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["fit_factor", "fitted_scalings", "scaled_peaks"]
+__all__ = ["MuCurve", "as_complex", "fitted_scalings", "mu_curve"]
 
-
-MAX_FACTOR_ORDER = 5
-# Exponent of the mean over frequency that stands for the peak: it also rewards lowering the second-highest peak.
-SHARPNESS = 24
-# Error of a factor's logarithm, where mu is largest, that counts as one elsewhere where mu lies a factor e lower.
-ROOM = 0.1
-# Factors that are tried in a round: those whose fit is worst.
-TRIED = 6
-# Zeros and poles lie within the frequencies whose weight is above this share of the largest one, and so far beyond
-# (logarithm): far slower or faster ones cost the synthesis digits and bring nothing.
-HEARD, REACH = 0.04, 2.3
 FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
 
 
+# --- optimal scalings at single frequencies ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class MuCurve:
+    """Upper bounds of mu with their D, G at frequencies in rad/s.
+
+    Attributes
+    ----------
+    omega
+        Frequencies, shape (n_omega,), rising.
+    response
+        The loop there, shape (n_omega, p, q).
+    bounds
+        The bounds there.
+    """
+
+    omega: AnyArray
+    response: AnyArray
+    bounds: tuple[UpperBound, ...]
+
+    @property
+    def levels(self) -> AnyArray:
+        """The upper bounds, shape (n_omega,)."""
+        return np.array([bound.beta for bound in self.bounds])
+
+    @property
+    def peak(self) -> float:
+        """The largest of them: not a bound between the frequencies."""
+        return float(self.levels.max(initial=0.0))
+
+
+def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
+    """The same structure with complex instead of real scalars: what D alone can prove."""
+    return tuple(b.as_complex() for b in blocks)
+
+
+def mu_curve(
+    loop: StateSpaceModel,
+    blocks: Sequence[Block],
+    budget: Budget,
+    first: AnyArray | None = None,
+    tuning: DKTuning = TUNING,
+) -> MuCurve:
+    """The curve of a stable continuous loop on frequencies that follow it.
+
+    The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
+    intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where
+    the budget is over after some of them, it is left at those (the first ones are spread over all).
+    """
+    grid = default_grid(loop, tuning.first_points, 1.0) if first is None else first
+    # Every so-many-th frequency first, as far as the budget goes.
+    stride = max(1, len(grid) // tuning.chunk)
+    order = np.concatenate([np.arange(start, len(grid), stride) for start in range(stride)])
+    response, bounds = _until(loop, blocks, grid[order], budget, tuning)
+    done = order[: len(bounds)]
+    back = np.argsort(done)
+    omega, response, bounds = grid[done[back]], response[back], [bounds[i] for i in back]
+    for _ in range(tuning.rounds):
+        if budget.over:
+            break
+        levels = np.array([b.beta for b in bounds])
+        d = np.log(np.array([np.einsum("ii->i", b.Dw).real for b in bounds]))
+        d -= d.mean(axis=1, keepdims=True)
+        height = np.maximum(levels[1:], levels[:-1]) / levels.max()
+        change = np.abs(np.diff(d, axis=0)).max(axis=1) + np.abs(np.diff(levels)) / levels.max()
+        urgency = height**4 * change * (np.diff(np.log(omega)) > 1e-3)
+        chosen = np.argsort(-urgency)[: tuning.added]
+        chosen = chosen[urgency[chosen] > 0.02]
+        if not len(chosen):
+            break
+        new = np.sqrt(omega[chosen] * omega[chosen + 1])
+        more, found = _until(loop, blocks, new, budget, tuning)
+        new = new[: len(found)]
+        order = np.argsort(np.concatenate([omega, new]), kind="stable")
+        omega = np.concatenate([omega, new])[order]
+        response = np.concatenate([response, more])[order]
+        bounds = [[*bounds, *found][i] for i in order]
+    return MuCurve(omega, response, tuple(bounds))
+
+
+def _until(
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget, tuning: DKTuning
+) -> tuple[AnyArray, list[UpperBound]]:
+    """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
+    responses: list[AnyArray] = []
+    bounds: list[UpperBound] = []
+    for begin in range(0, len(omega), tuning.chunk):
+        if bounds and budget.over:
+            break
+        chunk = omega[begin : begin + tuning.chunk]
+        budget.spend(points_work(blocks, len(chunk)) + dense(loop.n_states))
+        responses.append(frequency_response(loop, chunk))
+        bounds += upper_bounds(responses[-1], blocks, tuning.mu_tolerance)
+    return np.concatenate(responses), bounds
+
+
+# --- rational scalings fitted to them ---------------------------------------------------------------------------------
+
+
 def fitted_scalings(
-    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget
+    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget, tuning: DKTuning = TUNING
 ) -> DynamicScalings:
     """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be.
 
@@ -43,43 +142,24 @@ def fitted_scalings(
     it costs, or all of them where no single one does: a block that drifts away from all others needs that. At most
     ``max_states`` states are spent.
     """
-    # A factor may be off by as much (in logarithms) as mu lies below its peak.
-    weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
-    targets, mixings = _targets(curve, blocks)
-    fits: dict[tuple[int, int, int], Factor] = {}
-
-    def factor(i: int, k: int, order: int) -> Factor:
-        if (i, k, order) not in fits:
-            before = factor(i, k, order - 1) if order else None
-            budget.spend(FIT_WORK * order**2)
-            fits[i, k, order] = fit_factor(curve.omega, targets[i][k], weights, before)
-        return fits[i, k, order]
-
-    scalings = unit_scalings(blocks)
-    for i, part in enumerate(scalings.parts):
-        factors = tuple(factor(i, k, 0) for k in range(len(part.factors)))
-        scalings = scalings.with_part(i, BlockScaling(factors, mixings[i], part.g))
-    score = _score(scaled_peaks(curve, scalings))
+    fit = _Fit(curve, blocks, budget, tuning)
+    scalings = fit.constants()
+    score = fit.score(scalings)
     while score[1] > curve.peak * (1 + loss) and not budget.over:
         best: tuple[float, tuple[float, float], DynamicScalings] | None = None
-        for i, k in _worst(scalings, curve.omega, targets, weights):
-            part = scalings.parts[i]
-            order = part.factors[k].order + 1
-            factors = (*part.factors[:k], factor(i, k, order), *part.factors[k + 1 :])
-            trial = scalings.with_part(i, BlockScaling(factors, part.mixing, part.g))
-            cost = trial.n_states - scalings.n_states
-            if order > MAX_FACTOR_ORDER or trial.n_states > max_states:
+        for trial in fit.larger(scalings):
+            if max(_orders(trial)) > tuning.max_factor_order or trial.n_states > max_states:
                 continue
             budget.spend(_peaks_work(curve, trial))
-            reached = _score(scaled_peaks(curve, trial))
-            gain = (score[0] - reached[0]) / cost
+            reached = fit.score(trial)
+            gain = (score[0] - reached[0]) / (trial.n_states - scalings.n_states)
             if best is None or gain > best[0]:
                 best = (gain, reached, trial)
         if best is None or best[0] <= 0:
-            trial = _all_larger(scalings, factor)
-            if trial.n_states > max_states or max(_orders(trial), default=0) > MAX_FACTOR_ORDER:
+            trial = fit.all_larger(scalings)
+            if trial.n_states > max_states or max(_orders(trial), default=0) > tuning.max_factor_order:
                 break
-            reached = _score(scaled_peaks(curve, trial))
+            reached = fit.score(trial)
             if reached[0] >= score[0]:
                 break
             best = (0.0, reached, trial)
@@ -87,25 +167,73 @@ def fitted_scalings(
     return scalings
 
 
+class _Fit:
+    """Factors of every order fitted to a curve, each of them once."""
+
+    def __init__(self, curve: MuCurve, blocks: Sequence[Block], budget: Budget, tuning: DKTuning) -> None:
+        self.curve, self.blocks, self.budget, self.tuning = curve, blocks, budget, tuning
+        # A factor may be off by as much (in logarithms) as mu lies below its peak.
+        room = tuning.room
+        self.weights = room / (room + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
+        self.targets, self.mixings = _targets(curve, blocks)
+        self.known: dict[tuple[int, int, int], Factor] = {}
+
+    def factor(self, i: int, k: int, order: int) -> Factor:
+        """Factor k of block i in this order."""
+        if (i, k, order) not in self.known:
+            before = self.factor(i, k, order - 1) if order else None
+            self.budget.spend(FIT_WORK * order**2)
+            target, omega = self.targets[i][k], self.curve.omega
+            self.known[i, k, order] = _fit_factor(omega, target, self.weights, before, self.tuning)
+        return self.known[i, k, order]
+
+    def constants(self) -> DynamicScalings:
+        """All factors constant."""
+        scalings = unit_scalings(self.blocks)
+        for i, part in enumerate(scalings.parts):
+            factors = tuple(self.factor(i, k, 0) for k in range(len(part.factors)))
+            scalings = scalings.with_part(i, BlockScaling(factors, self.mixings[i], part.g))
+        return scalings
+
+    def larger(self, scalings: DynamicScalings) -> Iterator[DynamicScalings]:
+        """With one order more of one of the factors that fit worst."""
+        errors = [
+            (float(np.abs(self.weights * (self.targets[i][k] - factor.log_modulus(self.curve.omega))).max()), i, k)
+            for i, part in enumerate(scalings.parts)
+            for k, factor in enumerate(part.factors)
+        ]
+        for _, i, k in sorted(errors, reverse=True)[: self.tuning.tried]:
+            part = scalings.parts[i]
+            one = self.factor(i, k, part.factors[k].order + 1)
+            yield scalings.with_part(i, part.with_factor(k, one))
+
+    def all_larger(self, scalings: DynamicScalings) -> DynamicScalings:
+        """Every factor with one order more."""
+        for i, part in enumerate(scalings.parts):
+            factors = tuple(self.factor(i, k, f.order + 1) for k, f in enumerate(part.factors))
+            scalings = scalings.with_part(i, BlockScaling(factors, part.mixing, part.g))
+        return scalings
+
+    def score(self, scalings: DynamicScalings) -> tuple[float, float]:
+        """Logarithm of a power mean of the peaks ``sigma_max(D_z M D_w^{-1})`` over frequency, and the largest peak."""
+        left = frequency_response(StateSpaceModel(*scalings.on_outputs()), self.curve.omega)
+        right = frequency_response(StateSpaceModel(*scalings.on_inputs()), self.curve.omega)
+        peaks = np.linalg.svd(left @ self.curve.response @ right, compute_uv=False)[:, 0]
+        top, power = float(peaks.max(initial=1e-300)), self.tuning.sharpness
+        return float(np.log(top) + np.log(np.mean((peaks / top) ** power)) / power), top
+
+
 def _peaks_work(curve: MuCurve, scalings: DynamicScalings) -> float:
-    """Work of `scaled_peaks`: responses of D on both sides, and the singular values."""
+    """Work of `_Fit.score`: responses of D on both sides, and the singular values."""
     n, size = scalings.n_states, structure_size(scalings.blocks)[1]
     return 300 + len(curve.omega) * (10 + n**2 // 10 + size**3 // 5)
-
-
-def _all_larger(scalings: DynamicScalings, factor: Callable[[int, int, int], Factor]) -> DynamicScalings:
-    """Every factor with one order more."""
-    for i, part in enumerate(scalings.parts):
-        factors = tuple(factor(i, k, f.order + 1) for k, f in enumerate(part.factors))
-        scalings = scalings.with_part(i, BlockScaling(factors, part.mixing, part.g))
-    return scalings
 
 
 def _orders(scalings: DynamicScalings) -> list[int]:
     return [f.order for part in scalings.parts for f in part.factors]
 
 
-def fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None = None) -> Factor:
+def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None, tuning: DKTuning) -> Factor:
     r"""Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares.
 
     A constant where ``before`` is None; else of one order more than ``before``, with the better of two starts: the new
@@ -116,8 +244,8 @@ def fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Fact
     if before is None:
         return Factor(float(np.average(log_d, weights=weights)))
     log_omega = np.log(omega)
-    heard = log_omega[weights > HEARD * weights.max()]
-    low, high = heard[0] - REACH, heard[-1] + REACH
+    heard = log_omega[weights > tuning.heard * weights.max()]
+    low, high = heard[0] - tuning.reach, heard[-1] + tuning.reach
     error = weights * (log_d - before.log_modulus(omega))
     best: tuple[float, Factor] | None = None
     for at in (float(log_omega[np.argmax(np.abs(error))]), float(log_omega.mean())):
@@ -128,27 +256,11 @@ def fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Fact
         def residual(x: AnyArray, form: Factor = start) -> AnyArray:
             return weights * (form.with_parameters(iter(x)).log_modulus(omega) - log_d)
 
-        found = least_squares(residual, values, bounds=(bottom, top), max_nfev=60)
+        found = least_squares(residual, values, bounds=(bottom, top), max_nfev=tuning.fit_evaluations)
         if best is None or found.cost < best[0]:
             best = (float(found.cost), start.with_parameters(iter(found.x)))
     assert best is not None
     return best[1]
-
-
-def scaled_peaks(curve: MuCurve, scalings: DynamicScalings) -> AnyArray:
-    """``sigma_max(D_z M D_w^{-1})`` at the curve's frequencies, shape (n_omega,)."""
-    from robustlab.frequency import frequency_response
-    from robustlab.statespace import StateSpaceModel
-
-    left = frequency_response(StateSpaceModel(*scalings.on_outputs()), curve.omega)
-    right = frequency_response(StateSpaceModel(*scalings.on_inputs()), curve.omega)
-    return np.linalg.svd(left @ curve.response @ right, compute_uv=False)[:, 0]
-
-
-def _score(peaks: AnyArray) -> tuple[float, float]:
-    """Logarithm of a power mean of the peaks, and the largest peak."""
-    top = float(peaks.max(initial=1e-300))
-    return float(np.log(top) + np.log(np.mean((peaks / top) ** SHARPNESS)) / SHARPNESS), top
 
 
 def _bounds(factor: Factor, low: float, high: float) -> tuple[AnyArray, AnyArray]:
@@ -191,15 +303,3 @@ def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[AnyArra
         targets.append([0.5 * (np.log(np.maximum(left[:, k], 1e-300)) - base) for k in range(r)])
         mixings.append(tuple(T[np.triu_indices(r, 1)]))
     return targets, mixings
-
-
-def _worst(
-    scalings: DynamicScalings, omega: AnyArray, targets: list[list[AnyArray]], weights: AnyArray
-) -> list[tuple[int, int]]:
-    """The factors that fit worst."""
-    errors = [
-        (float(np.abs(weights * (targets[i][k] - factor.log_modulus(omega))).max()), i, k)
-        for i, part in enumerate(scalings.parts)
-        for k, factor in enumerate(part.factors)
-    ]
-    return [(i, k) for _, i, k in sorted(errors, reverse=True)[:TRIED]]

@@ -20,7 +20,15 @@ from robustlab.matrix_equations import lyapunov_factor
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["Balancing", "Projection", "SplitModel", "gramian_factors", "split_stable", "triangular_root"]
+__all__ = [
+    "Balancing",
+    "Projection",
+    "SplitModel",
+    "block_factor",
+    "gramian_factors",
+    "split_stable",
+    "triangular_root",
+]
 
 Projection = Literal["truncation", "residualisation"]
 
@@ -105,6 +113,11 @@ def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
 def triangular_root(rows: AnyArray) -> AnyArray:
     """R with ``R^T R = rows^T rows``, upper triangular, with no more rows than columns."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def block_factor(rows: AnyArray) -> AnyArray:
+    """Square factor of the diagonal block of ``L L^T`` that belongs to some rows of L."""
+    return triangular_root(rows.T).T
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,24 @@
-"""Reduction of controllers to the lowest order whose closed loop, rebuilt and proved anew, loses no more than said."""
+r"""Reduction of controllers to the lowest order whose closed loop, rebuilt and proved anew, loses no more than said.
+
+What in K matters is told by the loop it works in. With the closed loop's controllability and observability Gramians
+split into plant and controller, their controller blocks tell how much w moves each state of K, and how much each state
+of K moves z. Other candidates weight K with
+
+.. math:: T_{yw} = (I - P_{22} K)^{-1} P_{21}, \qquad T_{zu} = P_{12} (I - K P_{22})^{-1}
+
+because a change of K by a small E changes the closed loop by ``T_zu E T_yw``.
+
+References
+----------
+Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (1989); Enns (1984); Zhou, Doyle, Glover
+(1996), chapter 19.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +31,10 @@ from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import (
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.synthesis.hinf.loop_shaping import with_performance
+from robustlab.synthesis.nonsmooth.descent import descend
+from robustlab.synthesis.nonsmooth.performance_measure import (
     Evidence,
     MeasureName,
     Performance,
@@ -25,18 +43,39 @@ from robustlab.synthesis.problem.performance_measure import (
 )
 from robustlab.synthesis.reduction.controller_candidates import CandidateFamily, candidate_families
 from robustlab.uncertainty.blocks import Block
+from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.reduction.balancing import (
+    Balancing,
+    Projection,
+    block_factor,
+    gramian_factors,
+    split_stable,
+)
+from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weighted_factors
+from robustlab.uncertainty.blocks import Block
 
-__all__ = ["OrderTried", "ReducedController", "reduce_controller"]
+__all__ = ["OrderTried", "ReducedController", "ReductionTuning", "reduce_controller"]
 
 WHERE = "reduce_controller"
+PROJECTIONS: tuple[Projection, ...] = ("truncation", "residualisation")
+T = TypeVar("T")
 Improvement = Callable[[GeneralizedPlant, StateSpaceModel, Budget], StateSpaceModel]
 Found = tuple[str, StateSpaceModel, Performance]
 
-# Candidates up to this multiple of the loss allowed are worth an improvement; each gets this share of the work left.
-WORTH_IMPROVING, SHARE_OF_WORK = 10.0, 0.25
-WORK = 60 * MILLION
-# The loss is not monotone in the order: the search goes on for so many orders after the first that loses too much.
-PATIENCE = 3
+
+@dataclass(frozen=True)
+class ReductionTuning:
+    """Numbers that choose how long the search takes and how low it comes; the measures are proved whatever they are."""
+
+    work: float = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
+    patience: int = 3  # the loss is not monotone in the order: orders tried after the first that loses too much
+    worth_improving: float = 10.0  # candidates up to this multiple of the loss allowed are worth an improvement ...
+    improvement_share: float = 0.25  # ... and each gets this share of the work left
+    gain: float = 1e-3  # relative gain that makes another candidate of the same order worth a proof
+
+
+TUNING = ReductionTuning()
 
 
 @dataclass(frozen=True)
@@ -142,6 +181,7 @@ def reduce_controller(
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
+    tuning: ReductionTuning = TUNING,
 ) -> ReducedController:
     r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one.
 
@@ -189,6 +229,8 @@ def reduce_controller(
         Multiple of the usual work. The search counts what it does, so that it ends the same way everywhere.
     progress
         Called with one line for each order.
+    tuning
+        Numbers that choose speed and accuracy, for those who measure them.
 
     Returns
     -------
@@ -210,7 +252,7 @@ def reduce_controller(
 
     Examples
     --------
-    >>> from robustlab.synthesis import hinf
+    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
     >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     >>> small = reduce_controller(hinf(P, 1, 1), loss=0.1)
     >>> small.K.n_states, small.loss <= 0.1, small.status.value
@@ -219,7 +261,7 @@ def reduce_controller(
     plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
-    budget = design_budget(WHERE, WORK, effort, time_limit)
+    budget = design_budget(WHERE, tuning.work, effort, time_limit)
     if order is not None and (
         isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
     ):
@@ -229,7 +271,7 @@ def reduce_controller(
     name = measure or _default_measure(design_or_plant, scalings, blocks)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
     with one_thread():
-        return _Descent(judge, full, loss, order, improve, progress or (lambda _: None)).run()
+        return _Descent(judge, full, loss, order, improve, progress or (lambda _: None), tuning).run()
 
 
 def _plant_and_controller(
@@ -287,7 +329,9 @@ class _Descent:
         order: int | None,
         improve: Improvement | None,
         progress: Callable[[str], None],
+        tuning: ReductionTuning,
     ) -> None:
+        self.tuning = tuning
         self.judge, self.full, self.allowed, self.order, self.budget = judge, full, allowed, order, judge.budget
         self.improve = improve if judge.name == "hinf" or judge.scaled is not None else None
         self.progress = progress
@@ -308,13 +352,13 @@ class _Descent:
         chosen, performance, failed = self.full, self.reference, 0
         stage = self.full  # the best of the order before: what matters in its loop is a second way down
         for n in range(self.full.n_states - 1, (self.order or 0) - 1, -1):
-            if (self.order is None and failed == PATIENCE) or self.budget.over:
+            if (self.order is None and failed == self.tuning.patience) or self.budget.over:
                 break
             again = stage is not self.full and stage.n_states > n
             self.budget.spend(dense(self.judge.gramian_plant.model.n_states + stage.n_states, 5 if again else 1))
-            more = _renamed(candidate_families(self.judge.gramian_plant, stage)) if again else []
-            found = _best_of_order(self.judge, [*self.families, *more], self.full, n, self.limit)
-            found = self._improved(found, n)
+            more = candidate_families(self.judge.gramian_plant, stage) if again else []
+            more = [replace(family, name=f"{family.name}, step by step") for family in more]
+            found = self._improved(self._best([*self.families, *more], n), n)
             stage = self.full if found is None else found[1]
             tried.append(self._tried(n, found))
             self.progress(_line(tried[-1], self.judge.name))
@@ -326,7 +370,39 @@ class _Descent:
             ended = f" ({self.budget.remark})" if self.budget.remark else ""
             text = f"no controller of order {self.order} could be verified{ended}"
             raise NoTrustworthyNumber(WHERE, text, hint="a higher order")
-        return _finished(self.judge, self.full, self.reference, chosen, performance, self.allowed, tried)
+        return self._finished(chosen, performance, tried)
+
+    def _best(self, families: list[CandidateFamily], order: int) -> Found | None:
+        """The candidate of best verified measure; None where none of this order leaves the loop stable."""
+        full = self.full
+        estimated: list[tuple[float, str, StateSpaceModel]] = []
+        for family in families:
+            if not family.least <= order <= family.most or self.judge.budget.over:
+                continue
+            try:
+                made = family.make(order)
+            except (NoTrustworthyNumber, InputError):
+                continue
+            named = StateSpaceModel(
+                made.A, made.B, made.C, made.D, full.dt, full.inputs, full.outputs,
+                [f"k{i + 1}" for i in range(made.n_states)],
+            )  # fmt: skip
+            estimated.append((self.judge.estimate(named), family.name, named))
+        best: Found | None = None
+        for estimate, name, K in sorted(estimated, key=lambda entry: entry[0]):
+            if not np.isfinite(estimate) or (best is not None and estimate >= min(best[2].value, self.limit)):
+                break
+            try:
+                value = self.judge.certified(K)
+            except (InputError, NoTrustworthyNumber):
+                continue
+            if not np.isfinite(value.value):
+                continue
+            if best is None or _rank(value) < _rank(best[2]):
+                best = (name, K, value)
+            if best[2].value <= self.limit and best[2].value <= estimate * (1 + self.tuning.gain):
+                break  # what the others can gain is not worth a proof
+        return best
 
     def _tried(self, order: int, found: Found | None) -> OrderTried:
         if found is None:
@@ -339,12 +415,12 @@ class _Descent:
         if found is None or self.improve is None:
             return found
         name, K, value = found
-        most = (1 + WORTH_IMPROVING * self.allowed) * self.reference.value
+        most = (1 + self.tuning.worth_improving * self.allowed) * self.reference.value
         if order != self.order if self.order is not None else not self.limit < value.value <= most:
             return found
         if self.budget.over:
             return found
-        better = self.improve(self.judge.gramian_plant, K, self.budget.share(SHARE_OF_WORK))
+        better = self.improve(self.judge.gramian_plant, K, self.budget.share(self.tuning.improvement_share))
         if better.n_states > K.n_states:
             return found
         named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs)
@@ -354,9 +430,38 @@ class _Descent:
             return found
         return (f"{name}, improved", named, verified) if verified.value < value.value else found
 
+    def _finished(
+        self, chosen: StateSpaceModel, performance: Performance, tried: list[OrderTried]
+    ) -> ReducedController:
+        judge = self.judge
+        loop = judge.plant.close(chosen)
+        how = next((o.method for o in reversed(tried) if o.value == performance.value and chosen is not self.full), "")
+        reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
+        status, reason = told(performance.status, [reason], judge.budget, "a lower order")
+        shown = loop if judge.scaled is None else judge.scaled.close(chosen)
+        limit = (
+            limiting_channels(shown, performance.frequency) if judge.name != "h2" and performance.frequency >= 0 else ""
+        )
+        return ReducedController(
+            K=chosen,
+            gamma=performance.value,
+            closed_loop=loop,
+            status=status,
+            reason=reason,
+            limit=limit,
+            plant=judge.plant,
+            method=f"reduced {judge.name}",
+            original=self.full,
+            original_gamma=self.reference.value,
+            measure=judge.text,
+            allowed_loss=self.allowed,
+            orders=tuple(tried),
+            evidence=performance.evidence,
+        )
 
-def _renamed(families: list[CandidateFamily]) -> list[CandidateFamily]:
-    return [replace(family, name=f"{family.name}, step by step") for family in families]
+
+def _rank(value: Performance) -> tuple[bool, float]:
+    return not value.status.trustworthy, value.value
 
 
 def _line(tried: OrderTried, name: str) -> str:
@@ -365,75 +470,101 @@ def _line(tried: OrderTried, name: str) -> str:
     return f"order {tried.order}: {name} {tried.value:.6g}, loss {100 * tried.loss:.3g} % ({tried.method})"
 
 
-def _best_of_order(
-    judge: PerformanceMeasure,
-    families: list[CandidateFamily],
-    full: StateSpaceModel,
-    order: int,
-    limit: float,
-) -> Found | None:
-    """The candidate of best verified measure; None where none of this order leaves the loop stable."""
-    estimated: list[tuple[float, str, StateSpaceModel]] = []
-    for family in families:
-        if not family.least <= order <= family.most or judge.budget.over:
-            continue
-        try:
-            made = family.make(order)
-        except (NoTrustworthyNumber, InputError):
-            continue
-        named = StateSpaceModel(
-            made.A, made.B, made.C, made.D, full.dt, full.inputs, full.outputs,
-            [f"k{i + 1}" for i in range(made.n_states)],
-        )  # fmt: skip
-        estimated.append((judge.estimate(named), family.name, named))
-    best: Found | None = None
-    for estimate, name, K in sorted(estimated, key=lambda entry: entry[0]):
-        if not np.isfinite(estimate) or (best is not None and estimate >= min(best[2].value, limit)):
-            break
-        try:
-            value = judge.certified(K)
-        except (InputError, NoTrustworthyNumber):
-            continue
-        if not np.isfinite(value.value):
-            continue
-        if best is None or (not value.status.trustworthy, value.value) < (
-            not best[2].status.trustworthy,
-            best[2].value,
-        ):
-            best = (name, K, value)
-        if best[2].value <= limit and best[2].value <= estimate * (1 + 1e-3):
-            break  # what the others can gain is not worth a proof
-    return best
+# --- candidates ---------------------------------------------------------------------------------------------------
 
 
-def _finished(
-    judge: PerformanceMeasure,
-    full: StateSpaceModel,
-    reference: Performance,
-    chosen: StateSpaceModel,
-    performance: Performance,
-    allowed: float,
-    tried: list[OrderTried],
-) -> ReducedController:
-    loop = judge.plant.close(chosen)
-    how = next((o.method for o in reversed(tried) if o.value == performance.value and chosen is not full), "")
-    reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
-    status, reason = told(performance.status, [reason], judge.budget, "a lower order")
-    shown = loop if judge.scaled is None else judge.scaled.close(chosen)
-    limit = limiting_channels(shown, performance.frequency) if judge.name != "h2" and performance.frequency >= 0 else ""
-    return ReducedController(
-        K=chosen,
-        gamma=performance.value,
-        closed_loop=loop,
-        status=status,
-        reason=reason,
-        limit=limit,
-        plant=judge.plant,
-        method=f"reduced {judge.name}",
-        original=full,
-        original_gamma=reference.value,
-        measure=judge.text,
-        allowed_loss=allowed,
-        orders=tuple(tried),
-        evidence=performance.evidence,
-    )
+@dataclass(frozen=True, eq=False)
+class CandidateFamily:
+    """A way to reduce K: its name, the lowest and highest order it offers, and what makes the controller of an order.
+
+    ``make`` raises `NoTrustworthyNumber` or `InputError` where there is no such controller.
+    """
+
+    name: str
+    least: int
+    most: int
+    make: Callable[[int], StateSpaceModel]
+
+
+def candidate_families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFamily]:
+    """All ways that K and the loop admit; ``plant`` carries the weights and scalings that count."""
+    families: list[CandidateFamily] = []
+    for name, bases in (
+        ("closed-loop Gramians", lambda: [_of_loop(plant.close(K), K)]),
+        ("loop from measurement noise to control", lambda: [_of_loop(_signal_loop(plant, K), K)]),
+    ):
+        for balancing in _tried(bases):
+            families += [_projected(f"{name}, {kind}", balancing, K, kind) for kind in PROJECTIONS]
+    families += _tried(lambda: [_coprime(K)])
+    families += _tried(lambda: _weighted(plant, K))
+    return families
+
+
+def _tried(make: Callable[[], list[T]]) -> list[T]:
+    """The list, or none where the Gramians of this way do not exist for this K, or lost their digits."""
+    try:
+        return make()
+    except (NoTrustworthyNumber, InputError):
+        return []
+
+
+def _of_loop(loop: StateSpaceModel, K: StateSpaceModel) -> Balancing:
+    """Balancing of the controller's blocks in the Gramians of a loop whose last states are those of K."""
+    reach, see = gramian_factors(loop)
+    k = slice(loop.n_states - K.n_states, None)
+    return Balancing.of(block_factor(reach[k]), block_factor(see[k]))
+
+
+def _projected(name: str, balancing: Balancing, K: StateSpaceModel, kind: Projection) -> CandidateFamily:
+    return CandidateFamily(name, 0, len(balancing.left), lambda order: balancing.reduced(K, order, kind))
+
+
+def _signal_loop(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel:
+    """From noise on the measurements to the controls, in the loop of plant and K."""
+    m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
+    b, c = m.B[:, m.n_inputs - n_u :], m.C[m.n_outputs - n_y :]
+    P = StateSpaceModel(
+        m.A, np.hstack([np.zeros((m.n_states, n_y)), b]), np.vstack([np.zeros((n_u, m.n_states)), c]),
+        np.block([[np.zeros((n_u, n_y)), np.eye(n_u)], [np.eye(n_y), plant.D22]]), m.dt,
+    )  # fmt: skip
+    return lower_lft(P, StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
+
+
+def _coprime(K: StateSpaceModel) -> CandidateFamily:
+    reduction = CoprimeReduction(StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
+    return CandidateFamily("normalised coprime factors", 0, len(reduction.balancing.left), reduction.reduced)
+
+
+def _weighted(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFamily]:
+    """Balanced truncation of K's stable part, plain and with the loop as weights on either side."""
+    bare = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
+    split = split_stable(bare)
+    if not split.stable.n_states:
+        return []
+    stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, K.dt)
+    into, out = _sensitivity_weights(plant, bare)
+    apart, families = split.apart.n_states, list[CandidateFamily]()
+    for name, weights in (("balanced", (None, None)), ("weighted by the loop on both sides", (into, out))):
+        for balancing in _tried(lambda weights=weights: [Balancing.of(*weighted_factors(stable, *weights))]):
+            for kind in PROJECTIONS:
+
+                def make(order: int, kind: Projection = kind, balancing: Balancing = balancing) -> StateSpaceModel:
+                    return split.joined(balancing.reduced(stable, order - apart, kind))
+
+                families.append(CandidateFamily(f"{name}, {kind}", apart, apart + len(balancing.left), make))
+    return families
+
+
+def _sensitivity_weights(plant: GeneralizedPlant, K: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """``T_yw`` and ``T_zu``."""
+    m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
+    n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
+    b1, b2, c1, c2 = m.B[:, :n_w], m.B[:, n_w:], m.C[:n_z], m.C[n_z:]
+    d12, d21, d22 = m.D[:n_z, n_w:], m.D[n_z:, :n_w], plant.D22
+    seen = StateSpaceModel(
+        m.A, np.hstack([b1, b2]), np.vstack([c2, c2]), np.block([[d21, d22], [d21, d22]]), m.dt
+    )  # the measurements once more as outputs
+    moved = StateSpaceModel(
+        m.A, np.hstack([b2, b2]), np.vstack([c1, c2]), np.block([[d12, d12], [d22, d22]]), m.dt
+    )  # a disturbance on the controls as input
+    return lower_lft(seen, K), lower_lft(moved, K)

@@ -18,9 +18,9 @@ from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.reduction.balancing import (
     Balancing,
     Projection,
+    block_factor,
     gramian_factors,
     split_stable,
-    triangular_root,
 )
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 
@@ -123,6 +123,21 @@ def hankel_singular_values(model: Any) -> Array:
 
     with the controllability and observability Gramians P, Q (continuous or discrete), from factors of them.
 
+    Parameters
+    ----------
+    model
+        StateSpaceModel, controller or python-control object; states of modes that are not stable are left out.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (n_stable,), in output units per input unit.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        Stable modes cannot be told from the others, or Gramians that are no floating-point numbers.
+
     Examples
     --------
     >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[3.0]], [[0.0]])
@@ -140,6 +155,21 @@ def balanced_truncation(model: Any, order: int | None = None, *, tolerance: floa
     r"""Balanced truncation: `reduce_model` with ``method="truncation"``.
 
     .. math:: \sigma_{r+1} \le \|G - G_r\|_\infty \le 2 \sum_{i > r} \sigma_i
+
+    Parameters
+    ----------
+    model, order, tolerance
+        As in `reduce_model`.
+
+    Returns
+    -------
+    ReducedModel
+        With its certified error beside the bound above.
+
+    Raises
+    ------
+    InputError, NoTrustworthyNumber
+        As `reduce_model`.
 
     Examples
     --------
@@ -185,6 +215,11 @@ def reduce_model(
     input_weight, output_weight
         Stable models W_i (as many outputs as G has inputs) and W_o (as many inputs as G has outputs): one or both
         (Enns). Large where the error shall be small.
+
+    Returns
+    -------
+    ReducedModel
+        With its certified error; its states are balanced, those kept apart come last.
 
     Raises
     ------
@@ -307,15 +342,10 @@ def weighted_factors(
     n = model.n_states
     reach, see = gramian_factors(model)
     if into is not None:  # states of the series connection: weight first, then model
-        reach = _rows(gramian_factors(series(into, model))[0], slice(into.n_states, None))
+        reach = block_factor(gramian_factors(series(into, model))[0][into.n_states :])
     if out is not None:
-        see = _rows(gramian_factors(series(model, out))[1], slice(0, n))
+        see = block_factor(gramian_factors(series(model, out))[1][:n])
     return reach, see
-
-
-def _rows(factor: Array, rows: slice) -> Array:
-    """Square factor of the diagonal block of ``L L^T`` with these rows."""
-    return triangular_root(factor[rows].T).T
 
 
 def error_bound(values: Array, order: int) -> float:

@@ -27,7 +27,7 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
 
-__all__ = ["METHODS", "MergedModes", "Method", "discretise", "held_input", "merged_modes"]
+__all__ = ["METHODS", "MergedModes", "Method", "discretise", "merged_modes"]
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
@@ -60,6 +60,11 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     prewarp
         Frequency in rad/s at which ``"tustin-prewarp"`` is exact, below pi / dt.
 
+    Returns
+    -------
+    StateSpaceModel
+        Discrete, with n states (``"matched"``: as many as there are poles), and the signals of the model.
+
     Raises
     ------
     InputError
@@ -91,7 +96,7 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     elif method in ("tustin", "tustin-prewarp"):
         found = _tustin(m, dt, prewarp)
     else:
-        found = StateSpaceModel(*{"zoh": held_input, "foh": _first_order_hold, "impulse": _impulse}[method](m, dt))
+        found = _sampled(m, dt, method)
     return StateSpaceModel(
         found.A, found.B, found.C, found.D, dt, m.inputs, m.outputs,
         m.states if found.n_states == m.n_states else None,
@@ -99,46 +104,22 @@ def discretise(model: Any, dt: float, method: Method = "tustin", *, prewarp: flo
     )  # fmt: skip
 
 
-def held_input(m: StateSpaceModel, dt: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """``A_d, B_d, C, D`` for an input that is constant over dt: one matrix exponential."""
-    n, n_u = m.B.shape
-    block = np.zeros((n + n_u, n + n_u))
-    block[:n] = np.hstack([m.A, m.B]) * dt
-    moved = _exponential(block, "zoh", m, dt)
-    return moved[:n, :n], moved[:n, n:], m.C, m.D
+def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
+    """By one matrix exponential; the state of ``foh`` is ``x_k`` without the part that ``u_k`` has in it already."""
+    from scipy.signal import cont2discrete
 
-
-def _first_order_hold(m: StateSpaceModel, dt: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    n, n_u = m.B.shape
-    block = np.zeros((n + 2 * n_u, n + 2 * n_u))
-    block[:n, : n + n_u] = np.hstack([m.A, m.B]) * dt
-    block[n : n + n_u, n + n_u :] = np.eye(n_u)
-    moved = _exponential(block, "foh", m, dt)
-    a, held, slope = moved[:n, :n], moved[:n, n : n + n_u], moved[:n, n + n_u :]
-    # x_{k+1} = a x_k + held u_k + slope (u_{k+1} - u_k); the state here is x_k - slope u_k.
-    return a, held + a @ slope - slope, m.C, m.D + m.C @ slope
-
-
-def _impulse(m: StateSpaceModel, dt: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    if m.D.any():
+    if method == "impulse" and m.D.any():
         raise InputError("discretise", "a direct term with method 'impulse'", "a model without one, or another method")
-    a = _exponential(m.A * dt, "impulse", m, dt)
-    return a, a @ m.B * dt, m.C, m.C @ m.B * dt
-
-
-def _exponential(block: AnyArray, method: str, m: StateSpaceModel, dt: float) -> AnyArray:
-    from scipy.linalg import expm
-
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = expm(block)
-    if not np.isfinite(moved).all():
+        a, b, c, d, _ = cont2discrete((m.A, m.B, m.C, m.D), dt, method=method)
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
         fastest = m.spectral_abscissa()
         found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
         if fastest < 0:
             rate = float(np.abs(m.poles()).max())
             found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
         raise NoTrustworthyNumber(f"discretise ({method})", found)
-    return moved
+    return StateSpaceModel(a, b, c, d)
 
 
 def _tustin(m: StateSpaceModel, dt: float, prewarp: float | None) -> StateSpaceModel:

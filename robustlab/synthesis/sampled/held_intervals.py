@@ -29,13 +29,11 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.lifting import mean_and_variance
+from robustlab.synthesis.sampled.tuning import TUNING
 
 __all__ = ["ChannelGroup", "HeldInterval", "held_interval", "thin_rows"]
 
 
-# Gauss nodes of a panel, and the largest |eigenvalue| times its length; modes that have decayed by e^-40 count no more.
-NODES, REACH, GONE = 12, 2.0, 40.0
-MOST_PANELS = 4096
 # Relative difference of energies by quadrature and by doubling that is still rounding.
 AGREE = 1e-8
 # Directions this far below the largest are rounding.
@@ -247,17 +245,17 @@ class _Nodes:
     @classmethod
     def of(cls, poles: AnyArray, length: float) -> _Nodes:
         """Panels of a dyadic grid, short where modes that are still alive are fast."""
-        x, w = np.polynomial.legendre.leggauss(NODES)
+        x, w = np.polynomial.legendre.leggauss(TUNING.nodes)
         at, panels = 0.0, list[tuple[float, float]]()
         while at < 1 - 1e-12:
-            alive = np.abs(poles[np.real(poles) * at * length > -GONE])
+            alive = np.abs(poles[np.real(poles) * at * length > -TUNING.gone])
             fastest = float(alive.max(initial=0.0)) * length
-            size = 0.5 ** max(0, int(np.ceil(np.log2(max(fastest / REACH, 1.0)))))
+            size = 0.5 ** max(0, int(np.ceil(np.log2(max(fastest / TUNING.node_reach, 1.0)))))
             while at / size != np.floor(at / size):
                 size /= 2
             panels.append((at, size))
             at += size
-            if len(panels) > MOST_PANELS:
+            if len(panels) > TUNING.most_panels:
                 found = f"a mode at {fastest / length:.4g} rad/s is too fast for {length:g} s"
                 raise NoTrustworthyNumber(WHERE, found, hint=SLOWER)
         sigma = np.concatenate([start + size * (x + 1) / 2 for start, size in panels])
@@ -267,7 +265,7 @@ class _Nodes:
         """``e^(N sigma)`` at all nodes, and at 1."""
         from scipy.linalg import expm
 
-        x, _ = np.polynomial.legendre.leggauss(NODES)
+        x, _ = np.polynomial.legendre.leggauss(TUNING.nodes)
         known: dict[float, tuple[AnyArray, AnyArray]] = {}
         start, parts = np.eye(len(N)), []
         with np.errstate(over="ignore", invalid="ignore"):

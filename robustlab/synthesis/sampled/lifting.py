@@ -28,14 +28,44 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.balancing import triangular_root
+from robustlab.synthesis.sampled.tuning import TUNING
 
-__all__ = ["LiftedPlant", "Rest", "lift", "mean_and_variance", "whole_and_part"]
+__all__ = ["HeldControls", "LiftedPlant", "Rest", "lift", "mean_and_variance"]
 
 
-# The doubling of h starts where |A| h is below this, with the series of e^(A t) cut after the third power.
-SHORT = 1e-3
-# At least so many doublings: the start is a first-order formula for the variance, whose share falls by 4 in each.
-DOUBLINGS = 12
+class HeldControls:
+    """Controls that act a delay after their sample: which one when, and those of the past that the states remember.
+
+    Attributes
+    ----------
+    whole, part
+        The delay as whole sample periods and the rest in s.
+    n_past
+        Number of past samples whose controls are states, the latest first.
+    """
+
+    def __init__(self, delay: float, dt: float, n_con: int) -> None:
+        self.n_con, self.whole = n_con, int(np.floor(delay / dt + 1e-12))
+        part = delay - self.whole * dt
+        self.part = float(part) if part > 1e-9 * dt else 0.0
+        self.n_past = self.whole + (self.part > 0)
+
+    def acting(self, early: bool, past: slice, now: slice) -> AnyArray:
+        """The control before (``early``) or after the change within a period, as a map of a vector that ends with the
+        control of now, (n_u, width).
+        """
+        age, control = self.whole + early, np.zeros((self.n_con, now.stop))
+        start = now.start if age == 0 else past.start + (age - 1) * self.n_con
+        control[:, start : start + self.n_con] = np.eye(self.n_con)
+        return control
+
+    def shifted(self, past: slice, now: slice) -> AnyArray:
+        """The past controls a period later, as a map of that vector, (n_past n_u, width)."""
+        moved, n_u = np.zeros((self.n_past * self.n_con, now.stop)), self.n_con
+        if self.n_past:
+            moved[:n_u, now] = np.eye(n_u)
+            moved[n_u:, past.start : past.stop - n_u] = np.eye(len(moved) - n_u)
+        return moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +154,9 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
     held = np.flatnonzero(m.D[n_z:, :n_w].any(axis=0))
     free = np.setdiff1d(np.arange(n_w), held)
-    whole, part = whole_and_part(delay, dt)
-    ends = _breakpoints(dt, n_intervals, part)
-    n_past = whole + (part > 0)
-    past = [f"{name} {k + 1} samples ago" for k in range(n_past) for name in (s.name for s in plant.controls)]
+    held_u = HeldControls(delay, dt, n_u)
+    ends = _breakpoints(dt, n_intervals, held_u.part)
+    past = [f"{s.name} {k + 1} samples ago" for k in range(held_u.n_past) for s in plant.controls]
     names = [*m.state_names, *past]
     lengths = _lengths(ends)
     steps = {h: _Interval.of(m, free, n_z, h) for h in lengths}
@@ -135,19 +164,16 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     # The state at the start of each interval as a linear map of (x, past controls, all w, u).
     N = len(intervals)
     n_free = len(free)
-    width = n + n_past * n_u + N * n_free + len(held) + n_u
-    at_w, at_u = n + n_past * n_u, width - n_u
+    at_w = n + held_u.n_past * n_u
+    at_u = at_w + N * n_free + len(held)
+    width = at_u + n_u
+    past_u, now_u = slice(n, at_w), slice(at_u, width)
     held_w = np.zeros((n_w, width))
     held_w[held, at_u - len(held) : at_u] = np.eye(len(held)) / np.sqrt(dt)
     state, means, rests = np.zeros((n, width)), [], []
     state[:, :n] = np.eye(n)
-    first_control: AnyArray | None = None
-    for i, step in enumerate(intervals):
-        age = whole + 1 if ends[i] < part * (1 - 1e-12) else whole
-        control = np.zeros((n_u, width))
-        start = at_u if age == 0 else n + (age - 1) * n_u
-        control[:, start : start + n_u] = np.eye(n_u)
-        first_control = control if first_control is None else first_control
+    controls = [held_u.acting(bool(end < held_u.part * (1 - 1e-12)), past_u, now_u) for end in ends[:-1]]
+    for i, (step, control) in enumerate(zip(intervals, controls, strict=True)):
         disturbance = held_w.copy()
         disturbance[free, at_w + i * n_free : at_w + (i + 1) * n_free] = np.eye(n_free) / np.sqrt(step.h)
         v = np.vstack([state, disturbance, control])
@@ -156,23 +182,11 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
         state = step.move @ v
     measured = np.zeros((n_y, width))
     measured[:, :n] = m.C[n_z:]
-    assert first_control is not None
-    measured += m.D[n_z:, n_w:] @ first_control + m.D[n_z:, :n_w] @ held_w
-    shifted = np.zeros((n_past * n_u, width))
-    if n_past:
-        shifted[:n_u, at_u:] = np.eye(n_u)
-        shifted[n_u:, n : n + (n_past - 1) * n_u] = np.eye((n_past - 1) * n_u)
+    measured += m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
     rest = _rest(intervals, n, m.D[:n_z, free])
-    maps = np.vstack([state, shifted]), np.vstack(means), _compressed(np.vstack(rests)), measured
+    maps = np.vstack([state, held_u.shifted(past_u, now_u)]), np.vstack(means), _compressed(np.vstack(rests)), measured
     wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
     return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
-
-
-def whole_and_part(delay: float, dt: float) -> tuple[int, float]:
-    """A delay as whole sample periods and the rest in s."""
-    whole = int(np.floor(delay / dt + 1e-12))
-    part = delay - whole * dt
-    return whole, float(part) if part > 1e-9 * dt else 0.0
 
 
 def _breakpoints(dt: float, n_intervals: int, part: float) -> AnyArray:
@@ -267,7 +281,8 @@ def mean_and_variance(A: AnyArray, C: AnyArray, h: float) -> tuple[AnyArray, Any
 
     n = len(A)
     size = float(np.linalg.norm(A, 1)) * h if n else 0.0
-    doublings = max(DOUBLINGS, int(np.ceil(np.log2(max(size, 1e-300) / SHORT))))
+    doublings = max(TUNING.doublings, int(np.ceil(np.log2(max(size, 1e-300) / TUNING.short))))
+    # The series of e^(A t) cut after the third power, and a first-order formula for the variance.
     small = h / 2.0**doublings
     step = A * small
     moved = expm(step)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.budget import MILLION, Budget, one_thread
+from robustlab.budget import Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
@@ -22,24 +22,19 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generaliz
 from robustlab.synthesis.problem.performance_measure import given_scalings, plant_with_scalings
 from robustlab.synthesis.sampled.discretisation import METHODS, MergedModes, discretise, merged_modes
 from robustlab.synthesis.sampled.lifting import lift
-from robustlab.synthesis.sampled.sampled_data import (
+from robustlab.synthesis.sampled.sampled_norm import (
     SampledDataNorm,
     check_sampling,
     norm_work,
     sampled_loop_norm,
     with_antialiasing,
 )
+from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
 
 __all__ = ["SampledController", "SampledMethod", "SampledTrial", "discretise_controller"]
 
 WHERE = "discretise_controller"
-WORK = 60 * MILLION
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
-
-# Intervals of a period on which the direct design sees disturbance and performance, and its allowed ratio of gammas.
-DESIGN_INTERVALS, DESIGN_GAMMA_REL = 4, 1.02
-# Largest number of lifted channels of the direct design.
-MOST_CHANNELS = 48
 
 
 @dataclass(frozen=True)
@@ -172,6 +167,7 @@ def discretise_controller(
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
+    tuning: SampledTuning = TUNING,
 ) -> SampledController:
     r"""Digital controller for a continuous design, with the proved norm of the sampled loop and what it loses.
 
@@ -213,6 +209,13 @@ def discretise_controller(
         Multiple of the usual work.
     progress
         Called with one line for each method.
+    tuning
+        Numbers that choose speed and accuracy, for those who measure them.
+
+    Returns
+    -------
+    SampledController
+        The controller of smallest proved norm among those tried, with what each of them loses.
 
     Raises
     ------
@@ -227,6 +230,7 @@ def discretise_controller(
 
     Examples
     --------
+    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
     >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     >>> digital = discretise_controller(hinf(P, 1, 1), 0.05)
     >>> digital.status.value, digital.loss < 0.1, digital.K.dt
@@ -250,14 +254,14 @@ def discretise_controller(
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
-    budget = design_budget(WHERE, WORK, effort, time_limit)
+    budget = design_budget(WHERE, tuning.controller_work, effort, time_limit)
     judged = plant if scalings is None else plant_with_scalings(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
     filtered = with_antialiasing(judged, antialiasing, WHERE)
     with one_thread():
         continuous = hinf_norm(judged.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress)
+        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress, tuning)
         search.run(method, loss, prewarp)
     return _finished(search, plant, full, loss, antialiasing)
 
@@ -284,7 +288,9 @@ class _Trials:
         continuous: HinfNorm,
         budget: Budget,
         progress: Callable[[str], None] | None,
+        tuning: SampledTuning,
     ) -> None:
+        self.tuning = tuning
         self.plant, self.K, self.dt, self.delay, self.continuous = plant, K, dt, delay, continuous
         self.budget = budget
         self.progress = progress or (lambda _: None)
@@ -323,10 +329,10 @@ class _Trials:
     def _direct(self) -> None:
         """H-infinity synthesis on the lifted plant."""
         channels = max(self.plant.model.n_inputs - self.plant.n_con, self.plant.model.n_outputs - self.plant.n_meas)
-        n_intervals = int(np.clip(MOST_CHANNELS // max(channels, 1), 1, DESIGN_INTERVALS))
+        n_intervals = int(np.clip(self.tuning.most_design // max(channels, 1), 1, self.tuning.design_intervals))
         lifted = lift(self.plant, self.dt, n_intervals, self.delay).generalized_plant()
         try:
-            design = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, self.budget)
+            design = synthesize(lifted, "hinf", self.tuning.design_gamma_rel, self.budget)
         except NoTrustworthyNumber as error:
             named = [str(merged) for merged in self.merged if not merged.stable]
             self._none("direct", "; ".join([error.line, *named]))
@@ -344,7 +350,7 @@ class _Trials:
         sure = self.best is not None and self.best[2].status.trustworthy
         enough = self.best[2].upper if self.best is not None and sure else np.inf
         try:
-            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, enough)
+            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, enough, self.tuning)
         except (InputError, NoTrustworthyNumber) as error:  # the loop is not well posed
             self._none(name, error.line)
             return

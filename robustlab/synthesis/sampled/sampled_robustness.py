@@ -8,19 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.budget import Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, with_performance
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.design import design_budget
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.sampled.lifting import lift
-from robustlab.synthesis.sampled.sampled_data import check_sampling, norm_work, sampled_loop_norm, with_antialiasing
+from robustlab.synthesis.sampled.sampled_norm import (
+    norm_work,
+    plant_and_controller,
+    sampled_loop_norm,
+    with_antialiasing,
+)
 from robustlab.synthesis.sampled.sampled_uncertainty import REST, SampledUncertainPlant, sample_uncertain_plant
+from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
 from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
@@ -28,21 +34,6 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["SampledRobustness", "sampled_robustness"]
 
 WHERE = "sampled_robustness"
-WORK = 60 * MILLION
-# Shares of the work that is left: for the search of a critical Delta, and for a proof.
-AIM_SHARE, PROOF_SHARE = 0.3, 0.7
-# Degrees that are tried, and how loose the cover may be (times the size of Delta) for a degree to be worth a try.
-DEGREES, LOOSE = (1, 2, 3, 4, 5), 0.05
-# Largest number of channels of Delta in a loop that is tried: beyond it a single frequency takes minutes.
-MOST_CHANNELS = 48
-# Accuracy of the proofs, of the search for a critical Delta, and of the norm of a member.
-PROOF, SEARCH, MEMBER = 1e-3, 1e-2, 1e-2
-# Sizes of the worst direction that are tried for the member that attains most, and when they have settled.
-SIZES, SETTLED = 6, 1e-3
-# Multiples of a critical Delta at which its member is tried for instability.
-BEYOND = (1.0, 1.001, *np.geomspace(1.01, 300.0, 24))
-# Margins beyond this, or below its inverse, are none to prepare for.
-LARGEST = 1e6
 # A member may attain more than was proved by rounding, and no more.
 AGREE = 1e-5
 
@@ -153,6 +144,7 @@ def sampled_robustness(
     effort: float = 1.0,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
+    tuning: SampledTuning = TUNING,
 ) -> SampledRobustness:
     r"""Robust stability and performance of an uncertain continuous plant with a digital controller, for the true loop.
 
@@ -192,6 +184,13 @@ def sampled_robustness(
         Seed of the searches.
     progress
         Called with one line for each degree.
+    tuning
+        Numbers that choose speed and accuracy, for those who measure them.
+
+    Returns
+    -------
+    SampledRobustness
+        The proved margins, the member that attains most, and the loops that were proved.
 
     Raises
     ------
@@ -218,23 +217,19 @@ def sampled_robustness(
         raise InputError(WHERE, f"degree is {degree!r}", "a whole number from 1 to 6")
     if not 0 < accuracy < 1:
         raise InputError(WHERE, f"accuracy {accuracy}", "a number between 0 and 1")
-    budget = design_budget(WHERE, WORK, effort, time_limit)
+    budget = design_budget(WHERE, tuning.robustness_work, effort, time_limit)
     filtered = with_antialiasing(p, antialiasing, WHERE)
     with one_thread():
         compile_kernels()
-        proofs = _Proofs(filtered, k, float(delay), budget, seed, progress)
-        return proofs.run(DEGREES if degree is None else (degree,), accuracy, antialiasing)
+        proofs = _Proofs(filtered, k, float(delay), budget, seed, progress, tuning)
+        return proofs.run(tuning.degrees if degree is None else (degree,), accuracy, antialiasing)
 
 
 def _checked(
     plant: Any, K: Any, n_meas: int | None, n_con: int | None, delay: float
 ) -> tuple[GeneralizedPlant, StateSpaceModel]:
-    k = as_model(getattr(K, "K", K), f"{WHERE}: K")
     given = plant.plant if isinstance(plant, TrackingProblem) else plant
-    p = as_generalized_plant(given, n_meas or k.n_inputs, n_con or k.n_outputs, WHERE)
-    check_sampling(p, k.dt, delay, WHERE)
-    if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
-        raise InputError(WHERE, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
+    p, k = plant_and_controller(given, K, n_meas, n_con, delay, WHERE)
     channels = p.model.n_inputs - p.n_con, p.model.n_outputs - p.n_meas
     needed = sum(b.rows for b in p.blocks), sum(b.cols for b in p.blocks)
     if channels[0] < needed[0] or channels[1] < needed[1]:
@@ -242,16 +237,11 @@ def _checked(
     taken = [b.name for b in p.blocks if b.name in (PERFORMANCE, REST)]
     if taken:
         raise InputError(WHERE, f"a block is called {taken[0]!r}", "another name for it")
-    return p, StateSpaceModel(k.A, k.B, k.C, k.D, k.dt)
+    return p, k
 
 
 def _inverse(value: float) -> float:
     return 1 / value if value > 0 else float("inf")
-
-
-def _sensible(size: float) -> float:
-    """A margin as the size of Delta to prepare for; one where the margin says nothing."""
-    return size if 1 / LARGEST < size < LARGEST else 1.0
 
 
 @dataclass(frozen=True)
@@ -273,7 +263,9 @@ class _Proofs:
         budget: Budget,
         seed: int,
         progress: Callable[[str], None] | None,
+        tuning: SampledTuning,
     ) -> None:
+        self.tuning = tuning
         self.plant, self.K, self.delay, self.budget, self.seed = plant, K, delay, budget, seed
         self.progress = progress or (lambda _: None)
         self.real = [b.name for b in plant.blocks if b.interval]
@@ -292,7 +284,7 @@ class _Proofs:
         shown = self._with_member(proof, mu_lower, member)
         stability, stability_loop = shown, loop
         if performance:
-            aim = _Aim(_sensible(self._proof(core, False, aim.size, SEARCH).lower), aim.delta)
+            aim = _Aim(self._sensible(self._proof(core, False, aim.size, self.tuning.search).lower), aim.delta)
             stability_loop = self._loop(sampled.degree, aim.size)[1]
             stable = self._proof(stability_loop, False, aim.size)
             if stable.lower < proof.lower:  # robust performance needs stability: its proof is one of stability
@@ -328,11 +320,11 @@ class _Proofs:
     def _aim(self, core: UncertainModel, performance: bool) -> _Aim:
         """What the loop without covers says: no bound, but an estimate, and where to look for members."""
         if not self.real:
-            return _Aim(_sensible(self._proof(core, performance, 1.0, SEARCH).lower), {})
+            return _Aim(self._sensible(self._proof(core, performance, 1.0, self.tuning.search).lower), {})
         searched = with_performance(core) if performance else core
-        part = self.budget.share(AIM_SHARE)
-        found = margin_within(searched, part, accuracy=SEARCH, tolerance=np.inf, seed=self.seed)
-        return _Aim(_sensible(found.lower), {name: float(found.delta.get(name, 0.0)) for name in self.real})
+        part = self.budget.share(self.tuning.aim_share)
+        found = margin_within(searched, part, accuracy=self.tuning.search, tolerance=np.inf, seed=self.seed)
+        return _Aim(self._sensible(found.lower), {name: float(found.delta.get(name, 0.0)) for name in self.real})
 
     def _refined(
         self, aim: _Aim, performance: bool, degrees: tuple[int, ...], accuracy: float
@@ -363,10 +355,10 @@ class _Proofs:
         small: list[int] = []
         for degree in degrees:
             sampled = sample_uncertain_plant(self.plant, self.K.dt, degree, self.delay, size)
-            if small and sampled.uncertain.delta_shape[0] > MOST_CHANNELS:
+            if small and sampled.uncertain.delta_shape[0] > self.tuning.most_delta:
                 break
-            if size * sampled.looseness <= LOOSE:
-                more = sampled.uncertain.delta_shape[0] * (degree + 1) <= MOST_CHANNELS * degree
+            if size * sampled.looseness <= self.tuning.loose:
+                more = sampled.uncertain.delta_shape[0] * (degree + 1) <= self.tuning.most_delta * degree
                 return (degree, degree + 1) if more and degree < degrees[-1] else (degree,)
             small.append(degree)
         return tuple(small[-1:]) or degrees[:1]
@@ -376,11 +368,12 @@ class _Proofs:
         sampled = sample_uncertain_plant(self.plant, self.K.dt, degree, self.delay, size)
         return sampled, sampled.uncertain.close(self.K)
 
-    def _proof(self, loop: UncertainModel, performance: bool, size: float, accuracy: float = PROOF) -> Margin:
+    def _proof(self, loop: UncertainModel, performance: bool, size: float, accuracy: float | None = None) -> Margin:
         """The margin from below alone, where about ``size`` is expected."""
         proved = with_performance(loop) if performance else loop
-        part = self.budget.share(PROOF_SHARE)
-        return margin_within(proved, part, accuracy=accuracy, tolerance=np.inf, expected=size * (1 + SEARCH))
+        part, tuning = self.budget.share(self.tuning.proof_share), self.tuning
+        accuracy = tuning.proof if accuracy is None else accuracy
+        return margin_within(proved, part, accuracy=accuracy, tolerance=np.inf, expected=size * (1 + tuning.search))
 
     def _with_member(self, margin: Margin, mu: float, member: Mapping[str, float]) -> Margin:
         """The proved margin with the member that attains ``mu``."""
@@ -392,6 +385,10 @@ class _Proofs:
         upper = max(_inverse(mu), margin.lower)
         return replace(margin, upper=upper, delta=dict(member), physical=known.physical(member) if member else {})
 
+    def _sensible(self, size: float) -> float:
+        """A margin as the size of Delta to prepare for; one where the margin says nothing."""
+        return size if 1 / self.tuning.largest < size < self.tuning.largest else 1.0
+
     # --- members ------------------------------------------------------------------------------------------------------
 
     def _unstable_member(self, delta: Mapping[str, float]) -> tuple[float, dict[str, float], float]:
@@ -400,12 +397,12 @@ class _Proofs:
         if size == 0:
             return 0.0, {}, 0.0
         stable, unstable = 0.0, 0.0
-        for factor in BEYOND:
+        for factor in self.tuning.multiples:
             if not self._is_stable({name: float(factor) * value for name, value in delta.items()}):
                 unstable = float(factor)
                 break
             stable = float(factor)
-        while unstable - stable > SETTLED * unstable:
+        while unstable - stable > self.tuning.settled * unstable:
             middle = 0.5 * (stable + unstable)
             if self._is_stable({name: middle * value for name, value in delta.items()}):
                 stable = middle
@@ -438,7 +435,7 @@ class _Proofs:
         direction = {name: value / size for name, value in delta.items()}
         best = 0.0, dict[str, float](), 0.0
         low, high, at = 0.0, np.inf, size
-        for _ in range(SIZES):
+        for _ in range(self.tuning.sizes):
             tried = {name: at * value for name, value in direction.items()}
             gain = self._gain(tried)
             if min(1 / at, gain) > best[0]:
@@ -446,7 +443,7 @@ class _Proofs:
             low, high = (at, high) if gain < 1 / at else (low, at)
             wanted = float(np.sqrt(at / gain)) if 0 < gain < np.inf else 0.5 * at
             inside = wanted if low < wanted < high else np.sqrt(low * high) if low > 0 else 0.5 * high
-            if not np.isfinite(inside) or abs(inside - at) <= SETTLED * at:
+            if not np.isfinite(inside) or abs(inside - at) <= self.tuning.settled * at:
                 break
             at = float(inside)
         return best
@@ -455,7 +452,9 @@ class _Proofs:
         """Lower bound of the sampled-data norm of a member; inf where it is not stable, 0 where it is ill-posed."""
         self.budget.spend(norm_work(self.plant, self.K))
         try:
-            return sampled_loop_norm(self._member(delta), self.K, self.delay, MEMBER).lower
+            return sampled_loop_norm(
+                self._member(delta), self.K, self.delay, self.tuning.member, tuning=self.tuning
+            ).lower
         except (InputError, NoTrustworthyNumber):
             return 0.0
 

@@ -40,7 +40,8 @@ from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.sampled.held_intervals import ChannelGroup, held_interval, thin_rows
-from robustlab.synthesis.sampled.lifting import whole_and_part
+from robustlab.synthesis.sampled.lifting import HeldControls
+from robustlab.synthesis.sampled.tuning import TUNING
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -48,8 +49,6 @@ __all__ = ["REST", "SampledUncertainPlant", "sample_uncertain_plant"]
 
 
 REST = "rest of the real blocks"
-# Share of the right side above that is left for R v where the rests' gains on each other are large.
-ROOM = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +166,8 @@ class _Period:
         self.n, self.n_u = m.n_states, plant.n_con
         self.n_z = m.n_outputs - plant.n_meas
         self.free = np.concatenate([g.w for g in channels.groups])
-        self.whole, part = whole_and_part(delay, dt)
-        self.n_past = self.whole + (part > 0)
+        self.held_u = HeldControls(delay, dt, self.n_u)
+        part = self.held_u.part
         controls = np.arange(m.n_inputs - self.n_u, m.n_inputs)
         constant = np.concatenate([channels.held, controls])
         lengths = [part, dt - part] if part else [dt]
@@ -215,7 +214,7 @@ class _Period:
             at += count
             return slice(at - count, at)
 
-        self.x, self.past = take(self.n), take(self.n_past * self.n_u)
+        self.x, self.past = take(self.n), take(self.held_u.n_past * self.n_u)
         self.coefficients = [take(self.degree * len(self.free)) for _ in self.intervals]
         self.b = take(len(self.channels.held))
         self.kicks = [[take(k.shape[1]) for k in interval] for interval in self.joint_kicks]
@@ -225,11 +224,7 @@ class _Period:
 
     def _control(self, index: int) -> AnyArray:
         """The control that acts in an interval, as a map of the vector."""
-        age = self.whole + 1 if index < len(self.intervals) - 1 else self.whole
-        control = np.zeros((self.n_u, self.width))
-        start = self.u.start if age == 0 else self.past.start + (age - 1) * self.n_u
-        control[:, start : start + self.n_u] = np.eye(self.n_u)
-        return control
+        return self.held_u.acting(index < len(self.intervals) - 1, self.past, self.u)
 
     def _run(self) -> None:
         """State, coefficients and rests through the intervals."""
@@ -345,14 +340,10 @@ class _Period:
 
     def _model(self, rows: Sequence[AnyArray], columns: Sequence[AnyArray]) -> StateSpaceModel:
         m = self.plant.model
-        shifted = np.zeros((self.n_past * self.n_u, self.width))
-        if self.n_past:
-            shifted[: self.n_u, self.u] = np.eye(self.n_u)
-            shifted[self.n_u :, self.past.start : self.past.stop - self.n_u] = np.eye((self.n_past - 1) * self.n_u)
         measured = self._sampled(np.arange(self.n_z, m.n_outputs))
-        states, outputs = np.vstack([self.end, shifted]), np.vstack([*rows, measured])
+        states, outputs = np.vstack([self.end, self.held_u.shifted(self.past, self.u)]), np.vstack([*rows, measured])
         inputs = np.concatenate([*columns, np.arange(self.u.start, self.u.stop)])
-        x = slice(0, self.n + self.n_past * self.n_u)
+        x = slice(0, self.past.stop)
         return StateSpaceModel(states[:, x], states[:, inputs], outputs[:, x], outputs[:, inputs], self.dt)
 
 
@@ -374,7 +365,7 @@ def _scales(into: AnyArray, out: AnyArray, gains: AnyArray) -> AnyArray:
 def _shares(gains: AnyArray) -> AnyArray:
     r"""Weights :math:`\theta_{ij}`, for which the rests' gains on each other cost least: by Perron's vector.
 
-    With it all rows have the same sum, the spectral radius; where that leaves less than ROOM, the rows are made
+    With it all rows have the same sum, the spectral radius; where that leaves less than the room, the rows are made
     smaller, and the bound is looser, not wrong.
     """
     if not gains.any():
@@ -383,4 +374,4 @@ def _shares(gains: AnyArray) -> AnyArray:
     s = np.abs(np.real(vectors[:, int(np.argmax(np.real(values)))]))
     shares = gains * s[None, :] / s[:, None]
     total = shares.sum(axis=1, keepdims=True)
-    return shares * np.minimum(1.0, (1 - ROOM) / np.maximum(total, 1e-300))
+    return shares * np.minimum(1.0, (1 - TUNING.room) / np.maximum(total, 1e-300))

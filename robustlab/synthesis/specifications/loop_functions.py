@@ -1,4 +1,6 @@
-"""The functions of a loop that a designer looks at, S, T, K S and S G, and the bounds that weights put on them."""
+"""What a designer looks at in a loop: S, T, K S and S G with the bounds that weights put on them, and the curves of a
+finished design over frequency.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +11,25 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, told_as
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.structural import drop_unconnected
 from robustlab.synthesis.problem.design import Synthesis
+from robustlab.synthesis.specifications.weight_design import smallest_gain
 
-__all__ = ["FUNCTIONS", "LoopFunctions", "loop_functions", "loop_functions_of"]
+__all__ = [
+    "FUNCTIONS",
+    "LoopCurves",
+    "LoopFunctions",
+    "frequencies",
+    "loop_curves",
+    "loop_functions",
+    "loop_functions_of",
+]
 
-
+POINTS, SPAN = 400, 1e3  # of a picture: frequencies, and how far from the middle pole others still stretch it
 # Which weight of a mixed-sensitivity problem bounds which function.
 FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
 
@@ -75,10 +86,8 @@ class LoopFunctions:
         weight = self.weights.get(FUNCTIONS[name])
         if weight is None:
             return None
-        sigma = np.linalg.svd(frequency_response(weight, omega), compute_uv=False)
-        smallest = sigma[:, -1] if weight.n_outputs >= weight.n_inputs else np.zeros(len(sigma))
         with np.errstate(divide="ignore"):
-            return self.gamma / smallest
+            return self.gamma / smallest_gain(weight, np.atleast_1d(omega))
 
     def is_stable(self) -> bool:
         """True where the loop is internally stable."""
@@ -97,6 +106,11 @@ def loop_functions(G: Any, K: Any, *, sign: Literal[-1, 1] = -1) -> LoopFunction
         Plant (n_y outputs, n_u inputs) and controller (n_u, n_y).
     sign
         s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``.
+
+    Returns
+    -------
+    LoopFunctions
+        Each function with all states of the loop; no weights.
 
     Raises
     ------
@@ -157,6 +171,21 @@ def loop_functions_of(design: Synthesis) -> LoopFunctions:
     A mixed-sensitivity controller (one whose design has ``weights``) measures the error ``r - y``; every other design
     measures y, and a reference enters as ``u = K (y - r)``. The plant is what leads from the controls to the
     measurements of the design's generalised plant.
+
+    Parameters
+    ----------
+    design
+        Any finished design.
+
+    Returns
+    -------
+    LoopFunctions
+        With the weights and gamma of a mixed-sensitivity design.
+
+    Raises
+    ------
+    InputError
+        An algebraic loop.
     """
     weights = dict(getattr(design, "weights", {}))
     plant = design.plant
@@ -168,3 +197,76 @@ def loop_functions_of(design: Synthesis) -> LoopFunctions:
     names = [(s.name.removeprefix("e "), s.unit) for s in g.outputs]
     found = loop_functions(g.renamed(None, names), design.K, sign=-1)
     return LoopFunctions(found.S, found.T, found.KS, found.SG, weights, design.gamma)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCurves:
+    """Curves of a design.
+
+    Attributes
+    ----------
+    omega
+        Frequencies in rad/s, (n,).
+    closed_loop
+        Singular values of the weighted loop, largest first, (n, k).
+    peak
+        Frequency in rad/s and height of the highest point: gamma, where that bounds the norm of the loop.
+    level
+        What that height is.
+    controller
+        Norm of the controller's column of each measurement, (n, n_y), in control units per unit of the measurement.
+    measurements
+        Names of the measurements.
+    """
+
+    omega: Array
+    closed_loop: Array
+    peak: tuple[float, float]
+    controller: Array
+    measurements: tuple[str, ...]
+    level: str
+
+
+def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | None = None) -> Array:
+    """Frequencies in rad/s for a picture of a loop, (points,): a decade beyond its poles, and beyond ``around``.
+
+    Poles more than three decades above the middle one (those of a controller that hurries for nothing) do not stretch
+    the picture; a discrete model's ends at its Nyquist frequency.
+    """
+    poles = model.poles()
+    if model.is_discrete:
+        poles = np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / model.dt
+    size = np.abs(poles)
+    size = size[size > 1e-12 * size.max(initial=0.0)]
+    middle = float(np.median(size)) if len(size) else 1.0
+    seen = size[(size <= SPAN * middle) & (size >= middle / SPAN)] if len(size) else np.array([1.0])
+    low, high = float(seen.min()) / 10, float(seen.max()) * 10
+    if around is not None and np.isfinite(around) and around > 0:
+        low, high = min(low, around / 10), max(high, around * 10)
+    if model.is_discrete:
+        high = np.pi / model.dt
+        low = min(low, high / 1e3)
+    return np.geomspace(low, high, points)
+
+
+def loop_curves(design: Synthesis) -> LoopCurves:
+    """Singular values of the weighted closed loop and gains of the controller, for figures.
+
+    Examples
+    --------
+    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
+    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> curves = loop_curves(hinf(P, 1, 1))
+    >>> bool((curves.closed_loop[:, 0] <= curves.peak[1] * (1 + 1e-9)).all())
+    True
+    """
+    omega = frequencies(design.closed_loop, around=getattr(design, "peak_frequency", None))
+    sigma = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False).astype(np.float64)
+    at = float(getattr(design, "peak_frequency", np.nan))
+    peak, level = (at, float(design.gamma)), "γ, verified"
+    if not np.isfinite(at):  # gamma is another norm, or that of another loop
+        highest = int(sigma[:, 0].argmax())
+        peak, level = (float(omega[highest]), float(sigma[highest, 0])), "highest of the curve"
+    gains = np.linalg.norm(frequency_response(design.K, omega), axis=1)
+    names = tuple(s.name for s in design.plant.measurements)
+    return LoopCurves(omega, sigma, peak, gains, names, level)

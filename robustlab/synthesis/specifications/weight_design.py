@@ -1,6 +1,12 @@
-"""Weights of a mixed-sensitivity problem from specifications or from a measured noise, and whether they contradict.
+r"""Weights of a mixed-sensitivity problem from specifications or from a measured noise, and whether they contradict.
 
-Weights of mixed-sensitivity problems from specifications; all are proper, stable and minimum phase.
+.. math:: \|W_1 S\|_\infty \le 1, \quad \|W_2 K S\|_\infty \le 1, \quad \|W_3 T\|_\infty \le 1
+
+All are proper, stable and minimum phase.
+
+References
+----------
+Skogestad, Postlethwaite, *Multivariable Feedback Control* (2005), sections 2.8.2, 2.8.3, 5.
 """
 
 from __future__ import annotations
@@ -14,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.statespace import StateSpaceModel, as_model, real_array, series
+from robustlab.statespace import StateSpaceModel, append, as_model, real_array, series
 from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
 
@@ -22,14 +28,18 @@ __all__ = [
     "Conflict",
     "DesignWeights",
     "check_weights",
-    "design_weights",
-    "makeweight",
-    "noise_weight",
     "complementary_weight",
     "control_weight",
+    "design_weights",
     "error_weight",
+    "makeweight",
+    "noise_weight",
     "performance_weight",
+    "smallest_gain",
 ]
+
+SLACK = 1e-9  # a weight may ask for this much more than the check allows before it is called a conflict
+POINTS = 600  # frequencies of the check between those of the models
 
 
 def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0, order: int = 1) -> StateSpaceModel:
@@ -49,6 +59,16 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
         M: largest peak of the sensitivity (> 1).
     order
         k: slope of the weight below the bandwidth in units of 20 dB a decade.
+
+    Returns
+    -------
+    StateSpaceModel
+        W1 of one channel with ``order`` states.
+
+    Raises
+    ------
+    InputError
+        Numbers out of their ranges.
 
     References
     ----------
@@ -109,6 +129,16 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
         omega_c in rad/s above which the control has to fall by 20 dB a decade; a constant weight where left out.
     roll_off
         r: by how much in the end (> 1).
+
+    Returns
+    -------
+    StateSpaceModel
+        W2 of one channel, a constant or of first order.
+
+    Raises
+    ------
+    InputError
+        Numbers out of their ranges.
     """
     where = "control weight"
     _positive(where, limit=limit)
@@ -139,6 +169,16 @@ def complementary_weight(
     order
         k: slope above the bandwidth in units of -20 dB a decade.
 
+    Returns
+    -------
+    StateSpaceModel
+        W3 of one channel with ``order`` states.
+
+    Raises
+    ------
+    InputError
+        Numbers out of their ranges.
+
     References
     ----------
     Skogestad, Postlethwaite 2005, section 2.8.3.
@@ -152,9 +192,57 @@ def complementary_weight(
     return _repeated(_lead(1 / a, bandwidth / m / a, bandwidth / a), order)
 
 
+def makeweight(low_gain: float, through: tuple[float, float], high_gain: float, order: int = 1) -> StateSpaceModel:
+    r"""Weight with given gains at zero and infinite frequency and at one frequency between.
+
+    .. math:: W(s) = \left(\frac{h^{1/k} s + l^{1/k} p}{s + p}\right)^k, \qquad |W(j\omega_c)| = c
+
+    Parameters
+    ----------
+    low_gain, high_gain
+        l and h, positive.
+    through
+        ``(omega_c, c)``: frequency in rad/s and the gain there, between the other two.
+    order
+        k: how steep.
+
+    Returns
+    -------
+    StateSpaceModel
+        Of one channel with ``order`` states.
+
+    Raises
+    ------
+    InputError
+        Gains that are not positive, or the middle one not between the others.
+
+    Examples
+    --------
+    >>> W = makeweight(100.0, (2.0, 1.0), 0.1)
+    >>> float(W.dc_gain()[0, 0]), round(float(abs(frequency_response(W, [2.0])[0, 0, 0])), 12), float(W.D[0, 0])
+    (100.0, 1.0, 0.1)
+    """
+    where = "makeweight"
+    try:
+        omega, gain = (float(x) for x in through)
+    except (TypeError, ValueError):
+        raise InputError(where, f"through is {through!r}", "a frequency and the gain there") from None
+    _positive(where, low_gain=low_gain, high_gain=high_gain, frequency=omega, gain=gain)
+    if not min(low_gain, high_gain) < gain < max(low_gain, high_gain):
+        raise InputError(where, f"gain {gain:g} at {omega:g} rad/s", f"between {low_gain:g} and {high_gain:g}")
+    _order(where, order)
+    low, middle, high = (x ** (1 / order) for x in (low_gain, gain, high_gain))
+    pole = omega * np.sqrt((middle**2 - high**2) / (low**2 - middle**2))
+    return _repeated(_lag(high, (low - high) * pole, pole), order)
+
+
 def _lead(gain: float, zero: float, pole: float) -> StateSpaceModel:
-    """``(gain s + zero) / (s + pole)`` with input and output gains of equal size."""
-    residue = zero - gain * pole
+    """``(gain s + zero) / (s + pole)``."""
+    return _lag(gain, zero - gain * pole, pole)
+
+
+def _lag(gain: float, residue: float, pole: float) -> StateSpaceModel:
+    """``gain + residue / (s + pole)`` with input and output gains of equal size."""
     root = np.sqrt(abs(residue))
     return StateSpaceModel([[-pole]], [[root]], [[np.sign(residue) * root]], [[gain]])
 
@@ -175,11 +263,6 @@ def _positive(where: str, **numbers: float) -> None:
 def _order(where: str, order: int) -> None:
     if isinstance(order, bool) or order not in range(1, 11):
         raise InputError(where, f"order is {order}", "a whole number from 1 to 10")
-
-
-# A weight may ask for this much more than the check allows before it is called a conflict.
-SLACK = 1e-9
-POINTS = 600
 
 
 @dataclass(frozen=True)
@@ -256,6 +339,11 @@ def design_weights(
     plant
         With it, its size, its right-half-plane zeros and its poles are checked against the weights.
 
+    Returns
+    -------
+    DesignWeights
+        The weights, each on one channel, and what contradicts among them.
+
     Raises
     ------
     InputError
@@ -300,6 +388,16 @@ def check_weights(W1: Any = None, W2: Any = None, W3: Any = None, *, plant: Any 
     plant
         Model G; without it only W1 and W3 are compared.
 
+    Returns
+    -------
+    list of Conflict
+        Largest gamma first; empty where none was found.
+
+    Raises
+    ------
+    InputError
+        A weight that is not stable.
+
     Examples
     --------
     >>> from robustlab.synthesis.specifications.weight_design import performance_weight
@@ -328,13 +426,13 @@ def check_weights(W1: Any = None, W2: Any = None, W3: Any = None, *, plant: Any 
 
 
 def _pointwise(weights: list[StateSpaceModel | None], g: StateSpaceModel | None, omega: AnyArray) -> Conflict | None:
-    a = _smallest(weights[0], omega)
-    t, effort = _smallest(weights[2], omega), np.zeros(len(omega))
+    a = smallest_gain(weights[0], omega)
+    t, effort = smallest_gain(weights[2], omega), np.zeros(len(omega))
     if weights[1] is not None and g is not None:
         keep = _off_poles(g, omega)
         omega, a, t = omega[keep], a[keep], t[keep]
         size = np.linalg.svd(frequency_response(g, omega), compute_uv=False)[:, 0]
-        effort = _smallest(weights[1], omega) / np.maximum(size, 1e-300)
+        effort = smallest_gain(weights[1], omega) / np.maximum(size, 1e-300)
     b = np.hypot(t, effort)
     bound = a * b / np.hypot(a, b)
     k = int(np.argmax(bound))
@@ -356,8 +454,8 @@ def _off_poles(g: StateSpaceModel, omega: AnyArray) -> NDArray[np.bool_]:
     return np.abs(1j * omega[:, None] - g.poles()).min(axis=1) > 1e-9 * omega
 
 
-def _smallest(W: StateSpaceModel | None, omega: AnyArray) -> AnyArray:
-    """Smallest singular value over frequency; 0 without a weight, and for one with fewer outputs than inputs."""
+def smallest_gain(W: StateSpaceModel | None, omega: AnyArray) -> AnyArray:
+    """Smallest singular value over frequency, (n_omega,); 0 without a weight, or with fewer outputs than inputs."""
     if W is None or W.n_outputs < W.n_inputs:
         return np.zeros(len(omega))
     return np.linalg.svd(frequency_response(W, omega), compute_uv=False)[:, -1]
@@ -365,8 +463,6 @@ def _smallest(W: StateSpaceModel | None, omega: AnyArray) -> AnyArray:
 
 def _on_outputs(W: StateSpaceModel | None, n: int) -> StateSpaceModel | None:
     """The weight on n channels; None where it has another number of them, or is not square."""
-    from robustlab.statespace import append
-
     if W is not None and (W.n_inputs, W.n_outputs) == (1, 1) and n > 1:
         W = append(*(W.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
     return W if W is not None and W.n_inputs == W.n_outputs == n else None
@@ -381,53 +477,6 @@ def _model(weight: Any, name: str) -> StateSpaceModel:
             f"check_weights: {name}", f"spectral abscissa {model.spectral_abscissa():.3g}", "a stable weight"
         )
     return model
-
-
-def makeweight(low_gain: float, through: tuple[float, float], high_gain: float, order: int = 1) -> StateSpaceModel:
-    r"""Weight with given gains at zero and infinite frequency and at one frequency between.
-
-    .. math:: W(s) = \left(\frac{h^{1/k} s + l^{1/k} p}{s + p}\right)^k, \qquad |W(j\omega_c)| = c
-
-    Parameters
-    ----------
-    low_gain, high_gain
-        l and h, positive.
-    through
-        ``(omega_c, c)``: frequency in rad/s and the gain there, between the other two.
-    order
-        k: how steep.
-
-    Raises
-    ------
-    InputError
-        Gains that are not positive, or the middle one not between the others.
-
-    Examples
-    --------
-    >>> W = makeweight(100.0, (2.0, 1.0), 0.1)
-    >>> float(W.dc_gain()[0, 0]), round(float(abs(frequency_response(W, [2.0])[0, 0, 0])), 12), float(W.D[0, 0])
-    (100.0, 1.0, 0.1)
-    """
-    where = "makeweight"
-    try:
-        omega, gain = (float(x) for x in through)
-    except (TypeError, ValueError):
-        raise InputError(where, f"through is {through!r}", "a frequency and the gain there") from None
-    for name, value in (("low_gain", low_gain), ("high_gain", high_gain), ("frequency", omega), ("gain", gain)):
-        if not np.isfinite(value) or value <= 0:
-            raise InputError(where, f"{name} is {value}", "a positive number")
-    if not min(low_gain, high_gain) < gain < max(low_gain, high_gain):
-        raise InputError(where, f"gain {gain:g} at {omega:g} rad/s", f"between {low_gain:g} and {high_gain:g}")
-    if isinstance(order, bool) or order not in range(1, 11):
-        raise InputError(where, f"order is {order}", "a whole number from 1 to 10")
-    low, middle, high = (x ** (1 / order) for x in (low_gain, gain, high_gain))
-    pole = omega * np.sqrt((middle**2 - high**2) / (low**2 - middle**2))
-    root = np.sqrt(abs(low - high) * pole)
-    one = StateSpaceModel([[-pole]], [[root]], [[np.sign(low - high) * root]], [[high]])
-    whole = one
-    for _ in range(order - 1):
-        whole = series(whole, one)
-    return whole
 
 
 def noise_weight(

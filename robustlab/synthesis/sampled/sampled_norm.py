@@ -31,13 +31,17 @@ from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
+from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
 
-__all__ = ["SampledDataNorm", "sampled_data_norm", "sampled_loop_norm", "with_antialiasing"]
-
-
-INTERVALS = (2, 4, 8, 16, 32, 64)
-# Largest number of lifted disturbance or performance channels.
-MOST_CHANNELS = 256
+__all__ = [
+    "SampledDataNorm",
+    "check_sampling",
+    "norm_work",
+    "plant_and_controller",
+    "sampled_data_norm",
+    "sampled_loop_norm",
+    "with_antialiasing",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +103,7 @@ def sampled_data_norm(
     n_meas: int | None = None,
     n_con: int | None = None,
     rtol: float = 1e-2,
+    tuning: SampledTuning = TUNING,
 ) -> SampledDataNorm:
     r"""H-infinity norm from w to z of a continuous plant with a digital controller, inter-sample behaviour included.
 
@@ -120,6 +125,13 @@ def sampled_data_norm(
         Numbers of measurements and controls, where a plain plant is given.
     rtol
         Relative width of the bracket that ends the refinement.
+    tuning
+        Numbers that choose speed and accuracy, for those who measure them.
+
+    Returns
+    -------
+    SampledDataNorm
+        The bracket, the frequency of the peak, and the loop over whole periods.
 
     Raises
     ------
@@ -138,16 +150,24 @@ def sampled_data_norm(
     ('certified', True)
     """
     where = "sampled_data_norm"
-    k = as_model(getattr(K, "K", K), f"{where}: K")
-    p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
+    p, k = plant_and_controller(plant, K, n_meas, n_con, delay, where)
     require_performance(p, where)
-    check_sampling(p, k.dt, delay, where)
-    if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
-        raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
     if not 0 < rtol < 1:
         raise InputError(where, f"rtol is {rtol}", "between 0 and 1")
     with one_thread():
-        return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol)
+        return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol, tuning=tuning)
+
+
+def plant_and_controller(
+    plant: Any, K: Any, n_meas: int | None, n_con: int | None, delay: float, where: str
+) -> tuple[GeneralizedPlant, StateSpaceModel]:
+    """Plant and digital controller, the latter without names, checked: they fit, and the sample time is one."""
+    k = as_model(getattr(K, "K", K), f"{where}: K")
+    p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
+    check_sampling(p, k.dt, delay, where)
+    if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
+        raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
+    return p, _plain(k)
 
 
 def check_sampling(plant: GeneralizedPlant, dt: float, delay: float, where: str) -> None:
@@ -190,7 +210,12 @@ def norm_work(plant: GeneralizedPlant, K: StateSpaceModel) -> int:
 
 
 def sampled_loop_norm(
-    plant: GeneralizedPlant, K: StateSpaceModel, delay: float, rtol: float, enough: float = np.inf
+    plant: GeneralizedPlant,
+    K: StateSpaceModel,
+    delay: float,
+    rtol: float,
+    enough: float = np.inf,
+    tuning: SampledTuning = TUNING,
 ) -> SampledDataNorm:
     """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed.
 
@@ -201,8 +226,8 @@ def sampled_loop_norm(
     history: list[tuple[int, float, float]] = []
     best: SampledDataNorm | None = None
     lifted: LiftedPlant | None = None
-    for n_intervals in INTERVALS:
-        if best is not None and n_intervals * max(n_w, n_z) > MOST_CHANNELS:
+    for n_intervals in tuning.intervals:
+        if best is not None and n_intervals * max(n_w, n_z) > tuning.most_lifted:
             break
         lifted = lift(plant, K.dt, n_intervals, delay)
         found = _bracket(lifted, lower_lft(lifted.model, _plain(K)), min(1e-4, 0.1 * rtol))

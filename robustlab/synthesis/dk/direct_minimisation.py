@@ -20,49 +20,29 @@ from itertools import combinations
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, DynamicScalings
-from robustlab.synthesis.dk.riccati_level import Branches, Level, LevelSearch
-from robustlab.synthesis.dk.robust_loop import RobustProblem
+from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
+from robustlab.synthesis.dk.riccati_level import Branches, Level
+from robustlab.synthesis.dk.robust_problem import RobustProblem
 
 __all__ = ["grown", "minimised"]
-
-
-DECREASE = 1e-3  # share of the promised decrease that a step has to bring
-LINE_STEPS = 10
-FIRST_SCALE = 1.0
-# Branches (in log beta) below the level that the model of a step holds, and how many.
-WITHIN, MOST = 0.5, 5
-STEPS = 60
-# Steps without this relative progress in so many of them end the descent.
-PROGRESS, PATIENCE = 2e-5, 5
-LARGEST_MOVE = 1.0  # of a logarithmic parameter in one step
-# Logarithmic parameters outside the range are refused: scalings shall not run away.
-RANGE = 16.0
-PLACES = 9  # places of a new section over frequency
-SHORT, PURSUED = 10, 4
 
 
 class _Objective:
     """``log beta`` by theta, for scalings of one form, as the largest of several smooth branches."""
 
     def __init__(self, problem: RobustProblem, scalings: DynamicScalings) -> None:
-        self.problem = problem
-        self.search: LevelSearch = problem.search(scalings)
-        self.centre = scalings.parameters()
+        self.budget, self.tuning = problem.budget, problem.tuning
+        self.search, self.centre = problem.search(scalings), scalings.parameters()
 
     def level(self, theta: AnyArray, guess: float) -> Level | None:
         """The smallest level; None outside the range, or where there is none."""
-        if np.abs(theta - self.centre).max(initial=0.0) > RANGE:
+        if np.abs(theta - self.centre).max(initial=0.0) > self.tuning.largest_range:
             return None
         return self.search.smallest(theta, guess)
 
-    def branches(self, theta: AnyArray, level: Level) -> Branches | None:
-        """The branches at and little below the level."""
-        return self.search.branches(theta, level, WITHIN, MOST)
-
 
 def minimised(
-    problem: RobustProblem, scalings: DynamicScalings, guess: float, steps: int = STEPS
+    problem: RobustProblem, scalings: DynamicScalings, guess: float, steps: int | None = None
 ) -> tuple[DynamicScalings, float] | None:
     """Scalings of the same form with a smaller level, and that level; None where the start has none.
 
@@ -70,20 +50,20 @@ def minimised(
     H by BFGS updates of the Lagrangian: where two eigenvalues of X Y meet the level has a kink, and a descent that
     knows one of them only gets stuck.
     """
-    objective = _Objective(problem, scalings)
+    objective, tuning = _Objective(problem, scalings), problem.tuning
     x = scalings.parameters()
     level = objective.level(x, guess)
     if level is None:
         return None
-    local = objective.branches(x, level)
-    start = H = np.eye(len(x)) * FIRST_SCALE
+    local = objective.search.branches(x, level)
+    start = H = np.eye(len(x)) * tuning.first_scale
     levels = [float(np.log(level.beta))]
-    for _ in range(steps):
+    for _ in range(tuning.steps if steps is None else steps):
         if local is None or not len(x) or problem.budget.over:
             break
         multipliers, predicted = _multipliers(local, H)
         direction = -H @ (multipliers @ local.slopes)
-        shrink = min(1.0, LARGEST_MOVE / max(float(np.abs(direction).max()), 1e-300))
+        shrink = min(1.0, tuning.largest_move / max(float(np.abs(direction).max()), 1e-300))
         step = _line_search(objective, x, level, shrink * direction, shrink * predicted)
         if step is None:
             if H is start:
@@ -91,12 +71,12 @@ def minimised(
             H = start
             continue
         s, level = step
-        after = objective.branches(x + s, level)
+        after = objective.search.branches(x + s, level)
         if after is not None:
             H = _updated(start if len(levels) == 1 else H, s, _change(local, after, multipliers), len(levels) == 1)
         x, local = x + s, after
         levels.append(float(np.log(level.beta)))
-        if len(levels) > PATIENCE and levels[-1 - PATIENCE] - levels[-1] < PROGRESS:
+        if len(levels) > tuning.patience and levels[-1 - tuning.patience] - levels[-1] < tuning.step_progress:
             break
     return scalings.with_parameters(x), level.beta
 
@@ -133,11 +113,11 @@ def _line_search(
 ) -> tuple[AnyArray, Level] | None:
     """The longest step of a falling sequence that reaches a share of the promised decrease; None where none does."""
     start, t = float(np.log(level.beta)), 1.0
-    for _ in range(LINE_STEPS):
-        if objective.problem.budget.over:
+    for _ in range(objective.tuning.line_steps):
+        if objective.budget.over:
             return None
         found = objective.level(x + t * direction, level.beta)
-        if found is not None and np.log(found.beta) <= start + DECREASE * t * predicted - 1e-9:
+        if found is not None and np.log(found.beta) <= start + objective.tuning.decrease * t * predicted - 1e-9:
             return t * direction, found
         t *= 0.35
     return None
@@ -176,21 +156,21 @@ def grown(
     (low, high); they leave the level as it is. The steepest ones are followed for a few steps, and the best is kept.
     """
     candidates: list[tuple[float, DynamicScalings]] = []
-    for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES)):
+    for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), problem.tuning.places)):
         if problem.budget.over:
             return None
         if trial.n_states > max_states:
             continue
         objective = _Objective(problem, trial)
         reached = objective.level(trial.parameters(), level)
-        local = None if reached is None else objective.branches(trial.parameters(), reached)
+        local = None if reached is None else objective.search.branches(trial.parameters(), reached)
         if local is not None:
-            _, promised = _multipliers(local, np.eye(local.slopes.shape[1]) * FIRST_SCALE)
+            _, promised = _multipliers(local, np.eye(local.slopes.shape[1]) * problem.tuning.first_scale)
             candidates.append((promised / (trial.n_states - scalings.n_states), trial))
     candidates.sort(key=lambda pair: pair[0])
     best: tuple[DynamicScalings, float] | None = None
-    for _, trial in candidates[:PURSUED]:
-        found = minimised(problem, trial, level, SHORT)
+    for _, trial in candidates[: problem.tuning.pursued]:
+        found = minimised(problem, trial, level, problem.tuning.short)
         if found is not None and (best is None or found[1] < best[1]):
             best = found
     return best
@@ -202,10 +182,8 @@ def _candidates(scalings: DynamicScalings, places: AnyArray) -> list[DynamicScal
     for i, part in enumerate(scalings.parts):
         for k, factor in enumerate(part.factors):
             for at in places:
-                factors = (*part.factors[:k], factor.with_section(float(at), float(at)), *part.factors[k + 1 :])
-                found.append(scalings.with_part(i, BlockScaling(factors, part.mixing, part.g)))
+                found.append(scalings.with_part(i, part.with_factor(k, factor.with_section(float(at), float(at)))))
         for k, pair in enumerate(part.g):
             for at in places:
-                g = (*part.g[:k], pair.with_section(float(at), float(at)), *part.g[k + 1 :])
-                found.append(scalings.with_part(i, BlockScaling(part.factors, part.mixing, g)))
+                found.append(scalings.with_part(i, part.with_pair(k, pair.with_section(float(at), float(at)))))
     return found

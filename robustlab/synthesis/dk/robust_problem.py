@@ -1,11 +1,12 @@
-r"""Controllers of a robust-performance problem: solved for given scalings, closed, and proved at all frequencies.
+r"""A robust-performance problem: its first controller, and controllers solved for given scalings, closed and proved.
 
-A first controller for robust-performance synthesis: good nominal performance that does not rely on the model alone.
+For given D, G the smallest level is an H-infinity problem (`LevelSearch`); its central controller is closed with the
+plant as given, and counts by what the same D, G prove for the loop rebuilt (`proved_level`).
 
-H-infinity synthesis for all channels of a perturbed plant weighs perturbations in the units they happen to have, and
-its controller may be far from any good one. The nominal problem has the units of the specifications; but where nothing
-in it disturbs the plant, its best controller is little more than a feedforward. A small disturbance on the controls
-asks for feedback:
+The first controller: H-infinity synthesis for all channels of a perturbed plant weighs perturbations in the units they
+happen to have, and its controller may be far from any good one. The nominal problem has the units of the
+specifications; but where nothing in it disturbs the plant, its best controller is little more than a feedforward. A
+small disturbance d on the controls asks for feedback:
 
 .. math:: u = K y + \eta \, \mathrm{diag}(\|T_{u_i w}\|_\infty) \, d
 """
@@ -14,10 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
@@ -27,8 +26,9 @@ from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.certificate import level as certificate_level
 from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
-from robustlab.synthesis.dk.riccati_level import LevelSearch, proved_level, scaled_plant
+from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
+from robustlab.synthesis.dk.riccati_level import LevelSearch
+from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.search import Search, soften
 from robustlab.synthesis.problem.independent_check import AGREEMENT, hinf_voice, separate_responses
@@ -36,25 +36,42 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrice
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
-__all__ = [
-    "Iterate",
-    "RobustProblem",
-    "nominal_start",
-]
+__all__ = ["Iterate", "RobustProblem", "nominal_start"]
 
 
-# A central controller at the smallest level itself is ill-conditioned: the level is backed off until the proof agrees.
-# The last ones are for plants of such spread that digits are lost in the controller.
-BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
-# Loss against the level of the Riccati equations above which the other numerical scaling is tried as well.
-ACCEPTED = 1e-2
-# Shares (of a logarithm) of the slack in the level at which slower controllers are sought.
-SOFTER = (0.999, 0.8, 0.5)
-# So many of the slowest controllers found are tried.
-CALMEST = 4
-# D12, D21 below this size in scaled units need regularisation.
-REGULAR = 1e-6
-STATE_SHARE = 0.3
+def nominal_start(
+    plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget, tuning: DKTuning = TUNING
+) -> StateSpaceModel | None:
+    """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
+
+    None where no controller was verified, or where the control has nothing to do.
+    """
+    m, n_u, n_y, gamma_rel = plant.model, plant.n_con, plant.n_meas, tuning.nominal_gamma_rel
+    into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
+    out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
+    B, C, D = m.B[:, into], m.C[out], m.D[out][:, into]
+    try:
+        bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
+        first = synthesize(bare, "hinf", gamma_rel, budget.share(0.5))
+        # eta times what the control does without the disturbance
+        size = tuning.nominal_share * _effort(m.A, B, C[n_z:], D[n_z:], first.K, tuning.nominal_points)
+        if not (np.isfinite(size).all() and size.any()):
+            return None
+        more_B, more_D = B[:, n_w:] * size, D[:, n_w:] * size
+        disturbed = StateSpaceModel(m.A, np.hstack([more_B, B]), C, np.hstack([more_D, D]), m.dt)
+        return synthesize(GeneralizedPlant(disturbed, n_y, n_u), "hinf", gamma_rel, budget).K
+    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow, or nothing was verified
+        return None
+
+
+def _effort(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, K: StateSpaceModel, points: int) -> AnyArray:
+    """Largest gain from all w to each control on a grid, shape (n_u,); B, C, D from [w; u] to y."""
+    n_u, n = K.n_outputs, len(A)
+    n_w = B.shape[1] - n_u
+    direct = np.hstack([np.zeros((n_u, n_w)), np.eye(n_u)])
+    bare = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
+    loop = lower_lft(StateSpaceModel(A, B, np.vstack([np.zeros((n_u, n)), C]), np.vstack([direct, D]), K.dt), bare)
+    return np.linalg.norm(frequency_response(loop, default_grid(loop, points)), axis=2).max(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +113,8 @@ class RobustProblem:
         limit.
     """
 
-    def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None) -> None:
-        self.plant, self.budget = plant, Budget() if budget is None else budget
+    def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None, tuning: DKTuning = TUNING) -> None:
+        self.plant, self.budget, self.tuning = plant, Budget() if budget is None else budget, tuning
         model = plant.model
         mapped = bilinear_to_continuous(model) if model.is_discrete else model
         self._continuous = GeneralizedPlant(mapped, plant.n_meas, plant.n_con)
@@ -108,16 +125,17 @@ class RobustProblem:
         _, n_w, n_u, n_z, n_y = p.sizes
         u_size = np.linalg.svd(p.D12, compute_uv=False).min() if n_z >= n_u else 0.0
         y_size = np.linalg.svd(p.D21, compute_uv=False).min() if n_w >= n_y else 0.0
-        self._regular = bool(u_size > REGULAR and y_size > REGULAR)
+        self._regular = bool(min(u_size, y_size) > tuning.regular)
 
     def search(self, scalings: DynamicScalings, alternative: bool = False) -> LevelSearch:
         """Search for the smallest level of scalings of this form; ``alternative``: with another numerical scaling."""
 
         def at(theta: AnyArray, beta: float) -> PlantMatrices:
-            return scaled_plant(self.matrices, scalings.with_parameters(theta), beta)
+            return plant_at_level(self.matrices, scalings.with_parameters(theta), beta)
 
         scaled = at(scalings.parameters(), 1.0)
-        return LevelSearch(at, equilibrated(scaled) if alternative else paths_first(scaled), self.budget)
+        units = equilibrated(scaled) if alternative else paths_first(scaled)
+        return LevelSearch(at, units, self.budget, self.tuning)
 
     def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
         """The controller of smallest proved level for given scalings; None where none was found."""
@@ -130,20 +148,20 @@ class RobustProblem:
             found = self._backed_off(search, scalings, level.beta)
             if found is not None and (best is None or found.level < best.level):
                 best = found
-            if best is not None and best.level <= level.beta * (1 + ACCEPTED):
+            if best is not None and best.level <= level.beta * (1 + self.tuning.accepted):
                 return best
         return best
 
     def at_level(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
         """The controller at a level that is known to be the smallest one of these scalings; does not ask the budget."""
-        return self._backed_off(self.search(scalings), scalings, beta, BACKOFF[:3])
+        return self._backed_off(self.search(scalings), scalings, beta, 3)
 
     def _backed_off(
-        self, search: LevelSearch, scalings: DynamicScalings, beta: float, shares: tuple[float, ...] = BACKOFF
+        self, search: LevelSearch, scalings: DynamicScalings, beta: float, most: int | None = None
     ) -> Iterate | None:
         """The controller of smallest proved level among those a little above the level ``beta``."""
         best: Iterate | None = None
-        for share in shares:
+        for share in self.tuning.backoff[:most]:
             if best is not None and best.level <= beta * (1 + share):
                 break  # a higher level promises nothing better
             K = search.controller(scalings.parameters(), beta * (1 + share))
@@ -164,18 +182,20 @@ class RobustProblem:
         search = self.search(iterate.scalings)
         theta = iterate.scalings.parameters()
         best, middle = iterate, None
-        for share in SOFTER:
+        for share in self.tuning.softer:
             K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
             middle = K if K is not None else middle
             best = self._slower(K, best, limit)
         if middle is None or self.budget.over:
             return best
-        plant = scaled_plant(self.bare, iterate.scalings, limit)  # a gain of at most one proves the limit
+        plant = plant_at_level(self.bare, iterate.scalings, limit)  # a gain of at most one proves the limit
         trials = Search(plant, paths_first(plant), self.budget)
         start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
         if start is not None:
             soften(trials, start, 1.0)
-        for candidate in sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)[:CALMEST]:
+        for candidate in sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)[
+            : self.tuning.calmest
+        ]:
             best = self._slower(StateSpaceModel(*candidate.K), best, limit)
         return best
 
@@ -241,7 +261,7 @@ class RobustProblem:
 
     def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
         """The scaled plant, D22 included."""
-        model = scaled_plant(self.bare, scalings, beta).model()
+        model = plant_at_level(self.bare, scalings, beta).model()
         D, D22 = model.D.copy(), self._continuous.D22
         D[D.shape[0] - D22.shape[0] :, D.shape[1] - D22.shape[1] :] = D22
         return GeneralizedPlant(StateSpaceModel(model.A, model.B, model.C, D), self.plant.n_meas, self.plant.n_con)
@@ -258,7 +278,7 @@ class RobustProblem:
         n, n_w, n_u, n_z, n_y = self.bare.sizes
         into = self.scale.states * self.scale.rate
         try:
-            open_loop = scaled_plant(
+            open_loop = plant_at_level(
                 self.bare.with_channels(1.0, 1.0, 1 / self.scale.states, into), iterate.scalings, 1.0
             ).model()
             K = with_direct_term(self._mapped(iterate.K), -self._continuous.D22)  # taken out again
@@ -273,55 +293,14 @@ class RobustProblem:
         out = float(size(response[:, n_z + n_u :, :n_w], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
         back = float(size(response[:, :n_z, n_w + n_y :], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
         level = share * iterate.level
+        state_level = self.tuning.state_share * level
         least = level  # no channel heavier than one in these units
         self.matrices = self.bare.with_channels(
             level / np.maximum(u, least) / np.sqrt(n_u),
             level / np.maximum(y, least) / np.sqrt(n_y),
-            STATE_SHARE * level / max(out, least) / self.scale.states,
-            STATE_SHARE * level / max(back, least) * into,
+            state_level / max(out, least) / self.scale.states,
+            state_level / max(back, least) * into,
         )
 
     def _mapped(self, K: StateSpaceModel) -> StateSpaceModel:
         return bilinear_to_continuous(K) if K.is_discrete else K
-
-
-# eta: the disturbance's share of what the control does without it; and the factor above the smallest gamma that the
-# calmer controllers of both designs may cost.
-SHARE, GAMMA_REL = 0.03, 1.1
-POINTS = 80
-
-
-def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -> StateSpaceModel | None:
-    """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
-
-    None where no controller was verified, or where the control has nothing to do.
-    """
-    m, n_u, n_y = plant.model, plant.n_con, plant.n_meas
-    into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
-    out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
-    B, C, D = m.B[:, into], m.C[out], m.D[out][:, into]
-    try:
-        bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
-        first = synthesize(bare, "hinf", GAMMA_REL, budget.share(0.5))
-        size = SHARE * _effort(m.A, B, C[n_z:], D[n_z:], first.K)
-        if not (np.isfinite(size).all() and size.any()):
-            return None
-        more_B, more_D = B[:, n_w:] * size, D[:, n_w:] * size
-        disturbed = StateSpaceModel(m.A, np.hstack([more_B, B]), C, np.hstack([more_D, D]), m.dt)
-        return synthesize(GeneralizedPlant(disturbed, n_y, n_u), "hinf", GAMMA_REL, budget).K
-    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow, or nothing was verified
-        return None
-
-
-def _effort(A: NDArray[Any], B: NDArray[Any], C: NDArray[Any], D: NDArray[Any], K: StateSpaceModel) -> NDArray[Any]:
-    """Largest gain from all w to each control on a grid, shape (n_u,); B, C, D from [w; u] to y."""
-    n_u, n = K.n_outputs, len(A)
-    n_w = B.shape[1] - n_u
-    direct = np.hstack([np.zeros((n_u, n_w)), np.eye(n_u)])
-    loop = lower_lft(StateSpaceModel(A, B, np.vstack([np.zeros((n_u, n)), C]), np.vstack([direct, D]), K.dt), _bare(K))
-    return np.linalg.norm(frequency_response(loop, default_grid(loop, POINTS)), axis=2).max(axis=0)
-
-
-def _bare(K: StateSpaceModel) -> StateSpaceModel:
-    """Without names and units."""
-    return StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
