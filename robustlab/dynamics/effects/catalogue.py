@@ -14,12 +14,6 @@ from robustlab.errors import InputError, did_you_mean
 
 __all__ = ["add_effect", "catalogue", "effect"]
 
-# Modules of this folder that hold no effect.
-MACHINERY = (
-    "__init__", "catalogue", "effect_contract", "extended_plant", "law_kernel", "load_side", "parameter_effect",
-    "port_model", "simulator",
-)  # fmt: skip
-
 _ADDED: dict[str, Effect] = {}
 
 
@@ -57,7 +51,7 @@ def _own() -> dict[str, Effect]:
     """The effects of this folder."""
     found: dict[str, Effect] = {}
     for file in sorted(Path(__file__).parent.glob("*.py")):
-        if file.stem in MACHINERY:
+        if file.stem in ("__init__", "catalogue"):
             continue
         candidate = getattr(import_module(f"robustlab.dynamics.effects.{file.stem}"), "EFFECT", None)
         if candidate is None:
