@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.extended.effect_blocks import _above_beyond, delay_block, effect_blocks
+from robustlab.dynamics.extended.delays import _above_beyond, delay_block
+from robustlab.dynamics.extended.effect_blocks import effect_blocks
 from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.remaining_uncertainty import uncertain_from

@@ -12,7 +12,7 @@ from pathlib import Path
 from robustlab.dynamics.effects.contract import Effect
 from robustlab.errors import InputError, did_you_mean
 
-__all__ = ["add_effect", "catalogue", "effect"]
+__all__ = ["add_effect", "catalogue", "effect", "effect_names"]
 
 _ADDED: dict[str, Effect] = {}
 
@@ -76,3 +76,19 @@ def effect(name: str) -> Effect:
             f"effect {name!r}", "no such effect", f"one of {', '.join(known)}", did_you_mean(name, tuple(known))
         )
     return known[name]
+
+
+def effect_names() -> tuple[str, ...]:
+    """Ids of all effects of the catalogue.
+
+    Returns
+    -------
+    tuple
+        Sorted; those of `add_effect` among them.
+
+    Examples
+    --------
+    >>> "coulomb-friction" in effect_names()
+    True
+    """
+    return tuple(catalogue())

@@ -35,7 +35,7 @@ class InputDeadZone(Effect):
     def input_error(self, values: Mapping[str, float]) -> float:
         return values["d"]
 
-    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
         return Footprint(site.name, "input", 0.0, max(0.0, 1.0 - values["d"] / amplitude))
 
 
