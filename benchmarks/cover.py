@@ -130,7 +130,7 @@ def weight_sets() -> dict[str, tuple[list, str]]:
 
 
 def weight_lines() -> list[str]:
-    from robustlab.dynamics.extended.effect_blocks import delay_block
+    from robustlab.dynamics.extended.delays import delay_block
 
     head = f"{'set and form':46}{'order':>6}{'excess %':>10}{'least %':>9}{'of best %':>10}{'lowest':>10}"
     lines = [head + f"{'proved':>8}{'CPU s':>8}"]

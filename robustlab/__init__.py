@@ -23,7 +23,7 @@ _PUBLIC = {
     "linearise": "dynamics",
     "simulate": "dynamics",
     "with_effects": "dynamics.extended.extended_plant",
-    "effect_names": "dynamics.extended.attached_effect",
+    "effect_names": "dynamics.effects.catalogue",
     # uncertainty
     "RealScalar": "uncertainty.blocks",
     "ComplexScalar": "uncertainty.blocks",

@@ -3,7 +3,7 @@ from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
 from robustlab.dynamics import simulate as simulate
 from robustlab.dynamics import trim as trim
-from robustlab.dynamics.extended.attached_effect import effect_names as effect_names
+from robustlab.dynamics.effects.catalogue import effect_names as effect_names
 from robustlab.dynamics.extended.extended_plant import with_effects as with_effects
 from robustlab.errors import InputError as InputError
 from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.extended.effect_blocks import _above_beyond, delay_block, effect_blocks
+from robustlab.dynamics.extended.delays import _above_beyond, delay_block
+from robustlab.dynamics.extended.effect_blocks import effect_blocks
 from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.remaining_uncertainty import uncertain_from
@@ -306,3 +307,9 @@ def test_a_set_with_friction_as_a_load_makes_the_record_of_another_machine_withi
     member = made.model.evaluate({"M": mass})
     again = rl.simulate(member, t, np.column_stack([signal, u]))["q"]
     np.testing.assert_allclose(again, record["q"], atol=2e-5 * np.ptp(record["q"]))
+
+
+def test_an_effect_on_a_sensor_is_no_load_at_the_joint_of_the_same_name():
+    shown = rl.with_effects(rl.plant("dc-motor"), {"sensor-bias@omega": {"b": 0.5}})
+    with pytest.raises(rl.InputError, match="neither linear nor bounded"):
+        effect_loads(shown)

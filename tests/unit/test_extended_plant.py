@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.extended.extended_linear_model import pade_delay
+from robustlab.dynamics.extended.delays import pade_delay
 from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
 
 T = np.arange(2001) * 1e-3

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robustlab.synthesis.problem.verified_loop import balanced_states, separated_modes
 
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber

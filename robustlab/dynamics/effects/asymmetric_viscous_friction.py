@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GV, V0, V, law
 
 __all__ = ["EFFECT", "asymmetric_force"]
@@ -35,14 +35,12 @@ class AsymmetricViscousFriction(Effect):
     title = "Direction-dependent viscous friction"
     equation = "f = -dFv |v|: viscous coefficient +dFv forwards, -dFv backwards"
     site_kind = "joint"
+    force = asymmetric_force
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         unit = f"{scales.force_unit} s/{scales.speed_unit.removesuffix('/s')}" if scales.force_unit else ""
         prior = Prior("linear", 0.0, 0.3 * scales.force / scales.speed)
         return (EffectParameter("dFv", unit, "half of the difference of the directions' coefficients", prior),)
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(asymmetric_force, site.name, (values["dFv"],)),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Sector of -dFv |v| over v: either sign, at any amplitude.

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, Q0, STEP, Q, law
@@ -55,12 +54,10 @@ class Backlash(Effect):
     id = "backlash"
     title = "Backlash"
     equation = "F = -m (w^2 e + 2 zeta w e') sgn(delta) outside |delta| <= gap/2, w = 2 pi f, m = share (1 - share) J"
+    independently = "hold the motor and move the output by hand against a dial gauge"
     site_kind = "joint"
     substeps = 4
     structural = True
-
-    def fits(self, port: Any) -> bool:
-        return "." not in port.name
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (

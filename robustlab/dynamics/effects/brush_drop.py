@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.coulomb_friction import dry_force
 
 __all__ = ["EFFECT"]
@@ -22,16 +22,16 @@ class BrushDrop(Effect):
     id = "brush-drop"
     title = "Brush voltage drop"
     equation = "f = -Vb sgn(i), |f| <= Vb at i = 0"
+    independently = "measure voltage and current at the terminals with the rotor held"
+    constant_loss = "voltage"
     site_kind = "current"
+    force = dry_force
     # Electric time constants are shorter than a sample, and the back-EMF changes while no current flows.
     substeps = 4
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("log", 0.05 * scales.force, 1.2)
         return (EffectParameter("Vb", scales.force_unit, "voltage drop", prior),)
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(dry_force, site.name, (values["Vb"],)),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function of the relay at a sine of the current amplitude a: 4 Vb / (pi a).

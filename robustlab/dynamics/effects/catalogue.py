@@ -5,20 +5,15 @@ An effect that lives elsewhere joins it by `add_effect`, for as long as the proc
 
 from __future__ import annotations
 
+import pkgutil
 from functools import cache
 from importlib import import_module
-from pathlib import Path
 
+from robustlab.dynamics import effects
 from robustlab.dynamics.effects.contract import Effect
 from robustlab.errors import InputError, did_you_mean
 
-__all__ = ["add_effect", "catalogue", "effect"]
-
-# Modules of this folder that hold no effect.
-MACHINERY = (
-    "__init__", "catalogue", "effect_contract", "extended_plant", "law_kernel", "load_side", "parameter_effect",
-    "port_model", "simulator",
-)  # fmt: skip
+__all__ = ["add_effect", "catalogue", "effect", "effect_names"]
 
 _ADDED: dict[str, Effect] = {}
 
@@ -56,14 +51,13 @@ def add_effect(added: Effect) -> None:
 def _own() -> dict[str, Effect]:
     """The effects of this folder."""
     found: dict[str, Effect] = {}
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        if file.stem in MACHINERY:
-            continue
-        candidate = getattr(import_module(f"robustlab.dynamics.effects.{file.stem}"), "EFFECT", None)
+    for module in pkgutil.iter_modules(effects.__path__):
+        candidate = getattr(import_module(f"{effects.__name__}.{module.name}"), "EFFECT", None)
         if candidate is None:
             continue
         if candidate.id in found:
-            raise InputError(f"effects/{file.name}", f"the id {candidate.id!r}, which another file has", "its own id")
+            where = f"effects/{module.name}.py"
+            raise InputError(where, f"the id {candidate.id!r}, which another file has", "its own id")
         found[candidate.id] = candidate
     return found
 
@@ -82,3 +76,19 @@ def effect(name: str) -> Effect:
             f"effect {name!r}", "no such effect", f"one of {', '.join(known)}", did_you_mean(name, tuple(known))
         )
     return known[name]
+
+
+def effect_names() -> tuple[str, ...]:
+    """Ids of all effects of the catalogue.
+
+    Returns
+    -------
+    tuple
+        Sorted; those of `add_effect` among them.
+
+    Examples
+    --------
+    >>> "coulomb-friction" in effect_names()
+    True
+    """
+    return tuple(catalogue())

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.spatial_wave import order_prior, orders_or_usual, wave_mean
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.spatial_wave import order_parameter, orders_or_usual, wave_mean
 from robustlab.dynamics.ports.law_kernel import GQ, Q0, Q, law
 from robustlab.dynamics.ports.step_solutions import CLOSE, SECANTS, bracket, guess, is_open, narrowed
 
@@ -56,28 +55,24 @@ class Cogging(Effect):
     id = "cogging"
     title = "Cogging (force ripple)"
     equation = "f = Ac cos(k q) + As sin(k q)"
+    independently = "turn it slowly by hand without power"
     site_kind = "joint"
+    needs_position = True
+    force = cogging_force
     substeps = 2
     spatial = True
 
-    def fits(self, port: Any) -> bool:
-        return port.position is not None
-
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         wave = Prior("linear", 0.0, 0.2 * scales.force)
-        unit = f"rad/{scales.position_unit}" if scales.position_unit else ""
         return (
             EffectParameter("Ac", scales.force_unit, "cosine part", wave),
             EffectParameter("As", scales.force_unit, "sine part", wave),
-            EffectParameter("k", unit, "spatial frequency", order_prior(scales)),
+            order_parameter(scales),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Both parts start at zero, where every phase is equally near.
         return tuple({"Ac": 0.0, "As": 0.0, "k": k} for k in orders_or_usual(scales))
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(cogging_force, site.name, (values["Ac"], values["As"], values["k"])),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Its slope over the position, a stiffness of either sign, lies within k A; its size within A.

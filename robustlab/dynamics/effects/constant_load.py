@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import law
 
 __all__ = ["EFFECT", "load_force"]
@@ -25,14 +25,13 @@ class ConstantLoad(Effect):
     id = "constant-load"
     title = "Constant load"
     equation = "f = -T0"
+    independently = "turn the machine on its side or take the weight off"
     site_kind = "joint"
+    force = load_force
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("linear", 0.0, 0.3 * scales.force)
         return (EffectParameter("T0", scales.force_unit, "load against the positive direction", prior),)
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(load_force, site.name, (values["T0"],)),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "speed", 0.0, 0.0, offset=abs(values["T0"]))

@@ -14,13 +14,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.port_model import PortModel, parameter_groups
+from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 
 __all__ = ["Effect", "EffectParameter", "Footprint", "Law", "Prior", "Scales", "Site"]
@@ -182,7 +183,8 @@ class Footprint:
 
 
 class Effect(ABC):
-    """One physical effect; the instance ``EFFECT`` of each file of this folder.
+    """One physical effect; the instance ``EFFECT`` of each file of this folder. All that is known of it stands here:
+    who looks for effects, fits them, builds sets of them or advises on experiments asks the effect.
 
     Attributes
     ----------
@@ -194,35 +196,62 @@ class Effect(ABC):
         One line, in the field's notation, with the symbols of the parameters.
     site_kind
         Where it sits.
+    independently
+        What to do to settle it without any record of the plant's motion, as an instruction; empty: nothing is known.
+    person
+        After whom the title begins, empty otherwise: a name keeps its capital within a sentence.
     refines
         Id of the parent on top of which alone it is looked for, or None. A refinement contains its parent.
     substeps
         Smallest number of steps per sample (at 1 ms) that its law needs.
     nameable
         False for what is known noise and never a name (quantisation).
+    needs_position
+        True where it sits only at joints whose position is a state.
     spatial
         True where its period over the position is a parameter; it is then tried at each strong spatial line
         (``scales.orders`` holds the one line of a trial).
     gain_like
         True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
         tolerances tell the two apart.
+    scale
+        Of an effect that multiplies a signal, or parameters of the plant, and does no more: the parameter by which.
+    delay
+        Of an effect that delays a signal: the parameter that is the delay in s.
+    constant_loss
+        Balance of a steady point (``"torque"``, ``"voltage"``) from which it takes an amount of its own.
+    tolerance
+        Relative tolerance of the plant's parameters with the role `id`, where the plant states none.
     long_memory
         True where its memory outlasts a window (heat), so that windows cannot be simulated out of order.
     structural
         True where it splits the joint in two (backlash, a flexible coupling); a plant carries one of these.
+    force
+        Its force law at the port of its site (`robustlab.dynamics.ports.law_kernel.law`), where it has one.
+    memory
+        Number of memory cells of that law.
     """
 
     id: str
     title: str
     equation: str
     site_kind: SiteKind
+    independently: str = ""
+    person: str = ""
     refines: str | None = None
     substeps: int = 1
     nameable: bool = True
+    needs_position: bool = False
     spatial: bool = False
+    gain_like: bool = False
+    scale: str = ""
+    delay: str = ""
+    constant_loss: Literal["", "torque", "voltage"] = ""
+    tolerance: float = 0.10
     structural: bool = False
     long_memory: bool = False
-    gain_like: bool = False
+    force: Any = None
+    memory: int = 0
 
     @abstractmethod
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
@@ -240,9 +269,10 @@ class Effect(ABC):
             Site(self.site_kind, p.name) for p in model.ports.values() if p.kind == self.site_kind and self.fits(p)
         )
 
-    def fits(self, port: Any) -> bool:
-        """False for ports that lack what the effect needs (a position, say)."""
-        return True
+    def fits(self, port: Port) -> bool:
+        """False for ports that lack what the effect needs."""
+        split_again = self.structural and "." in port.name
+        return not split_again and (port.position is not None or not self.needs_position)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         """Starting values of a fit, each a dict of all parameters; by default the centres of the priors."""
@@ -257,20 +287,28 @@ class Effect(ABC):
         return model
 
     def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        """Force laws."""
-        return ()
+        """Force laws: that of `force`, given the `arguments`."""
+        return () if self.force is None else (Law(self.force, site.name, self.arguments(values), self.memory),)
 
-    def input(self, u: Array, values: Mapping[str, float], h: float) -> Array:
-        """What the plant sees of the input u, (n,), given in steps of h seconds."""
-        return u
+    def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        """What the force law is given as p: all parameters, in their order."""
+        return tuple(values[name] for name in self._names)
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters(Scales()))
+
+    def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
+        """What the plant sees of an input (n,), given in steps of h seconds."""
+        return signal
 
     def input_error(self, values: Mapping[str, float]) -> float | None:
-        """Bound of ``|input(u) - u|`` for every u; None where there is none."""
+        """Bound of ``|input(u) - u|`` for every input u; None where there is none."""
         return None
 
-    def output(self, y: Array, values: Mapping[str, float], h: float) -> Array:
-        """What is recorded of the output y, shape (n_windows, n), in samples of h seconds."""
-        return y
+    def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
+        """What is recorded of an output (n_windows, n), in samples of h seconds."""
+        return signal
 
     def lag(self, values: Mapping[str, float]) -> float:
         """Time in s by which the recorded outputs, and states told from them, lie behind the plant."""

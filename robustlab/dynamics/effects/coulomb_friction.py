@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GV, V0, V, law
 from robustlab.dynamics.ports.step_solutions import dry_mean_force
 
@@ -27,14 +27,15 @@ class CoulombFriction(Effect):
     id = "coulomb-friction"
     title = "Coulomb (dry) friction"
     equation = "f = -Fc sgn(v), |f| <= Fc at rest"
+    independently = "measure the breakaway force or torque with a spring balance in both directions"
+    person = "Coulomb"
+    constant_loss = "torque"
     site_kind = "joint"
+    force = dry_force
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("log", 0.1 * scales.force, 1.2)
         return (EffectParameter("Fc", scales.force_unit, "friction level", prior),)
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(dry_force, site.name, (values["Fc"],)),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function of the relay for a sinusoidal speed of this amplitude: 4 Fc / (pi a); the sector of all

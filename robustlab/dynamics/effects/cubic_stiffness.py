@@ -14,11 +14,10 @@ Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Scie
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, Q0, Q, law
 from robustlab.dynamics.ports.step_solutions import bracket, guess, is_open, narrowed
 
@@ -56,18 +55,15 @@ class CubicStiffness(Effect):
     id = "cubic-stiffness"
     title = "Cubic stiffness"
     equation = "f = -k3 q^3"
+    independently = "push with known forces and read the displacement"
     site_kind = "joint"
-
-    def fits(self, port: Any) -> bool:
-        return port.position is not None
+    needs_position = True
+    force = cubic_force
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         unit = f"{scales.force_unit}/{scales.position_unit}3" if scales.position_unit else ""
         prior = Prior("linear", 0.0, scales.force / (0.5 * scales.position) ** 3)
         return (EffectParameter("k3", unit, "cubic stiffness; negative: softening", prior),)
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(cubic_force, site.name, (values["k3"],)),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Sector of k3 q^3 over |q| <= a; its describing function is 3/4 k3 a^2, inside.

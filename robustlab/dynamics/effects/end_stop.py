@@ -13,11 +13,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, Q, V, law
 from robustlab.dynamics.ports.step_solutions import bracket, guess, is_open, narrowed
 
@@ -70,11 +69,11 @@ class EndStop(Effect):
     id = "end-stop"
     title = "End stop"
     equation = "f = -max(0, kc (q - q_max) + dc v) beyond q_max, mirrored below q_min"
+    independently = "move it slowly by hand to its ends"
     site_kind = "joint"
+    needs_position = True
+    force = stop_force
     substeps = 4
-
-    def fits(self, port: Any) -> bool:
-        return port.position is not None
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         # A stop is looked for far beyond what the record reaches, where one that the record does not touch belongs.
@@ -105,9 +104,6 @@ class EndStop(Effect):
                 {"q_min": lower + inside, "q_max": upper - inside, **contact},
             ]
         return tuple(found)
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(stop_force, site.name, (values["q_min"], values["q_max"], values["kc"], values["dc"])),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Slope of the force over the position: 0 between the limits, kc beyond them (the damping is left out).

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -31,11 +30,9 @@ class FlexibleCoupling(Effect):
     id = "flexible-coupling"
     title = "Flexible coupling"
     equation = "F = -w^2 m delta - 2 zeta w m delta', w = 2 pi f, m = share (1 - share) J"
+    independently = "hold the motor and twist the output with a known torque"
     site_kind = "joint"
     structural = True
-
-    def fits(self, port: Any) -> bool:
-        return "." not in port.name
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         middle = math.sqrt(LOWEST * HIGHEST)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GV, V0, V, law
 from robustlab.dynamics.ports.step_solutions import dry_mean_force
 
@@ -30,14 +30,16 @@ class GearEfficiency(Effect):
     id = "gear-efficiency"
     title = "Gear efficiency"
     equation = "f = -(1 - eta) |T| sgn(v), T the net force at the joint"
+    independently = "measure the input torque at two known loads"
     site_kind = "joint"
+    force = loss_force
     substeps = 4  # the driving force is taken as constant within a step
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (EffectParameter("eta", "", "efficiency of the transmission", Prior("share", 0.85, 1.0)),)
 
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(loss_force, site.name, (1.0 - values["eta"],)),)
+    def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        return (1.0 - values["eta"],)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # A gain on the driving force between -(1 - eta) (driving) and 1 - eta (braking), at any amplitude.

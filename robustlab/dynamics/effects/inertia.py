@@ -16,7 +16,9 @@ class Inertia(ParameterEffect):
     id = "inertia"
     title = "Misjudged inertia"
     equation = "J' = s J"
+    independently = "weigh the parts, or add a known inertia and compare"
     spread = 0.4
+    tolerance = 0.05
     quantity = "inertia or mass"
 
 

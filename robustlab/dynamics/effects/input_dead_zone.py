@@ -21,19 +21,21 @@ class InputDeadZone(Effect):
     id = "input-dead-zone"
     title = "Dead zone or drop of the driver"
     equation = "u' = u - d sgn(u), 0 for |u| < d"
+    independently = "measure the driver's output voltage at small commands"
+    constant_loss = "voltage"
     site_kind = "input"
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         prior = Prior("log", 0.04 * scales.input, 1.0)
         return (EffectParameter("d", scales.signal_unit, "half width of the dead zone", prior),)
 
-    def input(self, u: Array, values: Mapping[str, float], h: float) -> Array:
-        return np.sign(u) * np.maximum(np.abs(u) - values["d"], 0.0)
+    def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
+        return np.sign(signal) * np.maximum(np.abs(signal) - values["d"], 0.0)
 
     def input_error(self, values: Mapping[str, float]) -> float:
         return values["d"]
 
-    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
         return Footprint(site.name, "input", 0.0, max(0.0, 1.0 - values["d"] / amplitude))
 
 

@@ -7,34 +7,23 @@ A pulse-width modulated driver with dead time :math:`t_d` at the switching frequ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from robustlab.arrays import Array
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.signal_effect import SignalGain
 
 __all__ = ["EFFECT"]
 
 
-class InputGain(Effect):
+class InputGain(SignalGain):
     """Gain of the driver or of its command."""
 
     id = "input-gain"
     title = "Input gain"
     equation = "u' = s u"
+    independently = "measure the driver's output voltage over the command"
     site_kind = "input"
-    gain_like = True
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        return (EffectParameter("s", "", "what acts over what was commanded", Prior("log", 1.0, 0.1)),)
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return ({"s": 1.1}, {"s": 0.9})
-
-    def input(self, u: Array, values: Mapping[str, float], h: float) -> Array:
-        return values["s"] * u
-
-    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        return Footprint(site.name, "input", values["s"], values["s"])
+    spread = 0.1
+    meaning = "what acts over what was commanded"
+    input = SignalGain.scaled
+    tolerance = 0.0  # it is what forces are measured in
 
 
 EFFECT = InputGain()

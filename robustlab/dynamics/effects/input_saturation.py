@@ -21,6 +21,7 @@ class InputSaturation(Effect):
     id = "input-saturation"
     title = "Saturation of the input"
     equation = "u' = clip(u, -u_max, u_max)"
+    independently = "measure the driver's output voltage at full command"
     site_kind = "input"
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
@@ -30,8 +31,8 @@ class InputSaturation(Effect):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         return tuple({"u_max": share * scales.input} for share in (0.6, 0.8, 0.94))
 
-    def input(self, u: Array, values: Mapping[str, float], h: float) -> Array:
-        return np.clip(u, -values["u_max"], values["u_max"])
+    def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
+        return np.clip(signal, -values["u_max"], values["u_max"])
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "input", min(1.0, values["u_max"] / amplitude), 1.0)

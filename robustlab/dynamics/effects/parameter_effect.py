@@ -31,6 +31,7 @@ class ParameterEffect(Effect):
 
     site_kind = "parameter"
     gain_like = True
+    scale = "s"
     spread: float
     quantity: str
 

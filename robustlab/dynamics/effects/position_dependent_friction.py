@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
-from robustlab.dynamics.effects.spatial_wave import order_prior, orders_or_usual, wave_mean
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.spatial_wave import order_parameter, orders_or_usual, wave_mean
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, V0, Q, V, law
 from robustlab.dynamics.ports.step_solutions import (
     CLOSE,
@@ -70,29 +69,24 @@ class PositionDependentFriction(Effect):
     title = "Position-dependent friction"
     equation = "f = -max(0, Fc + Pc cos(k q) + Ps sin(k q)) sgn(v)"
     site_kind = "joint"
+    needs_position = True
+    force = uneven_force
     refines = "coulomb-friction"
     spatial = True
 
-    def fits(self, port: Any) -> bool:
-        return port.position is not None
-
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         wave = Prior("linear", 0.0, 0.1 * scales.force)
-        unit = f"rad/{scales.position_unit}" if scales.position_unit else ""
         return (
             EffectParameter("Fc", scales.force_unit, "mean friction level", Prior("log", 0.1 * scales.force, 1.2)),
             EffectParameter("Pc", scales.force_unit, "cosine part of the level", wave),
             EffectParameter("Ps", scales.force_unit, "sine part of the level", wave),
-            EffectParameter("k", unit, "spatial frequency", order_prior(scales)),
+            order_parameter(scales),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Both parts start at zero, where every phase is equally near.
         level = 0.1 * scales.force
         return tuple({"Fc": level, "Pc": 0.0, "Ps": 0.0, "k": k} for k in orders_or_usual(scales))
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(uneven_force, site.name, (values["Fc"], values["Pc"], values["Ps"], values["k"])),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # As Coulomb friction of the highest level: 4 F / (pi a) at a sine of the speed amplitude a.

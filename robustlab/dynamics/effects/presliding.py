@@ -20,7 +20,7 @@ from collections.abc import Mapping
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GV, STEP, V0, V, law
 from robustlab.dynamics.ports.step_solutions import bracket, guess, is_open, narrowed
 
@@ -80,6 +80,8 @@ class Presliding(Effect):
     title = "Presliding (elastic dry friction)"
     equation = "f = -sigma0 z, z' = v - |v| z sigma0 / Fc"
     site_kind = "joint"
+    force = presliding_force
+    memory = 1
     refines = "coulomb-friction"
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
@@ -93,9 +95,6 @@ class Presliding(Effect):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         level = 0.1 * scales.force
         return tuple({"Fc": level, "sigma0": level / (g * scales.position)} for g in (1e-4, 1e-3, 1e-2))
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(presliding_force, site.name, (values["Fc"], values["sigma0"]), memory=1),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # In a steady loop of the position amplitude a the force stays within Fc tanh(sigma0 a / Fc); its first harmonic

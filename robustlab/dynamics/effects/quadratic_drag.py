@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GV, V0, V, law
 
 __all__ = ["EFFECT", "drag_force"]
@@ -30,15 +30,14 @@ class QuadraticDrag(Effect):
     id = "quadratic-drag"
     title = "Quadratic drag"
     equation = "f = -c v |v|"
+    independently = "let it run down from full speed without drive"
     site_kind = "joint"
+    force = drag_force
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         unit = f"{scales.force_unit}/({scales.speed_unit})2" if scales.force_unit else ""
         prior = Prior("log", 0.1 * scales.force / scales.speed**2, 1.5)
         return (EffectParameter("c", unit, "drag coefficient", prior),)
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(drag_force, site.name, (values["c"],)),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Sector of c v |v| over |v| <= a; its describing function is 8 c a / (3 pi), inside.

@@ -31,10 +31,10 @@ class Quantisation(Effect):
         prior = Prior("log", 1e-3 * scales.output, 1.5)
         return (EffectParameter("lsb", scales.signal_unit, "step of the reading", prior),)
 
-    def output(self, y: Array, values: Mapping[str, float], h: float) -> Array:
+    def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         if values["lsb"] <= 0.0:
             raise InputError("effect quantisation: lsb", f"{values['lsb']:g}", "a positive step")
-        return values["lsb"] * np.round(y / values["lsb"])
+        return values["lsb"] * np.round(signal / values["lsb"])
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "output", 1.0, 1.0, offset=0.5 * values["lsb"])

@@ -16,7 +16,9 @@ class Resistance(ParameterEffect):
     id = "resistance"
     title = "Misjudged resistance"
     equation = "R' = s R"
+    independently = "measure the winding with an ohmmeter, rotor held, in several positions"
     spread = 0.3
+    tolerance = 0.05
     quantity = "resistance"
 
 

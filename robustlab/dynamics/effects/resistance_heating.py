@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GV, STEP, V0, V, law
 
 __all__ = ["EFFECT", "heating_drop"]
@@ -36,7 +36,10 @@ class ResistanceHeating(Effect):
     id = "resistance-heating"
     title = "Heating of the winding"
     equation = "f = -dR i, T dR' = kappa i^2 - dR"
+    independently = "measure the winding with an ohmmeter, cold and right after a long run"
     site_kind = "current"
+    force = heating_drop
+    memory = 1
     substeps = 4  # electric time constants are shorter than a sample
     long_memory = True
 
@@ -49,9 +52,6 @@ class ResistanceHeating(Effect):
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         return tuple({"kappa": _rise(scales), "T": share * scales.duration} for share in (0.5, 5.0))
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(heating_drop, site.name, (values["kappa"], values["T"]), memory=1),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # A resistance anywhere between cold and the warmest that this current can make it.

@@ -26,6 +26,7 @@ class SensorBias(Effect):
     id = "sensor-bias"
     title = "Sensor bias"
     equation = "y' = y + b"
+    independently = "read the sensor at a known reference"
     site_kind = "output"
 
     def sites(self, plant: LinearPlant, model: PortModel) -> tuple[Site, ...]:
@@ -44,8 +45,8 @@ class SensorBias(Effect):
         prior = Prior("linear", 0.0, 0.03 * scales.output)
         return (EffectParameter("b", scales.signal_unit, "reading at zero", prior),)
 
-    def output(self, y: Array, values: Mapping[str, float], h: float) -> Array:
-        return y + values["b"]
+    def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
+        return signal + values["b"]
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "output", 1.0, 1.0, offset=abs(values["b"]))

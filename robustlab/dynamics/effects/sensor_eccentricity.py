@@ -30,6 +30,7 @@ class SensorEccentricity(Effect):
     id = "sensor-eccentricity"
     title = "Eccentric or misaligned position sensor"
     equation = "y' = y + c cos(k y) + s sin(k y)"
+    independently = "turn slowly against a second encoder"
     site_kind = "output"
     spatial = True
 
@@ -56,9 +57,9 @@ class SensorEccentricity(Effect):
         """Once a turn for angles, once over the range of a length, where the record shows nothing else."""
         return scales.orders or ((math.pi / scales.output,) if scales.signal_unit == "m" else (1.0,))
 
-    def output(self, y: Array, values: Mapping[str, float], h: float) -> Array:
-        phase = values["k"] * y
-        return y + values["c"] * np.cos(phase) + values["s"] * np.sin(phase)
+    def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
+        phase = values["k"] * signal
+        return signal + values["c"] * np.cos(phase) + values["s"] * np.sin(phase)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "output", 1.0, 1.0, offset=math.hypot(values["c"], values["s"]))

@@ -6,9 +6,9 @@ import math
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Prior, Scales
+from robustlab.dynamics.effects.contract import EffectParameter, Prior, Scales
 
-__all__ = ["order_prior", "orders_or_usual", "wave_mean"]
+__all__ = ["order_parameter", "order_prior", "orders_or_usual", "wave_mean"]
 
 SMALL_ANGLE = 1e-4
 USUAL_TURNS = (1.0, 2.0, 4.0)  # rad per rad: once, twice, four times a turn
@@ -30,6 +30,12 @@ def orders_or_usual(scales: Scales) -> tuple[float, ...]:
     if scales.position_unit == "rad":
         return USUAL_TURNS
     return tuple(2.0 * math.pi * n / scales.position for n in USUAL_PERIODS)
+
+
+def order_parameter(scales: Scales) -> EffectParameter:
+    """The spatial frequency k of a force over the position."""
+    unit = f"rad/{scales.position_unit}" if scales.position_unit else ""
+    return EffectParameter("k", unit, "spatial frequency", order_prior(scales))
 
 
 def order_prior(scales: Scales) -> Prior:

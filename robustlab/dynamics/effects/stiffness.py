@@ -17,7 +17,9 @@ class Stiffness(GroundedEffect):
     id = "stiffness"
     title = "Stiffness, misjudged or missing"
     equation = "k' = s k; f = -k q at a joint without a spring"
+    independently = "push with known forces and read the displacement"
     spread = 0.4
+    tolerance = 0.05
     quantity = "stiffness"
     symbol = "k"
     of = "position"

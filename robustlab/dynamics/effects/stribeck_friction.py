@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GV, V0, V, law
 from robustlab.dynamics.ports.step_solutions import dry_mean_force
 
@@ -34,7 +34,10 @@ class StribeckFriction(Effect):
     id = "stribeck-friction"
     title = "Stribeck friction"
     equation = "f = -(Fc + dF exp(-(v/vs)^2)) sgn(v), |f| <= Fc + dF at rest"
+    independently = "measure the breakaway force and the force at a slow constant speed with a spring balance"
+    person = "Stribeck"
     site_kind = "joint"
+    force = stribeck_force
     refines = "coulomb-friction"
     substeps = 2
 
@@ -49,9 +52,6 @@ class StribeckFriction(Effect):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         level = 0.1 * scales.force
         return tuple({"Fc": level, "dF": level, "vs": share * scales.speed} for share in (0.005, 0.03))
-
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(stribeck_force, site.name, (values["Fc"], values["dF"], values["vs"])),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function at a sine of this speed amplitude a, with D Dawson's integral and r = a / vs:

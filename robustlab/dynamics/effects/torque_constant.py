@@ -16,7 +16,9 @@ class TorqueConstant(ParameterEffect):
     id = "torque-constant"
     title = "Misjudged torque constant"
     equation = "K' = s K (torque and back-EMF)"
+    independently = "turn the motor from outside and measure its open-circuit voltage per speed"
     spread = 0.12
+    tolerance = 0.03
     quantity = "torque constant and back-EMF constant"
 
 

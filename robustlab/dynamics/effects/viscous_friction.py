@@ -17,7 +17,9 @@ class ViscousFriction(GroundedEffect):
     id = "viscous-friction"
     title = "Viscous friction, misjudged or missing"
     equation = "b' = s b; f = -b v at a joint without friction"
+    independently = "measure the no-load current at several speeds"
     spread = 1.5
+    tolerance = 1.0
     quantity = "viscous friction"
     symbol = "b"
     of = "velocity"

@@ -1,18 +1,29 @@
-"""An effect at its place, with numbers."""
+"""An effect at its place, with numbers, and what it is there: a gain of its signal, a sector, a delay, a bound."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
+import numpy as np
+
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Scales, Site
+from robustlab.dynamics.extended.law_forces import extrapolated
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import real_array
 
-__all__ = ["AttachedEffect", "attach", "effect_names"]
+__all__ = ["AttachedEffect", "attach"]
+
+# Amplitude at which footprints are given where none was asked for.
+DEFAULT_AMPLITUDE = 1.0
+# Share of the signal over which the slope of an input or output map is taken, and the least level it is a share of.
+SIGNAL_STEP, LEAST_LEVEL = 1e-3, 1e-3
+# What a map is asked for a constant signal: so many samples of so many seconds.
+ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
 
 
 @dataclass(frozen=True)
@@ -69,6 +80,113 @@ class AttachedEffect:
     def parameters(self) -> tuple[EffectParameter, ...]:
         """The effect's parameters at this kind of site; units are those of the catalogue without a record."""
         return _parameters(self.effect, self.site)
+
+    @property
+    def key(self) -> str:
+        """Id and site, as `attach` takes them."""
+        return f"{self.effect.id}@{self.site.name}"
+
+    @property
+    def in_words(self) -> str:
+        """Title and site."""
+        return f"{self.effect.title} at {self.site.name}"
+
+    @property
+    def values_in_words(self) -> str:
+        """Equation, values and source."""
+        said = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
+        return f"{self.effect.equation} with {said}" + (f"; {self.source}" if self.source else "")
+
+    @property
+    def on_signal(self) -> bool:
+        """True for effects on an input or output."""
+        return self.site.kind in ("input", "output")
+
+    @property
+    def scale(self) -> float | None:
+        """By what it multiplies its signal, or the parameters of its site, if that is all it does."""
+        return self.values.get(self.effect.scale)
+
+    @property
+    def scale_std(self) -> float:
+        """Standard deviation of `scale`; 0 where no fit has determined it."""
+        return self.std.get(self.effect.scale, 0.0)
+
+    def laws(self) -> tuple[Law, ...]:
+        """Its force laws."""
+        return self.effect.laws(self.site, self.values)
+
+    # --- on a constant signal ----------------------------------------------------------------------------------------
+
+    def mapped(self, level: float) -> float:
+        """A constant input or output after the effect."""
+        if self.site.kind == "input":
+            return float(self.effect.input(np.full(ASKED_SAMPLES, level), self.values, ASKED_STEP)[-1])
+        return float(self.effect.output(np.full((1, ASKED_SAMPLES), level), self.values, ASKED_STEP)[0, -1])
+
+    def slope(self, level: float) -> float:
+        """Slope of `mapped` at a level."""
+        step = SIGNAL_STEP * max(abs(level), LEAST_LEVEL)
+        return extrapolated(lambda h: (self.mapped(level + h) - self.mapped(level - h)) / (2 * h), step)
+
+    def gain(self, level: float, amplitude: Mapping[str, float]) -> float:
+        """Gain of an effect on an input or output about a level of its signal, or the middle of its sector."""
+        seen = self.sector(amplitude, ("input", "output"))
+        if seen is not None:
+            return 0.5 * (seen.gain_lower + seen.gain_upper)
+        constant = self.constant_gain  # perhaps with a delay or an offset
+        return constant if constant is not None else self.slope(level) or 1.0
+
+    # --- footprints --------------------------------------------------------------------------------------------------
+
+    def footprint(self, amplitude: float = DEFAULT_AMPLITUDE) -> Footprint | None:
+        """The effect's footprint at an amplitude of its signal."""
+        return self.effect.footprint(self.site, self.values, amplitude)
+
+    def sector(self, amplitude: Mapping[str, float], signals: tuple[str, ...]) -> Footprint | None:
+        """The footprint at an amplitude that was asked for its site, if it is a sector in one of these signals."""
+        if self.site.name not in amplitude:
+            return None
+        found = self.footprint(amplitude[self.site.name])
+        return found if found is not None and found.signal in signals and found.gain_upper > found.gain_lower else None
+
+    @property
+    def delay(self) -> float:
+        """Pure delay in s that it stands for."""
+        found = self.footprint()
+        return 0.0 if found is None else found.delay
+
+    @property
+    def constant_gain(self) -> float | None:
+        """The gain that the footprint has at all amplitudes, or None."""
+        seen = [self.footprint(amplitude) for amplitude in (1e-6, 1.0, 1e6)]
+        gains = {gain for f in seen if f is not None for gain in (f.gain_lower, f.gain_upper)}
+        return gains.pop() if len(gains) == 1 else None
+
+    def corners(self, width: float) -> Iterator[dict[str, float]]:
+        """The values at the corners of the ranges of those that are fitted, ``width`` standard deviations."""
+        spread = {name: width * std for name, std in self.std.items() if std}
+        positive = {p.name for p in self.parameters if p.prior.kind != "linear"}
+        for signs in itertools.product(*[(-1.0, 1.0)] * len(spread)):
+            moved = {n: self.values[n] + s * spread[n] for n, s in zip(spread, signs, strict=True)}
+            least = {n: max(v, 1e-3 * self.values[n]) if n in positive else v for n, v in moved.items()}
+            yield {**self.values, **least}
+
+    def footprints(self, amplitude: float, width: float) -> Iterator[Footprint]:
+        """Footprints at the `corners`."""
+        for values in self.corners(width):
+            found = self.effect.footprint(self.site, values, amplitude)
+            if found is not None:
+                yield found
+
+    def largest_offset(self, width: float) -> float:
+        """Bound of what is no gain of the signal, over the ranges of fitted values; 0 where there is none."""
+        return max((f.offset for f in self.footprints(DEFAULT_AMPLITUDE, width)), default=0.0)
+
+    def largest_gain(self, width: float) -> float:
+        """Largest gain of the signal, over the ranges of fitted values; 0 where there is none."""
+        gains = (max(abs(f.gain_lower), abs(f.gain_upper)) for f in self.footprints(DEFAULT_AMPLITUDE, width))
+        return max(gains, default=0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Id, title, equation, site, source, and the parameters with value, standard deviation and unit."""
@@ -164,16 +282,3 @@ def _site(where: str, sites: list[Site], place: str, plant: LinearPlant) -> Site
     raise InputError(
         f"{where}: site {place!r}", "no such place", f"one of {', '.join(names)}", did_you_mean(place, names)
     )
-
-
-def effect_names() -> tuple[str, ...]:
-    """Ids of all effects of the catalogue.
-
-    Examples
-    --------
-    >>> "coulomb-friction" in effect_names()
-    True
-    """
-    from robustlab.dynamics.effects.catalogue import catalogue
-
-    return tuple(catalogue())

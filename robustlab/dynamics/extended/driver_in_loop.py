@@ -2,19 +2,19 @@ r"""A driver with a dead zone inside a loop: what a controller commands is a sta
 
 .. math:: u' = u + f, \qquad f = -\max(-d, \min(d, u)), \qquad u = c^T x
 
-which is `input-dead-zone`, :math:`u' = u - d\,\mathrm{sgn}\,u` and 0 for :math:`|u| < d`, as a force law at a port
+which is `robustlab.dynamics.effects.input_dead_zone`, as a force law at a port
 whose "velocity" is the command.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.input_dead_zone import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.law_kernel import V, law
@@ -30,13 +30,10 @@ def driver_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return -max(-p[0], min(p[0], seen[V]))
 
 
-class _DriverInLoop(Effect):
-    """The dead zone at one control of a loop."""
+class _DriverInLoop(InputDeadZone):
+    """The dead zone at one control of a loop: a force law where the effect of the catalogue maps an input."""
 
-    id = "input-dead-zone"
-    title = "Dead zone or drop of the driver"
-    equation = "u' = u - d sgn(u), 0 for |u| < d"
-    site_kind = "input"
+    force = driver_force
 
     def __init__(self, port: Port) -> None:
         self.port = port
@@ -49,10 +46,10 @@ class _DriverInLoop(Effect):
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
         port = self.port.widened(len(model.A) - len(self.port.force))
-        return replace(model, ports={**model.ports, port.name: port})
+        return model.with_port(port)
 
-    def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        return (Law(driver_force, site.name, (values["d"],)),)
+    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
+        return None  # what it does is all in the law
 
 
 def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: Mapping[str, Any]) -> AttachedEffect:

@@ -25,23 +25,15 @@ of uncertain time delays in the H-infinity framework", Int. J. Control 59 (1994)
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.extended_linear_model import (
-    effect_delay,
-    effect_gain,
-    linear_model,
-    pade_delay,
-    sector,
-    signal_levels,
-)
-from robustlab.dynamics.extended.extended_uncertainty import GAINS, without_signals
+from robustlab.dynamics.extended.delays import delay_block
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_signals
 from robustlab.dynamics.extended.force_blocks import (
     Amplitude,
     Dry,
@@ -50,8 +42,6 @@ from robustlab.dynamics.extended.force_blocks import (
     check_amplitudes,
     force_columns,
     force_parts,
-    largest_offset,
-    values_in_words,
 )
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.ports.port_model import port_model
@@ -61,22 +51,14 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.algebra import product
-from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
-from robustlab.uncertainty.covering.overbound import Overbound, overbound
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-if TYPE_CHECKING:
-    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-
-__all__ = ["EffectBlocks", "NoiseInput", "delay_block", "effect_blocks", "with_forces"]
+__all__ = ["EffectBlocks", "NoiseInput", "effect_blocks", "with_forces"]
 
 
 # The nominal set must be the plant's own linear model to this share of its largest response.
 EXACT = 1e-8
-# The weight of a delay need not go below this: far beneath any other error.
-LEAST_ERROR = 1e-3
-# The error grows with the power 2 n + 1 of the frequency: the weight's order over that of the Padé part.
-WEIGHT_EXTRA = 2
 
 
 @dataclass(frozen=True)
@@ -192,8 +174,6 @@ def effect_blocks(
     NoTrustworthyNumber
         The blocks do not give back the plant's own linear model.
     """
-    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
     if width < 0:
         raise InputError("effect_blocks: sigmas", f"{width:g}", "0 or more")
@@ -233,7 +213,7 @@ def _of_extended(
     check_amplitudes(plant, amplitude)
     parts = force_parts(plant, amplitude, dry, width)
     levels = _signal_amplitudes(plant, amplitude)
-    linear = linear_model(plant, None, levels, 0, parts.stand_in)
+    linear = plant.linear_model(None, levels, stand_in=parts.stand_in)
     point = linear.operating_point
     assert point is not None
     loads = [*_loads(parts), *_unnamed(plant.model, unnamed)]
@@ -242,7 +222,7 @@ def _of_extended(
     ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
     whole = _told(with_forces(inner, ways, parts.sectors).uncertain(), inner)
     whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
-    signals = signal_levels(plant, point.x, point.u)
+    signals = plant.signal_levels(point.x, point.u)
     for e, k, level in reversed([s for s in signals if s[0].site.kind == "input"]):
         for gadget in _gadgets(e, level, levels, width, pade):
             whole = product(whole, _at_channel(gadget, whole.inputs, k))
@@ -250,7 +230,7 @@ def _of_extended(
         for gadget in _gadgets(e, level, levels, width, pade):
             whole = product(_at_channel(gadget, whole.outputs, k), whole)
     made = _with_noise(plant, whole, loads, signals, width, drivers)
-    _check(linear_model(plant, None, levels, pade, parts.stand_in), plant.name, made)
+    _check(plant.linear_model(None, levels, pade, stand_in=parts.stand_in), plant.name, made)
     left = {**parts.left_out, **_left_out(signals)}
     return dataclasses.replace(made, left_out=left, approximate=tuple(approximate))
 
@@ -260,10 +240,10 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
     missing = {
         e.site.name: e.effect.title
         for e in plant.effects
-        if e.site.kind in ("input", "output")
+        if e.on_signal
+        and e.scale is None
         and e.site.name not in amplitude
-        and sector(e, {e.site.name: 1.0}, ("input", "output")) is not None
-        and e.effect.id not in GAINS
+        and e.sector({e.site.name: 1.0}, ("input", "output")) is not None
         and not _is_bounded_error(plant, e)
     }
     if missing:
@@ -272,13 +252,13 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
             "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
             "the amplitude of the signal there at which the effect is to be described",
         )  # fmt: skip
-    places = {e.site.name for e in plant.effects if e.site.kind in ("input", "output")}
+    places = {e.site.name for e in plant.effects if e.on_signal}
     return {n: float(a[1] if isinstance(a, (tuple, list)) else a) for n, a in amplitude.items() if n in places}
 
 
 def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
     """Whether a driver adds no more than a bounded error to an input that nothing else scales."""
-    others = [o for o in plant.effects if o.site == e.site and o is not e and o.effect.id in GAINS]
+    others = [o for o in plant.effects if o.site == e.site and o is not e and o.scale is not None]
     return e.site.kind == "input" and e.effect.input_error(e.values) is not None and not others
 
 
@@ -294,7 +274,7 @@ def _driver_errors(
         largest = {n: v + width * e.std.get(n, 0.0) for n, v in e.values.items()}
         bound = e.effect.input_error(largest)
         assert bound is not None
-        words = f"{e.effect.title} at {e.site.name} as a bounded error, for every motion; {values_in_words(e)}"
+        words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
         found.append((NoiseInput(f"load {e.site.name}: {e.effect.id}", bound, plant.inputs[k].unit, words), k))
     return found
 
@@ -306,7 +286,7 @@ def _loads(parts: ForceParts) -> list[tuple[NoiseInput, Any]]:
         e = b.effect
         (name,) = _free([f"load {e.site.name}: {e.effect.id}"], taken)
         taken.append(name)
-        words = f"{e.effect.title} at {e.site.name} as a bounded force, for every motion; {values_in_words(e)}"
+        words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
         found.append((NoiseInput(name, b.bound, b.port.unit, words), b.port))
     return found
 
@@ -377,7 +357,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
     rows = [*range(p), *seen, *range(p, p + n_y - k)]
     scale = np.ones(m.n_inputs)
     scale[q : q + k] = [s.radius if s.signal == "force" else -s.radius for s in sectors]
-    names = _free([f"{s.effect.effect.id}@{s.effect.site.name}" for s in sectors], [b.name for b in whole.blocks])
+    names = _free([s.effect.key for s in sectors], [b.name for b in whole.blocks])
     ins, outs = list(m.inputs), list(m.outputs)
     model = StateSpaceModel(
         m.A, m.B[:, columns] * scale, m.C[rows], m.D[np.ix_(rows, columns)] * scale, m.dt,
@@ -396,7 +376,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
 def _sector_words(s: ForceSector) -> str:
     e = s.effect
     seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
-    return f"{e.effect.title} at {e.site.name} as a sector {seen}; {s.valid}; {values_in_words(e)}"
+    return f"{e.in_words} as a sector {seen}; {s.valid}; {e.values_in_words}"
 
 
 # --- drivers and sensors ---------------------------------------------------------------------------------------------
@@ -406,88 +386,27 @@ def _gadgets(
     e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
 ) -> list[UncertainModel]:
     """What an effect puts into its signal: a gain with a range, a delay."""
-    found, name = [], f"{e.effect.id}@{e.site.name}"
-    gain = effect_gain(e, level, amplitude)
-    seen = sector(e, amplitude, ("input", "output"))
-    reach = width * e.std.get("s", 0.0) if e.effect.id in GAINS else 0.0
+    found: list[UncertainModel] = []
+    gain = e.gain(level, amplitude)
+    seen = e.sector(amplitude, ("input", "output"))
+    reach = width * e.scale_std
     if seen is not None:
         reach = 0.5 * (seen.gain_upper - seen.gain_lower)
     if reach:
-        words = (
-            f"{e.effect.title} at {e.site.name}" + ("" if seen is None else " as a sector") + f"; {values_in_words(e)}"
-        )
-        block = RealScalar(name, 1, ParameterRange(gain, reach), origin=words)
+        words = f"{e.in_words}" + ("" if seen is None else " as a sector") + f"; {e.values_in_words}"
+        block = RealScalar(e.key, 1, ParameterRange(gain, reach), origin=words)
         found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
     elif gain != 1.0:
         found.append(UncertainModel(StateSpaceModel([], [], [], [[gain]]), []))
-    delay = effect_delay(e)
-    if delay:
-        spread = width * e.std.get("d", 0.0)
-        model, _ = delay_block(delay, spread, pade, name)
-        words = f"{e.effect.title} at {e.site.name}, {delay:.6g} s +- {spread:.3g} s, as Padé of order {pade}"
+    if e.delay:
+        spread = width * e.std.get(e.effect.delay, 0.0)
+        model, _ = delay_block(e.delay, spread, pade, e.key)
+        words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade}"
         block = dataclasses.replace(
-            model.blocks[0], origin=f"{words} and a weight over what that misses; {values_in_words(e)}"
+            model.blocks[0], origin=f"{words} and a weight over what that misses; {e.values_in_words}"
         )
         found.append(UncertainModel(model.M, [block]))
     return found
-
-
-def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[UncertainModel, Overbound]:
-    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`.
-
-    .. math:: |w(j\omega)| \ge \max_{d} |e^{-j \omega d} - P(j\omega)| = 2 \sin\bigl(\tfrac12 \min(\pi,
-       \max_d |\omega d + \arg P(j\omega)|)\bigr)
-
-    Parameters
-    ----------
-    delay, spread
-        In s; the delay positive.
-    pade
-        Order of P.
-    name
-        Of the block.
-
-    Returns
-    -------
-    tuple
-        The set, and the weight with its bound, ``hypot(bound, 1e-3)``.
-    """
-    if not 0 < delay < np.inf or not 0 <= spread < np.inf:
-        raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
-    a, b, c, d = pade_delay(delay, pade)
-    rational = StateSpaceModel(a, b, c, d)
-    zeros = -rational.poles()
-
-    def error(omega: Array) -> Array:
-        # The phase of an all-pass is that of its poles and zeros, counted without wrapping.
-        s = 1j * np.asarray(omega)[:, None]
-        lag = -2.0 * np.angle((zeros - s) / zeros).sum(axis=1)
-        low, high = omega * max(delay - spread, 0.0), omega * (delay + spread)
-        off = np.maximum(np.abs(low - lag), np.abs(high - lag))
-        return np.hypot(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), LEAST_ERROR)
-
-    omega = np.geomspace(1e-3, 1e3, 160) / delay
-    fit = overbound(omega, error(omega), pade + WEIGHT_EXTRA, 0.1, exact=error)
-    fit = _above_beyond(fit, np.geomspace(1e3, 1e8, 200) / delay, error)
-    w, n = fit.weight, pade
-    model = StateSpaceModel(
-        np.block([[a, np.zeros((n, w.n_states))], [np.zeros((w.n_states, n)), w.A]]),
-        np.block([[np.zeros((n, 1)), b], [np.zeros((w.n_states, 1)), w.B]]),
-        np.block([[np.zeros((1, n)), w.C], [c, np.zeros((1, w.n_states))]]),
-        np.array([[0.0, w.D[0, 0]], [1.0, d[0, 0]]]),
-    )
-    return UncertainModel(model, [FullBlock(name, 1, 1)]), fit
-
-
-def _above_beyond(fit: Overbound, omega: Array, error: Callable[[Array], Array]) -> Overbound:
-    """The weight, lifted where it falls below the error at frequencies above those of its fit."""
-    w = fit.weight
-    lift = float((error(omega) / np.abs(frequency_response(w, omega)[:, 0, 0])).max())
-    if lift <= 1.0:
-        return fit
-    excess, lowest = ((1.0 + x) * lift - 1.0 for x in (fit.excess, fit.lowest))
-    raised = StateSpaceModel(w.A, w.B, lift * w.C, lift * w.D)
-    return dataclasses.replace(fit, weight=raised, excess=excess, lowest=lowest, magnitude=lift * fit.magnitude)
 
 
 def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int) -> UncertainModel:
@@ -530,7 +449,7 @@ def _with_noise(
         columns_b.append(load.bound * m.B[:, q + k])
         columns_d.append(load.bound * m.D[:, q + k])
     for e, k, _ in signals:
-        bound = largest_offset(e, width)
+        bound = e.largest_offset(width)
         if e.site.kind == "output" and bound:
             signal = plant.outputs[k]
             noise.append(NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, _bounded(e)))
@@ -553,7 +472,7 @@ def _with_noise(
 
 
 def _bounded(e: AttachedEffect) -> str:
-    return f"{e.effect.title} at {e.site.name} as a bounded error; {values_in_words(e)}"
+    return f"{e.in_words} as a bounded error; {e.values_in_words}"
 
 
 def _free(names: list[str], taken: Sequence[str]) -> list[str]:
@@ -585,7 +504,7 @@ def _left_out(signals: Sequence[tuple[AttachedEffect, int, float]]) -> dict[str,
     """Bounded errors of drivers."""
     left = {}
     for e, _, _ in signals:
-        seen = e.effect.footprint(e.site, e.values, 1.0)
+        seen = e.footprint()
         if e.site.kind == "input" and seen is not None and seen.offset:
             left[f"{e!r}"] = "a bounded error of an input"
     return left

@@ -20,9 +20,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.effect_blocks import NoiseInput, with_forces
-from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects
-from robustlab.dynamics.extended.extended_uncertainty import without_signals
-from robustlab.dynamics.extended.force_blocks import corners, largest_gain, largest_offset, values_in_words
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects, without_signals
 from robustlab.dynamics.extended.law_forces import is_set_valued, rest_band, steady_force
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, port_model
@@ -105,7 +103,7 @@ class EffectLoads:
         told, e = self._told(j, states), self.acts[j][0]
         if told is not None:  # for all its values, along the motion of the nominal ones
             largest, port = states[np.argsort(-np.abs(told))[:MOST]], self._law(j)[1]
-            laws = [law for values in corners(e, sigmas) for law in e.effect.laws(e.site, values)]
+            laws = [law for values in e.corners(sigmas) for law in e.effect.laws(e.site, values)]
             return max(float(np.abs(_law_along(law, port, largest)).max()) for law in laws)
         signals, others = self._signals(record, u, states), self._sharing().get(j, [])
         # The whole force at the port, and what the others may have taken off it.
@@ -117,8 +115,8 @@ class EffectLoads:
                 found = f"{known[j].name} and {known[i].name}"
                 raise InputError("effect_loads", found, "forces that the motion or a bound tells apart")
             whole += size
-        nominal = largest_gain(e, 0.0)
-        return whole * (largest_gain(e, sigmas) / nominal if nominal else 1.0)
+        nominal = e.largest_gain(0.0)
+        return whole * (e.largest_gain(sigmas) / nominal if nominal else 1.0)
 
     def _sharing(self) -> dict[int, list[int]]:
         """For each load that is not alone at its port, the others there: their sum is all that a motion tells."""
@@ -129,7 +127,7 @@ class EffectLoads:
     def _told(self, j: int, states: Array) -> Array | None:
         """The force of a load's law at each sample (n,); None where position and speed do not tell it."""
         e, (law, port) = self.acts[j][0], self._law(j)
-        seen = e.effect.footprint(e.site, e.values, 1.0)
+        seen = e.footprint()
         if law.memory or seen is None or seen.signal == "force" or is_set_valued(law, 0.0):
             return None
         return _law_along(law, port, states)
@@ -251,7 +249,7 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
             continue
         bound, unit, way = _load(plant, ports, e, sigmas)
         name = f"load {e.site.name}: {e.effect.id}"
-        loads.append(NoiseInput(name, bound, unit, f"{e.effect.title} at {e.site.name}; {values_in_words(e)}"))
+        loads.append(NoiseInput(name, bound, unit, f"{e.in_words}; {e.values_in_words}"))
         acts.append((e, way))
     ways = [way for _, way in acts]
     pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
@@ -291,20 +289,20 @@ def _scaled(whole: UncertainModel, loads: Sequence[NoiseInput]) -> UncertainMode
 
 
 def _is_linear(e: AttachedEffect) -> bool:
-    return e.site.kind not in ("input", "output") and not e.effect.laws(e.site, e.values)
+    return not e.on_signal and not e.laws()
 
 
 def _load(plant: ExtendedPlant, ports: Any, e: AttachedEffect, sigmas: float) -> tuple[float, str, Port | int]:
     """Bound, unit, and the port or the number of the input where it acts."""
-    where = f"effect_loads: {e.effect.title} at {e.site}"
+    where = f"effect_loads: {e.in_words}"
     hint = "rl.uncertain_from has sectors and weights for such effects"
     if e.site.kind == "input":
         bound = e.effect.input_error({name: v + sigmas * e.std.get(name, 0.0) for name, v in e.values.items()})
         k = [s.name for s in plant.inputs].index(e.site.name)
         if bound is not None:
             return float(bound), plant.inputs[k].unit, k
-    elif e.site.name in ports and not e.effect.structural:
-        bound = largest_offset(e, sigmas)  # as in the blocks of `rl.uncertain_from`, which takes the same loads
+    elif not e.on_signal and e.site.name in ports and not e.effect.structural:
+        bound = e.largest_offset(sigmas)  # as in the blocks of `rl.uncertain_from`, which takes the same loads
         return bound or float("inf"), ports[e.site.name].unit, ports[e.site.name]
     raise InputError(where, "neither linear nor bounded whatever the motion", "effects that are one of these", hint)
 

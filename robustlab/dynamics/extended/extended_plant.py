@@ -1,92 +1,45 @@
-r"""A linear plant with effects, as a plant of its own.
+r"""A linear plant with effects, as a plant of its own, and its linear part with its tolerances as an exact LFT.
 
-.. math::
-    \dot x = A x + B\,m(u) + \sum_j b_j f_j, \qquad y = s(C x + D\,m(u)), \qquad f_j \in F_j(q_j, v_j)
+Tolerances are those of the plant's parameters, and ``sigmas`` standard deviations of the effects that a fit has
+determined, where these are linear:
 
-with the input maps m, the sensors s, and force laws that may be set-valued at rest (dry friction). A, B and the ports
-already carry what the effects change in the linear equations; their further states stand at the end of x.
+- a misjudged parameter (s times the nominal one): the tolerance of s takes the place of the members' own, which move
+  together;
+- a spring or a damper at a joint: one delta;
+- a gain of an input or of a sensor: one delta at that signal.
 
-What is time-dependent or remembers (delays, heating, hysteresis) is exact in `simulate` only. ``derivative`` and
-``output`` take delays as absent, laws with memory as settled, and a law that is set-valued at rest with the force that
-holds its joint wherever it can.
+Force laws stand in with their slopes at the point, without tolerance, and a coupling's own parameters stay nominal.
+The equations are in `robustlab.dynamics.extended.extended_equations`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
-from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, steady_force
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
-from robustlab.dynamics.ports.port_model import Port, PortModel, linear_plant_of
-from robustlab.errors import InputError, did_you_mean
-from robustlab.result import Status
-from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.dynamics.extended.extended_equations import ExtendedEquations, extended_model
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import PortModel, linear_plant_of
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.structural import drop_unconnected
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["ExtendedPlant", "Holding", "HoldingTrim", "LeftOut", "extended_model", "with_effects"]
+__all__ = ["ExtendedPlant", "with_effects", "without_signals"]
 
-# Steps of the clock may differ by this share of the mean; effects with samples of their own need equal ones.
-CLOCK_JITTER = 1e-6
-# The laws' steps are laid out for samples of this length in s; longer samples are divided.
-NOMINAL_STEP = 1e-3
-SWEEPS, AGREED = 200, 1e-13
+# Entries that differ by less than this share of their matrix' largest are equal.
+ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
-class Holding:
-    """A force that keeps a joint at rest: any value from ``lower`` to ``upper`` would be given, ``force`` is needed."""
-
-    effect: str
-    site: str
-    force: float
-    lower: float
-    upper: float
-    unit: str
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return dict(vars(self))
-
-
-@dataclass(frozen=True, eq=False)
-class HoldingTrim(Trim):
-    """A trim with the dry friction and contacts that hold it.
-
-    Attributes
-    ----------
-    holding
-        One for each law that is set-valued there. Where it is not empty the point is one of a band of equilibria.
-    """
-
-    holding: tuple[Holding, ...] = ()
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """What a linear model does not have: the effect, why, and its footprint at an amplitude (None: none is known)."""
-
-    effect: AttachedEffect
-    reason: str
-    footprint: Footprint | None
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        seen = None if self.footprint is None else dict(vars(self.footprint))
-        return {"effect": self.effect.to_json(), "reason": self.reason, "footprint": seen}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ExtendedPlant(SteppedPlant):
+class ExtendedPlant(ExtendedEquations):
     """A linear plant with effects; made by `with_effects`.
 
     Attributes
@@ -97,175 +50,44 @@ class ExtendedPlant(SteppedPlant):
         In the order in which they were attached.
     model
         Linear equations and ports with the effects that are linear.
+    laws
+        Every force law with its effect and its port.
     """
-
-    plant: LinearPlant
-    effects: tuple[AttachedEffect, ...]
-    model: PortModel = field(init=False)
-    laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        model = extended_model(self.plant, self.effects)
-        object.__setattr__(self, "model", model)
-        laws = [(e, law, model.ports[law.port]) for e in self.effects for law in e.effect.laws(e.site, e.values)]
-        object.__setattr__(self, "laws", tuple(laws))
-
-    # --- the equations -----------------------------------------------------------------------------------------------
-
-    def mapped_input(self, u: Array) -> Array:
-        """What the plant sees of constant inputs u, (n_u,)."""
-        seen = u.copy()
-        for e in self.effects:
-            if e.site.kind == "input":
-                k = [s.name for s in self.inputs].index(e.site.name)
-                seen[k] = e.effect.input(np.full(8, seen[k]), e.values, NOMINAL_STEP)[-1]
-        return seen
-
-    def mapped_output(self, y: Array) -> Array:
-        """What is recorded of constant outputs y, (n_y,)."""
-        seen = y.copy()
-        for e in self.effects:
-            if e.site.kind == "output":
-                k = [s.name for s in self.outputs].index(e.site.name)
-                seen[k] = e.effect.output(np.full((1, 8), seen[k]), e.values, NOMINAL_STEP)[0, -1]
-        return seen
-
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``f(x, u)``, shape (n_x,); where the forces are set-valued, those that keep their joints at rest."""
-        state, command = self.point(x, u)
-        rates, forces = self._rates(state, command)
-        return rates + sum((port.force * f for (_, _, port), f in zip(self.laws, forces, strict=True)), 0.0 * rates)
-
-    def forces(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Forces of the laws at (x, u), in the order of `laws`."""
-        return self._rates(*self.point(x, u))[1]
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``h(x, u)``, shape (n_y,)."""
-        state, command = self.point(x, u)
-        return self.mapped_output(self.model.C @ state + self.model.D @ self.mapped_input(command))
-
-    def _rates(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """``A x + B m(u)``, and the forces of the laws."""
-        rates = self.model.A @ x + self.model.B @ self.mapped_input(u)
-        forces, resting = np.zeros(len(self.laws)), []
-        for j, (_, law, port) in enumerate(self.laws):
-            q, v = _motion(port, x)
-            if v != 0.0:
-                forces[j] = steady_force(law, q, v)
-            elif law.memory or is_set_valued(law, q):
-                resting.append(j)
-            else:
-                forces[j] = sum(rest_band(law, q)) / 2.0
-        for _ in range(SWEEPS if len(resting) > 1 else len(resting)):
-            before = forces.copy()
-            for j in resting:
-                _, law, port = self.laws[j]
-                total = rates + sum(p.force * f for i, ((_, _, p), f) in enumerate(self._with(forces)) if i != j)
-                mobility = float(port.velocity @ port.force)
-                forces[j] = holding_force(law, _motion(port, x)[0], float(port.velocity @ total), mobility)
-            if np.abs(forces - before).max() <= AGREED * np.abs(forces).max():
-                break
-        return rates, forces
-
-    def _with(self, forces: Array) -> Any:
-        return zip(self.laws, forces, strict=True)
-
-    # --- simulation --------------------------------------------------------------------------------------------------
-
-    def whole_state(self, x: Array) -> Array:
-        """A state of the plant alone with zeros for those that effects have added; any other as it is."""
-        return np.append(x, np.zeros(len(self.states) - len(x))) if len(x) == self.model.own else x
-
-    def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
-        """States and outputs at equally spaced times, the inputs held between them (`Simulator`).
-
-        Raises
-        ------
-        InputError
-            Unequal steps of the clock, a start at which a state that an effect has added is not zero.
-        """
-        steps = np.diff(t)
-        dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
-        if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
-            k = int(np.argmax(np.abs(steps - dt)))
-            raise InputError(
-                "simulate",
-                f"t[{k + 1}] - t[{k}] = {steps[k]:.9g} s, mean {dt:.9g} s",
-                "equal steps: delays and force laws step with the clock",
-                "resample the input on an equally spaced clock",
-            )
-        own = self.model.own
-        if x0[own:].any():
-            extra = ", ".join(s.name for s in self.states[own:])
-            raise InputError(
-                "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
-            )
-        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
-        held = np.repeat(u, parts, axis=0)
-        pairs = [(e.effect, e.site) for e in self.effects]
-        run = Simulator(self.plant, pairs, held, dt / parts, float(t[0]))
-        whole = Windows(np.zeros(1, dtype=np.int64), len(held))
-        motion = run.run({}, [e.values for e in self.effects], x0[None, :own], whole)
-        return motion.states[0, ::parts], motion.outputs[0, ::parts]
-
-    # --- equilibria and linear models --------------------------------------------------------------------------------
-
-    def equilibrium(self, **where: Any) -> HoldingTrim:
-        """Rest with the named inputs, outputs or states at the given values; the others as small as they can be.
-
-        Raises
-        ------
-        InputError
-            An unknown name.
-        NoTrustworthyNumber
-            No rest there: the input moves the plant against all that could hold it.
-        """
-        from robustlab.dynamics.extended.extended_equilibrium import rest
-
-        x, u, residual = rest(self, where)
-        holding = []
-        forces = self.forces(x, u)
-        for (e, law, port), force in self._with(forces):
-            q, v = _motion(port, x)
-            if v == 0.0 and not law.memory and is_set_valued(law, q):
-                holding.append(Holding(e.effect.id, port.name, float(force), *rest_band(law, q), port.unit))
-        return HoldingTrim(self.name, x, u, self.output(x, u), residual, None, Status.CONVERGED, holding=tuple(holding))
-
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D at (x, u), as `linear_model` takes them; slopes of laws by differences."""
-        model = self.linear_model((x, u))
-        return model.A, model.B, model.C, model.D
-
-    def linear_model(
-        self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
-    ) -> StateSpaceModel:
-        """What `robustlab.linearise` gives; see `robustlab.dynamics.extended.extended_linear_model.linear_model`."""
-        from robustlab.dynamics.extended.extended_linear_model import linear_model
-
-        return linear_model(self, at, amplitude or {}, pade)
-
-    def left_out(
-        self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
-    ) -> tuple[LeftOut, ...]:
-        """What the linear model with the same arguments does not have."""
-        from robustlab.dynamics.extended.extended_linear_model import left_out
-
-        return left_out(self, at, amplitude or {}, pade)
 
     def to_model(self) -> StateSpaceModel:
         """The linear model at the rest with the smallest inputs; functions that take a model call it."""
         return self.linear_model()
 
-    def uncertain(self, outputs: Any = None, sigmas: float = 2.0) -> UncertainModel:
-        """The linear part with its tolerances as an exact LFT.
+    def uncertain(self, outputs: Sequence[str] | None = None, sigmas: float = 2.0) -> UncertainModel:
+        """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover.
 
-        See `robustlab.dynamics.extended.extended_uncertainty.uncertain`; `left_out` has what it does not cover.
+        Parameters
+        ----------
+        outputs
+            Outputs to keep, all where left out.
+        sigmas
+            Half width of the range of a fitted value in its standard deviations.
+
+        Raises
+        ------
+        InputError
+            A standard deviation so large that the range leaves what physics allows; an unknown output.
+        NoTrustworthyNumber
+            The form is not exact for this plant (a split joint whose inertia stands in more than one equation).
         """
-        from robustlab.dynamics.extended.extended_uncertainty import uncertain
-
-        return uncertain(self, outputs, sigmas)
+        width = float(real_array("sigmas", sigmas, 0, "uncertain"))
+        if width < 0:
+            raise InputError("uncertain: sigmas", f"{width:g}", "0 or more")
+        linear = self.linear_model()
+        point = linear.operating_point
+        assert point is not None
+        into, out = self.signal_gains(point.x, point.u, {})
+        whole = _with_signal_gains(without_signals(self, linear, width).uncertain(), self, into, out, width)
+        _check(self, whole, linear, width)
+        if outputs is None:
+            return UncertainModel(whole.M, whole.blocks, point)
+        kept = whole.M.select(whole.M.input_names, [*(s.name for s in whole.M.outputs[: -len(self.outputs)]), *outputs])
+        return UncertainModel(drop_unconnected(kept), whole.blocks)
 
     def with_parameters(self, **given: Any) -> ExtendedPlant:
         """The same effects on the plant with other values, or (value, relative tolerance), of its own parameters."""
@@ -354,14 +176,6 @@ def _extended(base: LinearPlant, effects: tuple[AttachedEffect, ...]) -> Extende
     return ExtendedPlant(base.name, base.parameters, base.inputs, base.outputs, states, base, effects)
 
 
-def extended_model(plant: LinearPlant, effects: Iterable[AttachedEffect]) -> PortModel:
-    """Linear equations and ports of the plant with the effects."""
-    attached = list(effects)
-    none = np.zeros((1, len(plant.inputs)))
-    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, NOMINAL_STEP)
-    return run.model({}, [e.values for e in attached])
-
-
 def _further_states(plant: LinearPlant, model: PortModel) -> tuple[Signal, ...]:
     """Names of the states that effects have added, after the ports that read them."""
     found = []
@@ -377,7 +191,199 @@ def _further_states(plant: LinearPlant, model: PortModel) -> tuple[Signal, ...]:
     return tuple(found)
 
 
-def _motion(port: Port, x: Array) -> tuple[float, float]:
-    """Position (0 without one) and velocity at a port."""
-    q = 0.0 if port.position is None else float(port.position @ x)
-    return q, float(port.velocity @ x)
+# --- between the drivers and the sensors -----------------------------------------------------------------------------
+
+
+def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
+    """The linear model as a plant in descriptor form, affine in the parameters that carry the tolerances."""
+    base, scaled = plant.plant, _scaled_values(plant)
+    parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
+    tied: dict[str, list[str]] = {}
+    for e in plant.effects:
+        names = list(_scaled_by(plant, e))
+        if not (names and e.scale and e.scale_std):
+            continue
+        tolerance = width * e.scale_std / e.scale
+        for name in names:
+            parameters[name] = replace(parameters[name], tolerance=tolerance if len(names) == 1 else 0.0)
+        if len(names) > 1:
+            label = f"{e.effect.id}({e.site.name})"
+            parameters[label] = Parameter(
+                label, 1.0, "", tolerance, e.source, f"{e.effect.title}, over the fitted value"
+            )
+            tied[label] = names
+    terms = _joint_terms(plant, linear, width)
+    parameters |= {label: parameter for label, (parameter, _) in terms.items()}
+    structure = _structure(plant, linear)
+    nominal = structure(scaled)
+    constant = nominal[0] @ linear.A - nominal[1]
+
+    def equations(p: Mapping[str, float]) -> Descriptor:
+        values = {name: p[name] for name in base.parameters}
+        for label, names in tied.items():
+            for name in names:
+                values[name] += scaled[name] * (p[label] - 1.0)
+        e, f, g, c, d = structure(values)
+        for label, (parameter, per_unit) in terms.items():
+            f = f + (p[label] - parameter.value) * per_unit
+        return Descriptor(e, f + constant, g, c, d)
+
+    return LinearPlant(plant.name, parameters, plant.inputs, plant.outputs, plant.states, equations, base.exact)
+
+
+def _scaled_by(plant: ExtendedPlant, e: AttachedEffect) -> dict[str, float]:
+    """Parameters of the plant that the effect scales, and by how much."""
+    return e.effect.factors(plant.plant, e.site, e.values)
+
+
+def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
+    values = plant.plant.values
+    for e in plant.effects:
+        for name, factor in _scaled_by(plant, e).items():
+            values[name] *= factor
+    return values
+
+
+def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
+    """Fitted springs and dampers at joints: parameter, and the entries of F per unit of it.
+
+    They are told by what they do: without a law or a state of their own, and A affine in the value.
+    """
+    found: dict[str, tuple[Parameter, Array]] = {}
+    inertia = _structure(plant, linear)(_scaled_values(plant))[0]
+    for e in plant.effects:
+        if e.site.kind not in ("joint", "current") or e.laws() or e.effect.structural:  # a split joint stays nominal
+            continue
+        for parameter in e.parameters:
+            value, std = e.values[parameter.name], e.std.get(parameter.name, 0.0)
+            if not std:
+                continue
+            first, second = (_changed(plant, e, {parameter.name: share * value}) for share in (1.25, 1.5))
+            if not np.allclose(second, 2.0 * first, rtol=ROUNDING, atol=0.0):
+                continue
+            label = f"{e.key}.{parameter.name}"
+            tolerance = width * std / abs(value)
+            per_unit = inertia @ first / (0.25 * value)
+            found[label] = Parameter(label, value, parameter.unit, tolerance, e.source, e.effect.title), per_unit
+    return found
+
+
+def _changed(plant: ExtendedPlant, e: AttachedEffect, values: Mapping[str, float]) -> Array:
+    """Change of A when some values of an effect are changed."""
+    other = replace(e, values={**e.values, **values})
+    return extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
+
+
+def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
+    r"""E, F, G, C, D of all states at any parameter values, less a constant part of F.
+
+    A split joint keeps the share 1 - s of its inertia, and its relative motion follows
+    :math:`\ddot\delta - \dot v = (\text{constant entries})\,(\delta, \dot\delta)`, whatever the inertia.
+    """
+    base, own, size = plant.plant, plant.model.own, len(plant.states)
+    inertia = base.matrices(_scaled_values(plant))[0]
+    split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
+    for name, port in plant.model.ports.items():
+        if name.endswith(".load"):
+            joint = [s.name for s in plant.states].index(name.removesuffix(".load"))
+            rate = int(np.flatnonzero(port.velocity[own:])[0]) + own
+            split.append((joint, rate - 1, 1.0 / (float(port.velocity @ port.force) * inertia[joint, joint])))
+
+    def matrices(values: Mapping[str, float]) -> list[Array]:
+        e0, f0, g0, c0, d0 = base.matrices(values)
+        e, f, g = np.eye(size), np.zeros((size, size)), np.zeros((size, g0.shape[1]))
+        e[:own, :own], f[:own, :own], g[:own] = e0, f0, g0
+        for joint, first, share in split:
+            e[joint, joint] = (1.0 - share) * e0[joint, joint]
+            f[joint, first : first + 2] = e[joint, joint] * linear.A[joint, first : first + 2]
+            e[first + 1, joint] = -1.0
+        return [e, f, g, np.hstack([c0, np.zeros((len(c0), size - own))]), d0]
+
+    return matrices
+
+
+# --- drivers and sensors ---------------------------------------------------------------------------------------------
+
+
+def _with_signal_gains(
+    inner: UncertainModel, plant: ExtendedPlant, into: Array, out: Array, width: float
+) -> UncertainModel:
+    r"""Gains at inputs and outputs around the model; fitted ones as :math:`s + r \delta`.
+
+    With the model's channels in front, u enters as ``into u + R_i w_i`` with ``z_i = S_i u``, and
+    ``y = out y_0 + w_o`` with ``z_o = R_o y_0``.
+    """
+    m, n_u, n_y = inner.M, len(plant.inputs), len(plant.outputs)
+    q, p = m.n_inputs - n_u, m.n_outputs - n_y
+    fitted = {
+        kind: [e for e in plant.effects if e.site.kind == kind and e.scale and e.scale_std]
+        for kind in ("input", "output")
+    }
+    place_i, place_o = (
+        np.eye(len(signals))[[[s.name for s in signals].index(e.site.name) for e in fitted[kind]]]
+        for kind, signals in (("input", plant.inputs), ("output", plant.outputs))
+    )
+    share_i, share_o = (
+        np.array([width * e.scale_std / (e.scale or 1.0) for e in fitted[kind]]) for kind in ("input", "output")
+    )
+    k_i, k_o = len(share_i), len(share_o)
+    before = np.zeros((q + n_u, q + k_i + k_o + n_u))
+    before[:q, :q] = np.eye(q)
+    before[q:, q : q + k_i] = (into[:, None] * place_i.T) * share_i
+    before[q:, q + k_i + k_o :] = np.diag(into)
+    after = np.zeros((p + k_i + k_o + n_y, p + n_y))
+    after[:p, :p] = np.eye(p)
+    after[p + k_i : p + k_i + k_o, p:] = share_o[:, None] * (place_o * out)
+    after[p + k_i + k_o :, p:] = np.diag(out)
+    past = np.zeros((len(after), before.shape[1]))
+    past[p : p + k_i, q + k_i + k_o :] = place_i
+    past[p + k_i + k_o :, q + k_i : q + k_i + k_o] = place_o.T
+    gains = [*fitted["input"], *fitted["output"]]
+    names = [e.key for e in gains]
+    whole = StateSpaceModel(
+        m.A, m.B @ before, after @ m.C, after @ m.D @ before + past, 0.0,
+        [*m.inputs[:q], *(f"w_{name}" for name in names), *plant.inputs],
+        [*m.outputs[:p], *(f"z_{name}" for name in names), *plant.outputs],
+        m.states, None, f"{plant.name}: uncertain",
+    )  # fmt: skip
+    spans = [ParameterRange(e.scale or 1.0, width * e.scale_std) for e in gains]
+    return UncertainModel(
+        whole, [*inner.blocks, *(RealScalar(name, 1, span) for name, span in zip(names, spans, strict=True))]
+    )
+
+
+# --- is it so? -------------------------------------------------------------------------------------------------------
+
+
+def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
+    """The nominal model, and the plant rebuilt with every deviation at its upper end, must come out."""
+    changed = {n: (p.value * (1.0 + p.tolerance), 0.0) for n, p in plant.parameters.items() if p.tolerance}
+    for e in plant.effects:
+        for name in _scaled_by(plant, e) if e.scale_std else ():
+            changed.pop(name, None)
+    terms = _joint_terms(plant, linear, width)
+    effects = []
+    for e in plant.effects:
+        linear_ones = {n for n in e.std if _is_covered(plant, e, n, terms)}
+        up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
+        effects.append(replace(e, values=up))
+    rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
+    point = linear.operating_point
+    for delta, other in ((0.0, linear), (1.0, rebuilt.linear_model(point))):
+        found = whole.evaluate({block.name: delta for block in whole.blocks})
+        for name in "ABCD":
+            off = np.abs(getattr(found, name) - getattr(other, name)).max(initial=0.0)
+            if off > ROUNDING * np.abs(getattr(other, name)).max(initial=0.0):
+                raise NoTrustworthyNumber(
+                    f"{plant.name}: uncertain",
+                    f"the form is not exact: {name} is off by {off:.2g} at delta = {delta:g}",
+                    None,
+                    "take the tolerances off the parameters that act together with an effect, or take it off",
+                )
+
+
+def _is_covered(
+    plant: ExtendedPlant, e: AttachedEffect, name: str, terms: Mapping[str, tuple[Parameter, Array]]
+) -> bool:
+    scales = e.on_signal or bool(_scaled_by(plant, e))
+    return (name == e.effect.scale and scales) or f"{e.key}.{name}" in terms

@@ -22,22 +22,19 @@ function :math:`4 F_c / (\pi a)` says what damping it brings to an oscillation o
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import InputError, did_you_mean
-
-if TYPE_CHECKING:
-    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 
 __all__ = [
     "Amplitude",
@@ -46,11 +43,7 @@ __all__ = [
     "ForceParts",
     "ForceSector",
     "check_amplitudes",
-    "corners",
     "force_parts",
-    "largest_gain",
-    "largest_offset",
-    "values_in_words",
     "force_columns",
 ]
 
@@ -156,7 +149,7 @@ def force_parts(
     stand_in: dict[int, Array] = {}
     missing: dict[str, str] = {}
     for j, (e, _, port) in enumerate(plant.laws):
-        seen = e.effect.footprint(e.site, e.values, 1.0)
+        seen = e.footprint()
         reason = _no_part(seen, port)
         if reason or seen is None:
             left[f"{e!r}"] = reason
@@ -176,7 +169,7 @@ def force_parts(
             if found.radius > 0:
                 sectors.append(found)
         if as_load:
-            bounded.append(BoundedForce(e, port, largest_offset(e, width)))
+            bounded.append(BoundedForce(e, port, e.largest_offset(width)))
         stand_in[j] = row
     if missing:
         name, title = next(iter(missing.items()))
@@ -215,22 +208,6 @@ def check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -
             raise InputError(where, f"{value!r} at a driver or sensor", "one positive number")
 
 
-def largest_offset(e: AttachedEffect, width: float) -> float:
-    """Bound of what is no gain of an effect's signal, over the ranges of its fitted values; 0 where there is none."""
-    return max((f.offset for f in _footprints(e, 1.0, width)), default=0.0)
-
-
-def largest_gain(e: AttachedEffect, width: float) -> float:
-    """Largest gain of an effect's signal, over the ranges of its fitted values; 0 where there is none."""
-    return max((max(abs(f.gain_lower), abs(f.gain_upper)) for f in _footprints(e, 1.0, width)), default=0.0)
-
-
-def values_in_words(e: AttachedEffect) -> str:
-    """Equation, values and source of an effect."""
-    said = ", ".join(f"{name} = {value:.6g}" for name, value in e.values.items())
-    return f"{e.effect.equation} with {said}" + (f"; {e.source}" if e.source else "")
-
-
 def _is_positive(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < math.inf
 
@@ -255,7 +232,7 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
     has_gain = seen.signal == "force" or any(
         f is not None and f.gain_upper > f.gain_lower
         for a in STRETCHES
-        for f in [e.effect.footprint(e.site, e.values, 1e3 * a)]
+        for f in [e.footprint(1e3 * a)]
     ) or seen.gain_upper > seen.gain_lower  # fmt: skip
     if not seen.offset:
         return True, False
@@ -268,17 +245,17 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
 
 
 def _same_everywhere(e: AttachedEffect) -> bool:
-    found = [e.effect.footprint(e.site, e.values, a) for a in STRETCHES]
+    found = [e.footprint(a) for a in STRETCHES]
     return len({(f.gain_lower, f.gain_upper) for f in found if f is not None}) == 1 and found[0] is not None
 
 
 def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude | None, width: float) -> ForceSector:
     ends = _pair(1.0 if amplitude is None else amplitude)
-    all_of = [f for a in ends for f in _footprints(e, a, width)]
+    all_of = [f for a in ends for f in e.footprints(a, width)]
     low, high = min(f.gain_lower for f in all_of), max(f.gain_upper for f in all_of)
     dry = bool(seen.offset)
     if dry and ends[0] < ends[1]:
-        at_largest = [f.describing for f in _footprints(e, ends[1], width)]
+        at_largest = [f.describing for f in e.footprints(ends[1], width)]
         low = max(low, min(at_largest)) if np.isfinite(at_largest).all() else low
     unit = port.position_unit if seen.signal == "position" else port.speed_unit
     if seen.signal == "force":
@@ -293,24 +270,6 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
     else:
         valid = f"up to {ends[1]:.4g} {unit}, as a gain that may change with the motion"
     return ForceSector(e, port, seen.signal, low, high, valid, dry and seen.signal != "force")
-
-
-def corners(e: AttachedEffect, width: float) -> Iterator[dict[str, float]]:
-    """An effect's values at the corners of the ranges of those that are fitted, ``width`` standard deviations."""
-    spread = {name: width * std for name, std in e.std.items() if std}
-    positive = {p.name for p in e.parameters if p.prior.kind != "linear"}
-    for signs in itertools.product(*[(-1.0, 1.0)] * len(spread)):
-        moved = {n: e.values[n] + s * spread[n] for n, s in zip(spread, signs, strict=True)}
-        least = {n: max(v, 1e-3 * e.values[n]) if n in positive else v for n, v in moved.items()}
-        yield {**e.values, **least}
-
-
-def _footprints(e: AttachedEffect, amplitude: float, width: float) -> Iterator[Footprint]:
-    """Footprints at the corners of the fitted values' ranges."""
-    for values in corners(e, width):
-        found = e.effect.footprint(e.site, values, amplitude)
-        if found is not None:
-            yield found
 
 
 def force_columns(

@@ -56,35 +56,6 @@ SETTLED = 8.0  # the same in a beat of the signals
 BEATS = (16, 4)  # most and fewest beats in an experiment
 MOST_RIVALS = 3
 
-# What would settle a name without any record of this kind.
-INDEPENDENT = {
-    "sensor-gain": "move the axis by a length or angle known from elsewhere (a gauge, counted turns) and compare",
-    "sensor-bias": "read the sensor at a known reference",
-    "sensor-eccentricity": "turn slowly against a second encoder",
-    "sensor-delay": "put command and sensor on an oscilloscope with one trigger",
-    "input-delay": "put command and driver output on an oscilloscope with one trigger",
-    "torque-constant": "turn the motor from outside and measure its open-circuit voltage per speed",
-    "resistance": "measure the winding with an ohmmeter, rotor held, in several positions",
-    "resistance-heating": "measure the winding with an ohmmeter, cold and right after a long run",
-    "inertia": "weigh the parts, or add a known inertia and compare",
-    "viscous-friction": "measure the no-load current at several speeds",
-    "coulomb-friction": "measure the breakaway force or torque with a spring balance in both directions",
-    "stribeck-friction": "measure the breakaway force and the force at a slow constant speed with a spring balance",
-    "constant-load": "turn the machine on its side or take the weight off",
-    "quadratic-drag": "let it run down from full speed without drive",
-    "gear-efficiency": "measure the input torque at two known loads",
-    "backlash": "hold the motor and move the output by hand against a dial gauge",
-    "flexible-coupling": "hold the motor and twist the output with a known torque",
-    "cogging": "turn it slowly by hand without power",
-    "stiffness": "push with known forces and read the displacement",
-    "cubic-stiffness": "push with known forces and read the displacement",
-    "end-stop": "move it slowly by hand to its ends",
-    "input-dead-zone": "measure the driver's output voltage at small commands",
-    "brush-drop": "measure voltage and current at the terminals with the rotor held",
-    "input-saturation": "measure the driver's output voltage at full command",
-    "input-gain": "measure the driver's output voltage over the command",
-}
-
 
 class Tried(NamedTuple):
     """One entry of the menu: signal, sensors, duration in s, smallest d; refitted, or from the linearised refit."""
@@ -392,14 +363,14 @@ def _advice(
         f"{name} between {lo:.3g} and {hi:.3g} {units[name]}" for name, (lo, hi) in limits.ranges.items()
     )
     open_labels = {label for p in pairs if p.separation < SAFE for label in p[:2]}
-    ids = dict.fromkeys(
-        c.effect.id
+    effects = dict.fromkeys(
+        c.effect
         for label, f in zip(labels, fits, strict=True)
         if label in open_labels
         for c in f.hypothesis.candidates
         if c.effect.id in label
     )
-    ways = [f"{name}: {INDEPENDENT[name]}" for name in ids if name in INDEPENDENT]
+    ways = [f"{effect.id}: {effect.independently}" for effect in effects if effect.independently]
     word = "this may, but need not, separate"
     if entry.separation < CANNOT_TELL:
         word = "nothing on the menu separates"

@@ -32,6 +32,7 @@ __all__ = [
 
 ORDERS = 3  # spatial lines tried
 FINEST_LINES = 1500  # per range of the position
+ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
 
 
 def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
@@ -193,19 +194,6 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: NDArray[np.bool_]) -> t
     return tuple(found)
 
 
-# Tolerances (relative) of parameters for which the plant states none. A gain without one is taken as exact: it is what
-# forces are measured in.
-ASSUMED = {
-    "inertia": 0.05,
-    "resistance": 0.05,
-    "inductance": 0.10,
-    "torque-constant": 0.03,
-    "stiffness": 0.05,
-    "viscous-friction": 1.0,
-    "input-gain": 0.0,
-}
-
-
 def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
     """Parameter -> (relative tolerance, whether it was assumed).
 
@@ -238,7 +226,8 @@ def stated_tolerances(plant: LinearPlant, given: Mapping[str, float] | None) -> 
         elif parameter.tolerance or not parameter.role:
             result[name] = (parameter.tolerance, False)
         else:
-            result[name] = (ASSUMED[parameter.role], True)
+            effect = catalogue().get(parameter.role)  # roles are named by the effect that misjudges them
+            result[name] = (ASSUMED if effect is None else effect.tolerance, True)
     return result
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from robustlab.dynamics.effects.catalogue import catalogue
+
 if TYPE_CHECKING:
     from robustlab.identification.naming.discovery_result import (
         Discovery,
@@ -203,11 +205,9 @@ def _or(texts: Iterable[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
-NAMES = ("Coulomb", "Stribeck")  # of people: they keep their capital
-
-
 def _small(text: str) -> str:
-    return text if text.startswith(NAMES) else text[:1].lower() + text[1:]
+    people = tuple(e.person for e in catalogue().values() if e.person)  # they keep their capital
+    return text if text.startswith(people) else text[:1].lower() + text[1:]
 
 
 def _items(table: Mapping[str, Any]) -> str:

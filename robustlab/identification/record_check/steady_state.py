@@ -21,6 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics.effects.contract import Effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.identification.response.response import Evidence
@@ -480,11 +482,16 @@ def _structural(check: BalanceCheck, balances: _Balances, point: SheetPoint) -> 
         if loss is None or loss <= 0:
             return []
         extra = loss if check.residual * _direction(point) < 0 else abs(check.residual)
-        return [Explanation("coulomb-friction", math.nan, {"Fc": extra}, check.unit)]
+        return [Explanation(e.id, math.nan, {"Fc": extra}, check.unit) for e in _losses("torque")]
     if check.balance == "voltage" and point.voltage and check.residual * point.voltage > 0:
         drop = {"drop": abs(check.residual)}
-        return [Explanation(effect, math.nan, drop, "V") for effect in ("brush-drop", "input-dead-zone")]
+        return [Explanation(e.id, math.nan, drop, "V") for e in _losses("voltage")]
     return []
+
+
+def _losses(balance: str) -> list[Effect]:
+    """Effects of the catalogue that take a constant amount from a balance."""
+    return [e for e in catalogue().values() if e.constant_loss == balance]
 
 
 def _direction(point: SheetPoint) -> float:

@@ -24,7 +24,6 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     reference_block,
     unit_scalings,
 )
-from robustlab.synthesis.dk.pointwise_scalings import MuCurve
 from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 

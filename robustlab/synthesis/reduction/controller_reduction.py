@@ -25,26 +25,18 @@ import numpy as np
 from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import (
-from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.synthesis.hinf.loop_shaping import with_performance
-from robustlab.synthesis.nonsmooth.descent import descend
-from robustlab.synthesis.nonsmooth.performance_measure import (
     Evidence,
     MeasureName,
     Performance,
     PerformanceMeasure,
     make_measure,
 )
-from robustlab.synthesis.reduction.controller_candidates import CandidateFamily, candidate_families
-from robustlab.uncertainty.blocks import Block
-from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.balancing import (
     Balancing,
     Projection,
@@ -52,6 +44,7 @@ from robustlab.synthesis.reduction.balancing import (
     gramian_factors,
     split_stable,
 )
+from robustlab.synthesis.reduction.controller_candidates import CandidateFamily, candidate_families
 from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weighted_factors
 from robustlab.uncertainty.blocks import Block
 

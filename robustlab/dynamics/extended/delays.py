@@ -1,0 +1,140 @@
+r"""Delays: rational ones by Padé, and a block for what these miss.
+
+References
+----------
+Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-infinity framework", Int. J. Control 59
+(1994).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.errors import InputError
+from robustlab.frequency import frequency_response
+from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
+from robustlab.uncertainty.blocks import FullBlock
+from robustlab.uncertainty.covering.overbound import Overbound, overbound
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["HIGHEST_PADE", "delay_block", "delayed", "pade_delay"]
+
+# The order up to which a rational delay is better than its own rounding.
+HIGHEST_PADE = 8
+# The weight of a delay need not go below this: far beneath any other error.
+LEAST_ERROR = 1e-3
+# The error grows with the power 2 n + 1 of the frequency: the weight's order over that of the Padé part.
+WEIGHT_EXTRA = 2
+
+
+def pade_delay(delay: float, order: int) -> tuple[Array, Array, Array, Array]:
+    r"""A, B, C, D of the Padé approximation of :math:`e^{-s d}` of equal orders; an all-pass with the gain 1.
+
+    Phase variables in units of the delay, so that entries are of moderate size.
+    """
+    n = order
+    c = np.array([math.factorial(2 * n - k) * math.comb(n, k) / math.factorial(2 * n) for k in range(n + 1)])
+    denominator, numerator = c / c[n], c * (-1.0) ** np.arange(n + 1) / c[n]
+    direct = numerator[n]
+    a = np.diag(np.ones(n - 1), 1)
+    a[-1] = -denominator[:n]
+    b = np.zeros((n, 1))
+    b[-1] = 1.0
+    read = (numerator[:n] - direct * denominator[:n])[None]
+    return a / delay, b / delay, read, np.array([[direct]])
+
+
+def delayed(model: StateSpaceModel, delays: Mapping[str, list[float]], order: int) -> StateSpaceModel:
+    """The model with the delays of its inputs and outputs as rational ones."""
+    before, after = (_bank(delays[side], order) for side in ("input", "output"))
+    whole = series(series(before, model), after)
+    names = [
+        (f"delay_{side}_{s.name}_{i + 1}", "")
+        for side, signals in (("input", model.inputs), ("output", model.outputs))
+        for s, delay in zip(signals, delays[side], strict=True)
+        for i in range(order if delay else 0)
+    ]
+    first = before.n_states
+    states = [*names[:first], *model.states, *names[first:]]
+    point = model.operating_point
+    assert point is not None
+    settled = [_settled(bank, levels) for bank, levels in ((before, point.u), (after, point.y))]
+    x = np.concatenate([settled[0], point.x, settled[1]])
+    return StateSpaceModel(
+        whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states,
+        OperatingPoint(x, point.u, point.y), "delays",
+    )  # fmt: skip
+
+
+def _bank(delays: list[float], order: int) -> StateSpaceModel:
+    unit = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
+    channels = [StateSpaceModel(*(pade_delay(delay, order) if delay else unit)) for delay in delays]
+    return append(*(m.renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels)))
+
+
+def _settled(bank: StateSpaceModel, levels: Array) -> Array:
+    """States of the bank at constant inputs."""
+    return np.asarray(-np.linalg.solve(bank.A, bank.B @ levels), dtype=np.float64)
+
+
+def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[UncertainModel, Overbound]:
+    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`.
+
+    .. math:: |w(j\omega)| \ge \max_{d} |e^{-j \omega d} - P(j\omega)| = 2 \sin\bigl(\tfrac12 \min(\pi,
+       \max_d |\omega d + \arg P(j\omega)|)\bigr)
+
+    Parameters
+    ----------
+    delay, spread
+        In s; the delay positive.
+    pade
+        Order of P.
+    name
+        Of the block.
+
+    Returns
+    -------
+    tuple
+        The set, and the weight with its bound, ``hypot(bound, 1e-3)``.
+    """
+    if not 0 < delay < np.inf or not 0 <= spread < np.inf:
+        raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
+    a, b, c, d = pade_delay(delay, pade)
+    rational = StateSpaceModel(a, b, c, d)
+    zeros = -rational.poles()
+
+    def error(omega: Array) -> Array:
+        # The phase of an all-pass is that of its poles and zeros, counted without wrapping.
+        s = 1j * np.asarray(omega)[:, None]
+        lag = -2.0 * np.angle((zeros - s) / zeros).sum(axis=1)
+        low, high = omega * max(delay - spread, 0.0), omega * (delay + spread)
+        off = np.maximum(np.abs(low - lag), np.abs(high - lag))
+        return np.hypot(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), LEAST_ERROR)
+
+    omega = np.geomspace(1e-3, 1e3, 160) / delay
+    fit = overbound(omega, error(omega), pade + WEIGHT_EXTRA, 0.1, exact=error)
+    fit = _above_beyond(fit, np.geomspace(1e3, 1e8, 200) / delay, error)
+    w, n = fit.weight, pade
+    model = StateSpaceModel(
+        np.block([[a, np.zeros((n, w.n_states))], [np.zeros((w.n_states, n)), w.A]]),
+        np.block([[np.zeros((n, 1)), b], [np.zeros((w.n_states, 1)), w.B]]),
+        np.block([[np.zeros((1, n)), w.C], [c, np.zeros((1, w.n_states))]]),
+        np.array([[0.0, w.D[0, 0]], [1.0, d[0, 0]]]),
+    )
+    return UncertainModel(model, [FullBlock(name, 1, 1)]), fit
+
+
+def _above_beyond(fit: Overbound, omega: Array, error: Callable[[Array], Array]) -> Overbound:
+    """The weight, lifted where it falls below the error at frequencies above those of its fit."""
+    w = fit.weight
+    lift = float((error(omega) / np.abs(frequency_response(w, omega)[:, 0, 0])).max())
+    if lift <= 1.0:
+        return fit
+    excess, lowest = ((1.0 + x) * lift - 1.0 for x in (fit.excess, fit.lowest))
+    raised = StateSpaceModel(w.A, w.B, lift * w.C, lift * w.D)
+    return dataclasses.replace(fit, weight=raised, excess=excess, lowest=lowest, magnitude=lift * fit.magnitude)

@@ -1,0 +1,476 @@
+r"""The equations of a linear plant with effects: rates and steps, rest, and the linear model about a point.
+
+.. math::
+    \dot x = A x + B\,m(u) + \sum_j b_j f_j, \qquad y = s(C x + D\,m(u)), \qquad f_j \in F_j(q_j, v_j)
+
+with the input maps m, the sensors s, and force laws that may be set-valued at rest (dry friction). A, B and the ports
+already carry what the effects change in the linear equations; their further states stand at the end of x.
+
+What is time-dependent or remembers (delays, heating, hysteresis) is exact in `simulate` only. ``derivative`` and
+``output`` take delays as absent, laws with memory as settled, and a law that is set-valued at rest with the force that
+holds its joint wherever it can.
+
+The linear model, in deviations from a point, is
+
+.. math:: A = A_0 + \sum_j b_j \Bigl(\frac{\partial f_j}{\partial v} c_j^T + \frac{\partial f_j}{\partial q} p_j^T\Bigr)
+
+Slopes of force laws, inputs and sensors are local ones. Dry friction at rest has none: it is left out, and
+`ExtendedEquations.left_out` says so with its footprint; with an amplitude of the speed it is the middle of its sector
+there. A map without any gain at the point (inside a dead band, beyond a limit) would leave no model at all: it has the
+gain 1 there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array
+from robustlab.dynamics.effects.contract import Footprint, Law
+from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed
+from robustlab.dynamics.extended.law_forces import holding_force, is_set_valued, rest_band, slopes, steady_force
+from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.plant_contract import SteppedPlant, Trim
+from robustlab.dynamics.ports.port_model import Port, PortModel
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.result import Status
+from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
+
+__all__ = ["ExtendedEquations", "Holding", "HoldingTrim", "LeftOut", "extended_model"]
+
+# Steps of the clock may differ by this share of the mean; effects with samples of their own need equal ones.
+CLOCK_JITTER = 1e-6
+# The laws' steps are laid out for samples of this length in s; longer samples are divided.
+NOMINAL_STEP = 1e-3
+# Sweeps over joints that rest together, and the share of the largest force at which they agree.
+SWEEPS, AGREED = 200, 1e-13
+# Newton steps of `ExtendedEquations.equilibrium`.
+PASSES = 60
+# Holding forces come before inputs and positions: in the shortest step they weigh this much less.
+CHEAP = 1e4
+# At rest to this share of the rates that the terms of the equations have one by one.
+STILL = 1e-11
+
+
+@dataclass(frozen=True)
+class Holding:
+    """A force that keeps a joint at rest: any value from ``lower`` to ``upper`` would be given, ``force`` is needed."""
+
+    effect: str
+    site: str
+    force: float
+    lower: float
+    upper: float
+    unit: str
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True, eq=False)
+class HoldingTrim(Trim):
+    """A trim with the dry friction and contacts that hold it.
+
+    Attributes
+    ----------
+    holding
+        One for each law that is set-valued there. Where it is not empty the point is one of a band of equilibria.
+    """
+
+    holding: tuple[Holding, ...] = ()
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What a linear model does not have: the effect, why, and its footprint at an amplitude (None: none is known)."""
+
+    effect: AttachedEffect
+    reason: str
+    footprint: Footprint | None
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes."""
+        seen = None if self.footprint is None else dict(vars(self.footprint))
+        return {"effect": self.effect.to_json(), "reason": self.reason, "footprint": seen}
+
+
+def extended_model(plant: LinearPlant, effects: Iterable[AttachedEffect]) -> PortModel:
+    """Linear equations and ports of the plant with the effects."""
+    attached = list(effects)
+    none = np.zeros((1, len(plant.inputs)))
+    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, NOMINAL_STEP)
+    return run.model({}, [e.values for e in attached])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExtendedEquations(SteppedPlant):
+    """Equations of a linear plant with effects.
+
+    Attributes
+    ----------
+    plant
+        The plant without them.
+    effects
+        In the order in which they were attached.
+    model
+        Linear equations and ports with the effects that are linear.
+    laws
+        Every force law with its effect and its port.
+    """
+
+    plant: LinearPlant
+    effects: tuple[AttachedEffect, ...]
+    model: PortModel = field(init=False)
+    laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        model = extended_model(self.plant, self.effects)
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "laws", tuple((e, f, model.ports[f.port]) for e in self.effects for f in e.laws()))
+
+    # --- rates and outputs -------------------------------------------------------------------------------------------
+
+    def mapped_input(self, u: Array) -> Array:
+        """What the plant sees of constant inputs u, (n_u,)."""
+        return self._mapped("input", u)[0]
+
+    def signal_levels(self, x: Array, u: Array) -> list[tuple[AttachedEffect, int, float]]:
+        """Effects on inputs and outputs, the index of their signal, and its value before the effect."""
+        seen, into = self._mapped("input", u)
+        outof = self._mapped("output", self.model.C @ x + self.model.D @ seen)[1]
+        return [found for e in self.effects for found in (*into, *outof) if found[0] is e]
+
+    def _mapped(self, kind: str, levels: Array) -> tuple[Array, list[tuple[AttachedEffect, int, float]]]:
+        """Constant inputs or outputs after the effects on them; each effect, its signal, and the level before it."""
+        after, met = levels.copy(), []
+        names = [s.name for s in (self.inputs if kind == "input" else self.outputs)]
+        for e in self.effects:
+            if e.site.kind == kind:
+                k = names.index(e.site.name)
+                met.append((e, k, float(after[k])))
+                after[k] = e.mapped(after[k])
+        return after, met
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """``f(x, u)``, shape (n_x,); where the forces are set-valued, those that keep their joints at rest."""
+        rates, forces = self._rates(*self.point(x, u))
+        return rates + sum((port.force * f for (_, _, port), f in zip(self.laws, forces, strict=True)), 0.0 * rates)
+
+    def forces(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """Forces of the laws at (x, u), in the order of `laws`."""
+        return self._rates(*self.point(x, u))[1]
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """``h(x, u)``, shape (n_y,)."""
+        state, command = self.point(x, u)
+        return self._mapped("output", self.model.C @ state + self.model.D @ self.mapped_input(command))[0]
+
+    def _rates(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """``A x + B m(u)``, and the forces of the laws."""
+        rates = self.model.A @ x + self.model.B @ self.mapped_input(u)
+        forces, resting = np.zeros(len(self.laws)), []
+        for j, (_, law, port) in enumerate(self.laws):
+            q, v = _motion(port, x)
+            if v != 0.0:
+                forces[j] = steady_force(law, q, v)
+            elif law.memory or is_set_valued(law, q):
+                resting.append(j)
+            else:
+                forces[j] = sum(rest_band(law, q)) / 2.0
+        for _ in range(SWEEPS if len(resting) > 1 else len(resting)):
+            before = forces.copy()
+            for j in resting:
+                _, law, port = self.laws[j]
+                others = ((p, f) for i, ((_, _, p), f) in enumerate(zip(self.laws, forces, strict=True)) if i != j)
+                total = rates + sum(p.force * f for p, f in others)
+                mobility = float(port.velocity @ port.force)
+                forces[j] = holding_force(law, _motion(port, x)[0], float(port.velocity @ total), mobility)
+            if np.abs(forces - before).max() <= AGREED * np.abs(forces).max():
+                break
+        return rates, forces
+
+    def whole_state(self, x: Array) -> Array:
+        """A state of the plant alone with zeros for those that effects have added; any other as it is."""
+        return np.append(x, np.zeros(len(self.states) - len(x))) if len(x) == self.model.own else x
+
+    def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
+        """States and outputs at equally spaced times, the inputs held between them (`Simulator`).
+
+        Raises
+        ------
+        InputError
+            Unequal steps of the clock, a start at which a state that an effect has added is not zero.
+        """
+        steps = np.diff(t)
+        dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
+        if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
+            k = int(np.argmax(np.abs(steps - dt)))
+            raise InputError(
+                "simulate",
+                f"t[{k + 1}] - t[{k}] = {steps[k]:.9g} s, mean {dt:.9g} s",
+                "equal steps: delays and force laws step with the clock",
+                "resample the input on an equally spaced clock",
+            )
+        own = self.model.own
+        if x0[own:].any():
+            extra = ", ".join(s.name for s in self.states[own:])
+            raise InputError(
+                "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
+            )
+        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
+        held = np.repeat(u, parts, axis=0)
+        pairs = [(e.effect, e.site) for e in self.effects]
+        run = Simulator(self.plant, pairs, held, dt / parts, float(t[0]))
+        whole = Windows(np.zeros(1, dtype=np.int64), len(held))
+        motion = run.run({}, [e.values for e in self.effects], x0[None, :own], whole)
+        return motion.states[0, ::parts], motion.outputs[0, ::parts]
+
+    # --- rest --------------------------------------------------------------------------------------------------------
+
+    def equilibrium(self, **where: Any) -> HoldingTrim:
+        """Rest with the named inputs, outputs or states at the given values; the others as small as they can be.
+
+        Newton steps on all that is free, each the shortest that solves the linearised equations, so that inputs and
+        positions that nothing asks for stay at zero. Forces that hold their joint take part by being what they must be:
+        where they suffice the equations are fulfilled, and where they do not, the step leads to the edge of what they
+        can hold.
+
+        Parameters
+        ----------
+        where
+            Name of an input, output or state -> value. A name that is both output and state means the state.
+
+        Raises
+        ------
+        InputError
+            An unknown name, a value that is no number.
+        NoTrustworthyNumber
+            No rest there: the input moves the plant against all that could hold it.
+        """
+        x, u, residual = self._rest(where)
+        holding = []
+        for (e, law, port), force in zip(self.laws, self.forces(x, u), strict=True):
+            q, v = _motion(port, x)
+            if v == 0.0 and not law.memory and is_set_valued(law, q):
+                holding.append(Holding(e.effect.id, port.name, float(force), *rest_band(law, q), port.unit))
+        return HoldingTrim(self.name, x, u, self.output(x, u), residual, None, Status.CONVERGED, holding=tuple(holding))
+
+    def _rest(self, where: Mapping[str, Any]) -> tuple[Array, Array, float]:
+        """State, input and the largest rate there."""
+        n = len(self.states)
+        s, free, wanted = self._asked_rest(where)
+        rows = list(wanted)
+        residual = np.zeros(n)
+        for _ in range(PASSES):
+            residual = np.concatenate([self.derivative(s[:n], s[n:]), self.output(s[:n], s[n:])[rows]])
+            residual[n:] -= list(wanted.values())
+            if self._is_still(s, residual):
+                return s[:n], s[n:], float(np.abs(residual).max(initial=0.0))
+            a, b, c, d = self.jacobians(s[:n], s[n:])
+            matrix = np.vstack([np.hstack([a, b]), np.hstack([c[rows], d[rows]])])[:, free]
+            size = np.abs(matrix).max(axis=1, initial=0.0)
+            scale = np.where(size > 0, size, 1.0)
+            holding = self._holding_columns(s) / scale[:n, None]
+            held = np.vstack([CHEAP * holding, np.zeros((len(rows), holding.shape[1]))])
+            step = np.linalg.lstsq(np.hstack([matrix / scale[:, None], held]), -residual / scale, rcond=1e-12)[0]
+            step = step[: len(free)]
+            # Newton's steps leave rates of rounding at joints whose rest is what lets them be held: those are zero.
+            s[free] += np.where(np.abs(step) > 1e-14 * np.abs(s[free]), step, 0.0)
+            s = np.where(np.abs(s) > 1e-12 * np.abs(s).max(initial=0.0), s, 0.0)
+        given = ", ".join(f"{name} = {value:g}" for name, value in where.items())
+        moving = int(np.argmax(np.abs(residual[:n])))
+        name, rate = self.states[moving].name, residual[moving]
+        raise NoTrustworthyNumber(
+            f"{self.name}: trim",
+            f"no rest with {given or 'anything given'}: {name} keeps changing, at {rate:.3g}/s",
+            None,
+            "give an input that what holds the plant can bear, or leave the input to be found",
+        )
+
+    def _asked_rest(self, where: Mapping[str, Any]) -> tuple[Array, Array, dict[int, float]]:
+        """State and input with what is given in place, the indices of the others, and outputs that are wanted."""
+        n = len(self.states)
+        states, inputs, outputs = ([s.name for s in kind] for kind in (self.states, self.inputs, self.outputs))
+        s, fixed = np.zeros(n + len(inputs)), np.zeros(n + len(inputs), dtype=np.bool_)
+        wanted: dict[int, float] = {}
+        for name, value in where.items():
+            number = float(real_array(name, value, 0, f"{self.name}: trim"))
+            if name in states or name in inputs:
+                k = states.index(name) if name in states else n + inputs.index(name)
+                s[k], fixed[k] = number, True
+            elif name in outputs:
+                wanted[outputs.index(name)] = number
+            else:
+                known = (*inputs, *outputs, *(x for x in states if x not in outputs))
+                hint = did_you_mean(name, known)
+                raise InputError(f"{self.name}: trim", f"{name!r}", f"one of {', '.join(known)}", hint)
+        return s, np.flatnonzero(~fixed), wanted
+
+    def _holding_columns(self, s: Array) -> Array:
+        """Rates per unit of each force that holds its joint within its band and may change: scaled to entries of 1."""
+        n = len(self.states)
+        columns = [np.zeros((n, 0))]
+        for (_, law, port), force in zip(self.laws, self.forces(s[:n], s[n:]), strict=True):
+            q, v = _motion(port, s[:n])
+            if v != 0.0 or law.memory:
+                continue
+            low, high = rest_band(law, q)
+            if low < force < high and is_set_valued(law, q):
+                columns.append((port.force / np.abs(port.force).max())[:, None])
+        return np.hstack(columns)
+
+    def _is_still(self, s: Array, residual: Array) -> bool:
+        """Whether the rates are the rounding of the terms that make them up, and the outputs where they should be."""
+        n, model = len(self.states), self.model
+        terms = np.abs(model.A) @ np.abs(s[:n]) + np.abs(model.B) @ np.abs(self.mapped_input(s[n:]))
+        for (_, _, port), force in zip(self.laws, self.forces(s[:n], s[n:]), strict=True):
+            terms = terms + np.abs(port.force * force)
+        size = 1.0 + float(np.abs(s).max(initial=0.0))
+        return bool((np.abs(residual[:n]) <= STILL * terms).all() and (np.abs(residual[n:]) <= STILL * size).all())
+
+    # --- the linear model --------------------------------------------------------------------------------------------
+
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D at (x, u), as `linear_model` takes them; slopes of laws by differences."""
+        model = self.linear_model((x, u))
+        return model.A, model.B, model.C, model.D
+
+    def linear_model(
+        self,
+        at: Any = None,
+        amplitude: Mapping[str, float] | None = None,
+        pade: int = 0,
+        *,
+        stand_in: Mapping[int, Array] | None = None,
+    ) -> StateSpaceModel:
+        """What `robustlab.linearise` gives: A, B, C, D with the operating point.
+
+        Parameters
+        ----------
+        at
+            A trim, an operating point or (x, u), at rest or not; left out: the trim with nothing given.
+        amplitude
+            Name of a site -> amplitude of its speed or signal: effects there that have a sector are taken as its
+            middle.
+        pade
+            Order of the Padé approximation of delays; 0 leaves them out.
+        stand_in
+            Index of a law -> row (n_x,) with which it is ``f = -row x`` here, whatever its slope or sector.
+
+        Raises
+        ------
+        InputError
+            An amplitude at a place without an effect, or not positive; an order outside 0..8.
+        """
+        x, u, amplitude = self._asked_point(at, amplitude, pade)
+        model = self.model
+        a = model.A.copy()
+        for j, (e, law, port) in enumerate(self.laws):
+            if stand_in is not None and j in stand_in:
+                a -= np.outer(port.force, stand_in[j])
+                continue
+            q, v = _motion(port, x)
+            middle = e.sector(amplitude, ("speed", "current"))
+            if middle is not None:
+                a -= np.outer(port.force, port.velocity) * 0.5 * (middle.gain_lower + middle.gain_upper)
+                continue
+            if v == 0.0 and is_set_valued(law, q):
+                continue
+            stiffness, damping = slopes(law, q, v)
+            a += np.outer(port.force, damping * port.velocity)
+            if port.position is not None:
+                a += np.outer(port.force, stiffness * port.position)
+        into, out = self.signal_gains(x, u, amplitude)
+        delays = {"input": [0.0] * len(into), "output": [0.0] * len(out)}
+        for e, k, _ in self.signal_levels(x, u):
+            delays[e.site.kind][k] += e.delay
+        linear = StateSpaceModel(
+            a, model.B * into, out[:, None] * model.C, out[:, None] * model.D * into, 0.0, self.inputs, self.outputs,
+            self.states, OperatingPoint(x, u, self.output(x, u)), self.name,
+        )  # fmt: skip
+        return delayed(linear, delays, pade) if pade and any(map(any, delays.values())) else linear
+
+    def signal_gains(self, x: Array, u: Array, amplitude: Mapping[str, float]) -> tuple[Array, Array]:
+        """Gains of the inputs, (n_u,), and of the outputs, (n_y,), that the effects on them have at (x, u)."""
+        into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
+        for e, k, level in self.signal_levels(x, u):
+            gains = into if e.site.kind == "input" else out
+            gains[k] *= e.gain(level, amplitude)
+        return into, out
+
+    def left_out(
+        self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
+    ) -> tuple[LeftOut, ...]:
+        """What `linear_model` of the same arguments does not have, with footprints at the amplitudes (or at 1)."""
+        x, u, amplitude = self._asked_point(at, amplitude, pade)
+        found: dict[int, LeftOut] = {}
+
+        def note(e: AttachedEffect, reason: str) -> None:
+            found.setdefault(id(e), LeftOut(e, reason, _footprint(e, amplitude)))
+
+        for e, law, port in self.laws:
+            q, v = _motion(port, x)
+            if e.sector(amplitude, ("speed", "current")) is not None:
+                note(e, "the middle of its sector at this amplitude stands for it")
+            elif law.memory:
+                note(e, "it remembers: the model has its slopes at the point only")
+            elif v == 0.0 and is_set_valued(law, q):
+                note(e, "set-valued at rest: the model is that of free motion")
+            else:
+                note(e, "nonlinear: the model has its slopes at the point only")
+        for e, _, level in self.signal_levels(x, u):
+            seen_by = _footprint(e, amplitude)
+            if e.delay:
+                words = f"as a Padé approximation of order {pade}" if pade else "left out"
+                note(e, f"a delay of {e.delay:g} s, {words}")
+            elif seen_by is not None and e.constant_gain is None:
+                chosen = e.site.name in amplitude
+                dead = not chosen and e.slope(level) == 0.0
+                stands = "the middle of its sector" if chosen else "its slope"
+                note(e, "no gain at the point: 1 stands for it" if dead else f"nonlinear: {stands} stands for it")
+            elif seen_by is not None and seen_by.offset:
+                note(e, "a bounded error that is no gain")
+        return tuple(found.values())
+
+    def _asked_point(
+        self, at: Any, amplitude: Mapping[str, float] | None, pade: int
+    ) -> tuple[Array, Array, Mapping[str, float]]:
+        """State and input of a point, and the amplitudes, all checked."""
+        if at is None:
+            at = self.equilibrium()
+        if isinstance(at, (Trim, OperatingPoint)):
+            at = (at.x, at.u)
+        if not (isinstance(at, (tuple, list)) and len(at) == 2):
+            expected = "a trim or (x, u), or None for the rest of the plant"
+            raise InputError("linearise: at", f"{type(at).__name__}", expected)
+        x, u = self.point(*at)
+        sites = tuple(dict.fromkeys(e.site.name for e in self.effects))
+        for name, value in (amplitude or {}).items():
+            where = f"linearise: amplitude {name!r}"
+            if name not in sites:
+                raise InputError(where, "no effect there", f"one of {', '.join(sites)}", did_you_mean(name, sites))
+            if not (isinstance(value, (int, float)) and 0 < value < math.inf):
+                raise InputError(where, f"{value!r}", "a positive number")
+        if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:
+            raise InputError("linearise: pade", f"{pade!r}", f"an order from 0 to {HIGHEST_PADE}")
+        return x, u, amplitude or {}
+
+
+def _footprint(e: AttachedEffect, amplitude: Mapping[str, float]) -> Footprint | None:
+    """At the amplitude that was asked for its site."""
+    return e.footprint(amplitude[e.site.name]) if e.site.name in amplitude else e.footprint()
+
+
+def _motion(port: Port, x: Array) -> tuple[float, float]:
+    """Position (0 without one) and velocity at a port."""
+    q = 0.0 if port.position is None else float(port.position @ x)
+    return q, float(port.velocity @ x)
