@@ -20,7 +20,6 @@ from robustlab.mu_analysis.axis.axis_model import (
     model_frequency,
     seed_frequencies,
 )
-from robustlab.mu_analysis.axis.branch_and_bound import MarginProblem, Region, tighten
 from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
 from robustlab.mu_analysis.axis.margin import Margin
@@ -30,6 +29,7 @@ from robustlab.mu_analysis.axis.pole_migration import (
     smallest_destabilising,
 )
 from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import MarginProblem, Region, tighten
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds

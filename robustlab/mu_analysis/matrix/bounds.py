@@ -210,7 +210,7 @@ def _close(
     stack: ComplexArray, parts: dict[str, Any], blocks: tuple[Block, ...], tolerance: float, budget: Budget
 ) -> NDArray[np.intp]:
     """Branch and bound of each matrix whose bounds are further apart than the tolerance; how many boxes each took."""
-    from robustlab.mu_analysis.axis.branch_and_bound import MatrixProblem, tighten
+    from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
 
     boxes, scale = np.zeros(len(stack), dtype=int), _scale(stack)
     some_real = any(isinstance(b, RealScalar) for b in blocks)
@@ -263,7 +263,7 @@ def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
 
 def _confirm(stack: ComplexArray, parts: dict[str, Any], blocks: Sequence[Block]) -> None:
     """Prove each upper bound in ball arithmetic; a zero by the zero pattern of M where D shows it in the limit only."""
-    from robustlab.mu_analysis.matrix.ball_proof import certified_in_balls
+    from robustlab.mu_analysis.matrix.certificate import certified_in_balls
 
     for k, m in enumerate(stack):
         D, D_z, G, beta = (parts[key][k] for key in ("D", "D_z", "G", "upper"))

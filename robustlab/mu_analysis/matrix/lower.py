@@ -28,7 +28,6 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.decomposition import Component, components, expand
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
-from robustlab.mu_analysis.matrix.gain_based_lower import gain_ascent, power_directions, vertex_rays, vertex_search
 from robustlab.mu_analysis.matrix.minimum_norm import (
     descended,
     first_steps,
@@ -36,6 +35,7 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
     sharpened,
     smallest_step,
 )
+from robustlab.mu_analysis.matrix.starting_points import gain_ascent, power_directions, vertex_rays, vertex_search
 from robustlab.uncertainty.blocks.base import Block, block_slices, structure_size
 
 __all__ = ["SINGULAR", "lower_bound", "lower_bounds"]

@@ -81,7 +81,8 @@ def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[
 
 def _minimise(M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None) -> list[UpperBound]:
     """D and G by the primal-dual method; where that came to no end, the better ones of two methods."""
-    from robustlab.mu_analysis.matrix import path_following, primal_dual
+    from robustlab.mu_analysis.matrix import interior_point as path_following
+    from robustlab.mu_analysis.matrix import primal_dual
 
     space = scaling_space(tuple(blocks))
     x, settled = primal_dual.minimise(M, space, tol, target)
