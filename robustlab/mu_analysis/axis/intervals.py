@@ -21,7 +21,7 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import balancing_factors
-from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import Block
@@ -270,13 +270,7 @@ def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array
 
 def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> NDArray[np.bool_]:
     """Whether ``Phi(omega) < 0`` at each frequency."""
-    M = frequency_response(model, omega)
-    product = bound.G @ M
-    supply = hermitian(M) @ bound.Dz @ M + 1j * (product - hermitian(product))
-    factor = np.linalg.cholesky(bound.Dw)
-    half = np.linalg.solve(factor, supply)
-    scaled = np.linalg.solve(factor, hermitian(half))
-    scaled = (scaled + hermitian(scaled)) / 2
+    scaled = relative(bound.Dw, supply(frequency_response(model, omega), bound.Dz, bound.G))
     finite = np.isfinite(scaled).all(axis=(1, 2))
     scaled[~finite] = 0
     return finite & (np.linalg.eigvalsh(scaled)[:, -1] < beta**2)

@@ -1,7 +1,4 @@
-"""The robust stability margin with its evidence.
-
-The scalings of a proved margin, confirmed in ball arithmetic at frequencies of their intervals.
-"""
+"""The robust stability margin with its evidence, and that evidence confirmed in ball arithmetic."""
 
 from __future__ import annotations
 
@@ -18,8 +15,9 @@ from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.mu_analysis.matrix.certificate import certified_in_balls
+from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.result import Status
-from robustlab.uncertainty.blocks.base import RealScalar, block_slices
+from robustlab.uncertainty.blocks.base import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
@@ -126,13 +124,11 @@ def margin_in_balls(uncertain: UncertainModel, margin: Margin) -> BallCheck:
     if any(isinstance(b, RealScalar) and b.ratio != 1 for b in uncertain.blocks):
         raise InputError("margin_in_balls", "asymmetric ranges", "symmetric ones")
     model = continuous(uncertain.delta_channels)
-    slices = block_slices(uncertain.blocks)
     proved = tried = 0
     for piece in margin.proof:
         assert isinstance(piece, Piece)
         members = range(len(uncertain.blocks)) if piece.members is None else piece.members
-        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
-        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
+        w, z = entries(uncertain.blocks, members)
         top = piece.high if np.isfinite(piece.high) else 1e3 * max(piece.low, 1.0)
         for M in frequency_response(model, np.linspace(piece.low, top, POINTS)):
             part = M[z[:, None], w]

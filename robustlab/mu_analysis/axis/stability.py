@@ -20,6 +20,7 @@ from robustlab.mu_analysis.axis.axis_model import (
     model_frequency,
     seed_frequencies,
 )
+from robustlab.mu_analysis.axis.axis_problems import MarginProblem
 from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
 from robustlab.mu_analysis.axis.margin import Margin
@@ -29,13 +30,14 @@ from robustlab.mu_analysis.axis.pole_migration import (
     smallest_destabilising,
 )
 from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import MarginProblem, Region, tighten
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices, delta_values
+from robustlab.uncertainty.blocks.base import Block, RealScalar, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WORK", "margin_within", "robust_stability"]
@@ -229,11 +231,9 @@ def _sharpened(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabili
 
 def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
     """Cover the axis for each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
-    slices = block_slices(found.blocks)
     whole = AxisCover(open=[])
     for members in coupled_blocks(found.model, found.blocks):
-        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
-        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
+        w, z = entries(found.blocks, members)
         m = found.model
         part = StateSpaceModel(m.A, m.B[:, w], m.C[z], m.D[z[:, None], w])
         some = [found.blocks[i] for i in members]

@@ -20,12 +20,13 @@ from robustlab.mu_analysis.axis.axis_model import (
     model_frequency,
     seed_frequencies,
 )
+from robustlab.mu_analysis.axis.axis_problems import GainProblem
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import GainProblem, Region, tighten
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
 from robustlab.mu_analysis.matrix.skew import skew_upper
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work

@@ -4,9 +4,9 @@ Upper: any D > 0 and G of the structure prove ``mu(M) <= beta`` where
 
 .. math:: N(\beta) = \beta^2 D_w - M^* D_z M - j (G M - M^* G^*) \succeq 0 .
 
-Lower: any Delta of the structure with ``det(I - M Delta) = 0`` proves ``mu(M) >= 1 / ||Delta||``.
+In floating point a bound of all rounding errors is allowed for; ball arithmetic (python-flint) encloses every one.
 
-The D-G inequality proved in ball arithmetic: no rounding error is estimated, every one is enclosed.
+Lower: any Delta of the structure with ``det(I - M Delta) = 0`` proves ``mu(M) >= 1 / ||Delta||``.
 
 References
 ----------
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import DependencyMissing, InputError
-from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.uncertainty.blocks.base import Block, FullBlock, RealScalar, block_slices
 
 __all__ = [
@@ -108,12 +108,11 @@ class _Inequality:
             usual = (largest > 0) & np.isfinite(largest)
             self.unit = np.exp2(np.rint(np.log2(np.where(usual, largest, 1.0))))
             M, G = M / self.unit[:, None, None], G / self.unit[:, None, None]
-            product = G @ M
-            supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+            value = supply(M, Dz, G)
             size = np.abs(M)
             cross = np.abs(G) @ size
             bound = np.swapaxes(size, 1, 2) @ np.abs(Dz) @ size + cross + np.swapaxes(cross, 1, 2)
-        self.supply = (supply + hermitian(supply)) / 2
+        self.supply = (value + hermitian(value)) / 2
         self.Dw = Dw
         # Complex products of two factors, summed over p and q terms.
         self.gamma = 4 * (sum(M.shape[1:]) + 4) * EPS
@@ -128,12 +127,10 @@ class _Inequality:
         result = np.full(len(self.Dw), np.inf)
         good = np.flatnonzero(self.finite & _positive_definite(self.Dw, np.zeros(len(self.Dw))))
         if len(good):
-            factor = np.linalg.cholesky(self.Dw[good])
-            half = np.linalg.solve(factor, self.supply[good])
-            scaled = np.linalg.solve(factor, hermitian(half))
+            scaled = relative(self.Dw[good], self.supply[good])
             fine = np.isfinite(scaled).all(axis=(1, 2))
             scaled[~fine] = 0
-            values = np.linalg.eigvalsh((scaled + hermitian(scaled)) / 2)[:, -1]
+            values = np.linalg.eigvalsh(scaled)[:, -1]
             result[good] = np.where(fine, values, np.inf)
         return result
 

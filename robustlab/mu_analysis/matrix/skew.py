@@ -26,9 +26,10 @@ from robustlab.errors import InputError, did_you_mean, told_as
 from robustlab.mu_analysis.matrix.bounds import MuBounds, matrix_stack
 from robustlab.mu_analysis.matrix.box import root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
+from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.gain import largest_gain
 from robustlab.mu_analysis.matrix.lower import lower_bound
-from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
 from robustlab.result import Status
 from robustlab.uncertainty.blocks.base import Block, ComplexScalar, FullBlock, as_blocks, block_slices, structure_size
@@ -189,10 +190,8 @@ def _largest_gain(
     M: ComplexArray, blocks: Sequence[Block], moving: int, seed: int
 ) -> tuple[float, ComplexArray | None]:
     """One full block varies: its level is the largest gain of the channels that it closes."""
-    slices = block_slices(blocks)
     order = [i for i in range(len(blocks)) if i != moving] + [moving]
-    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in order])
-    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in order])
+    w, z = entries(blocks, order)
     sorted_blocks = [blocks[i] for i in order]
     gain = largest_gain(M[z[:, None], w], sorted_blocks, root_box(sorted_blocks), np.random.default_rng(seed))
     if gain is None or gain.value == 0:
@@ -223,20 +222,15 @@ def _carried(G: ComplexArray, varying: NDArray[np.bool_], ratio: float) -> Compl
 
 def _level_of(M: ComplexArray, bound: UpperBound, varying: NDArray[np.bool_]) -> float:
     """Factor on the level of the scaled M at which D, G hold with equality; inf where the fixed part never does."""
-    product = bound.G @ M
-    supply = hermitian(M) @ bound.Dz @ M + 1j * (product - hermitian(product))
-    fixed = ~varying
+    needed, fixed = supply(M, bound.Dz, bound.G), ~varying
     try:
-        rest = supply[varying][:, varying]
+        rest = needed[varying][:, varying]
         if fixed.any():
-            inner = bound.Dw[fixed][:, fixed] - supply[fixed][:, fixed]
+            inner = bound.Dw[fixed][:, fixed] - needed[fixed][:, fixed]
             factor = np.linalg.cholesky((inner + hermitian(inner)) / 2)
-            half = np.linalg.solve(factor, supply[fixed][:, varying])
+            half = np.linalg.solve(factor, needed[fixed][:, varying])
             rest = rest + hermitian(half) @ half
-        outer = np.linalg.cholesky(bound.Dw[varying][:, varying])
-        first = np.linalg.solve(outer, rest)
-        relative = np.linalg.solve(outer, hermitian(first))
-        value = float(np.linalg.eigvalsh((relative + hermitian(relative)) / 2)[-1])
+        value = float(np.linalg.eigvalsh(relative(bound.Dw[varying][:, varying], rest))[-1])
     except np.linalg.LinAlgError:
         return float("inf")
     return float(np.sqrt(max(value, 1e-30))) if np.isfinite(value) else float("inf")
