@@ -44,13 +44,14 @@ class _AxisProblem:
         """One frequency of each region: proved with an interval around it, or the region has to be cut."""
         models = [box_model(self.model, self.blocks, r.box) for r in regions]
         places = [self._frequency(r) for r in regions]
-        sound = [k for k, m in enumerate(models) if m is not None]
+        sound = {k: m for k, m in enumerate(models) if m is not None}
         result: list[Array | None] = [np.ones(len(self.blocks)) for _ in regions]
         if not sound:
             return result
-        responses = np.concatenate([frequency_response(_known(models[k]), np.array([places[k]])) for k in sound])
-        for k, M, bound in zip(sound, responses, points_below(responses, self.blocks, INSIDE), strict=True):
-            region, model = regions[k], _known(models[k])
+        responses = np.concatenate([frequency_response(m, np.array([places[k]])) for k, m in sound.items()])
+        bounds = points_below(responses, self.blocks, INSIDE)
+        for (k, model), M, bound in zip(sound.items(), responses, bounds, strict=True):
+            region = regions[k]
             piece = extend(model, bound, 1.0, places[k]) if bound.beta < PROVED else None
             if piece is None or not piece.low <= places[k] <= piece.high:
                 region.hot = places[k]
@@ -66,11 +67,6 @@ class _AxisProblem:
         if region.hot is not None and any(low <= region.hot <= high for low, high in region.open):
             return region.hot
         return float(AxisCover(open=region.open).next_points(self.scale, 1)[0])
-
-
-def _known(model: StateSpaceModel | None) -> StateSpaceModel:
-    assert model is not None
-    return model
 
 
 class MarginProblem(_AxisProblem):

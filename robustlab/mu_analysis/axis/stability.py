@@ -30,7 +30,7 @@ from robustlab.mu_analysis.axis.pole_migration import (
     smallest_destabilising,
 )
 from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
@@ -338,13 +338,13 @@ def _margin(
     if cover.open:
         notes = (*notes, f"{len(cover.open)} frequency intervals not proved: mu_upper holds on the grid only")
     elif found.proof and isinstance(found.proof[0], Region):
-        notes = (*notes, f"proved by branch and bound; regions of parameters and frequency: {len(found.proof)}")
+        notes = (*notes, by_regions(len(found.proof)))
     if budget.remark:
         notes = (*notes, budget.remark)
     notes = (*notes, *uncertain.impossible(delta))
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
-    pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]
+    intervals, open_intervals = cover.reported(uncertain, found.level)
     shares = _shares(found.model, uncertain.blocks, worst) if worst else {}
     return Margin(
         lower=lower,
@@ -357,8 +357,8 @@ def _margin(
         omega=grid,
         mu_lower=mu_lower,
         mu_upper=mu_upper,
-        intervals=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b), beta) for a, b, beta in pieces),
-        open=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b)) for a, b in cover.open),
+        intervals=intervals,
+        open=open_intervals,
         shares=shares,
         proof=found.proof,
         notes=notes,

@@ -37,6 +37,7 @@ __all__ = [
     "Proof",
     "Region",
     "block_weights",
+    "by_regions",
     "real_blocks",
     "tighten",
 ]
@@ -144,6 +145,11 @@ def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budg
         else:
             proof.upper, proof.leaves = level, leaves
     return proof
+
+
+def by_regions(count: int) -> str:
+    """What a result says of a proof by so many regions."""
+    return f"proved by branch and bound; regions of parameters and frequency: {count}"
 
 
 def _prove(
