@@ -120,6 +120,11 @@ def robust_stability(
         Work that the proof may take, as a multiple of the usual (about a minute). It is counted, not timed, so that the
         answer is the same on a busy machine.
 
+    Returns
+    -------
+    Margin
+        Both bounds, the critical Delta with its frequency in rad/s, and the intervals or regions that prove ``lower``.
+
     Raises
     ------
     NoTrustworthyNumber

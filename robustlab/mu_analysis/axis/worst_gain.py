@@ -143,6 +143,11 @@ def worst_case_gain(
     effort
         Work that the proof may take, as a multiple of the usual (about a minute); counted, not timed.
 
+    Returns
+    -------
+    WorstCaseGain
+        Both bounds, the worst Delta found with its frequency in rad/s, and what proves ``upper``.
+
     Raises
     ------
     NoTrustworthyNumber
@@ -231,6 +236,18 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
         Uncertain model whose inputs and outputs are weighted.
     options
         Those of `robust_stability`.
+
+    Returns
+    -------
+    Margin
+        As of `robust_stability`; ``delta`` holds the performance block ``(n_inputs, n_outputs)`` as well.
+
+    Raises
+    ------
+    InputError
+        No inputs or no outputs, or a block that is called ``"performance"`` already.
+    NoTrustworthyNumber
+        The nominal model is unstable.
 
     References
     ----------

@@ -119,6 +119,12 @@ def mu(
     certify
         Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
 
+    Returns
+    -------
+    MuBounds
+        Both bounds with what proves them: ``delta`` (q, p), ``D`` (q, q), ``D_z`` (p, p), ``G`` (q, p), each with a
+        leading axis k for a stack.
+
     Raises
     ------
     InputError

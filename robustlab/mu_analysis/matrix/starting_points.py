@@ -1,9 +1,9 @@
 r"""Starts of the lower bound: power iteration, gain ascent for real blocks, and a vertex search for real M.
 
 Power iteration, for all kinds of blocks: at a fixed point ``beta a = M b``, ``beta w = M^* z`` with ``b = Q a``, ``z =
-Q^* w`` and Q of the structure and norm one, ``I - M Q / beta`` is singular, a is its right null direction and z the left
-one. It converges nearly always for complex blocks. With real blocks it may not, and its vectors are good starts for
-minimum-norm steps all the same.
+Q^* w`` and Q of the structure and norm one, ``I - M Q / beta`` is singular, a is its right null direction and z its
+left one. It converges nearly always for complex blocks. With real blocks it may not, and its vectors are good starts
+for minimum-norm steps all the same.
 
 Gain ascent: for fixed real delta of size r the gain of :math:`M (I - \Delta M)^{-1}` is the larger the closer the loop
 is to singularity. As a function of one delta_i it peaks at the real number next to the pole ``delta_i + 1 / g_i`` with
