@@ -70,7 +70,7 @@ def mu(
         )
     balls = None
     if certify:
-        from robustlab.mu_analysis.axis.ball_margin import margin_in_balls
+        from robustlab.mu_analysis.axis.margin import margin_in_balls
 
         balls = margin_in_balls(uncertain, cast("Margin", result))
         text += f"\nball arithmetic: {balls.proved} of {balls.tried} inequalities of the proved intervals confirmed"

@@ -2,8 +2,9 @@ r"""A second voice for margins and worst-case gains: SLICOT, which shares no lin
 
 For a margin, ``AB13MD`` bounds :math:`\mu(M(j\omega))` from above at the critical frequency and on a grid. What our
 explicit Delta attains must lie below its bound; where the D-G bound is exact (:math:`2 m_r + m_C \le 3` for
-:math:`m_r` real scalars and :math:`m_C` full complex blocks, none repeated), its bound must lie below what we have proved. For
-a worst-case gain, ``AB13DD`` gives the norm of the member at our worst Delta, which must be the gain that we say.
+:math:`m_r` real scalars and :math:`m_C` full complex blocks, none repeated), its bound must lie below what we have
+proved. For a worst-case gain, ``AB13DD`` gives the norm of the member at our worst Delta, which must be the gain that
+we say.
 
 References
 ----------

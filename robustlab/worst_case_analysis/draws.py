@@ -1,8 +1,7 @@
-r"""Random Deltas and vertices, drawn when they are asked for: sample i depends on the seed and on i alone.
+r"""Random Deltas and vertices, drawn when they are asked for, and the members of a set of real scalars at them.
 
-Members of a set with real scalar blocks only, many at once and without a Delta matrix for each.
-
-With :math:`S = \begin{bmatrix} A & B \\ C & D \end{bmatrix}` and the diagonal :math:`\Delta = \mathrm{diag}(c)`,
+Sample i depends on the seed and on i alone. Many members are made at once without a Delta matrix for each: with
+:math:`S = \begin{bmatrix} A & B \\ C & D \end{bmatrix}` and the diagonal :math:`\Delta = \mathrm{diag}(c)`,
 
 .. math:: S(c) = S_0 + L \, \mathrm{diag}(c) \, (I - D_{11} \mathrm{diag}(c))^{-1} R,
 
@@ -18,22 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, split, state_scale
 
-__all__ = [
-    "Deltas",
-    "delta_of_sample",
-    "vertex_signs",
-    "RealSet",
-]
+__all__ = ["BLOCK", "Deltas", "RealSet", "delta_of_sample", "is_count", "vertex_signs"]
 
 
+# Members are computed in blocks of this size that begin at its multiples: what comes out for a sample cannot depend on
+# how many are drawn, nor on who computes its block. Large models take smaller blocks, of so many numbers.
+BLOCK, NUMBERS = 512, 2_000_000
+# Numbers of the table of all L_k R_k, up to which it is made.
+LARGEST_TABLE = 4_000_000
 # "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
 MAX_LISTED = 16
+
+
+def is_count(value: Any, least: int) -> bool:
+    """Whether a number of samples, vertices or threads, or a seed, is a whole number, at least ``least``."""
+    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and value >= least
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
@@ -139,13 +143,6 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
     return real_array("vertices", 2 * bits - 1, 2)
 
 
-# Members are computed in blocks of this size that begin at its multiples: what comes out for a sample cannot depend on
-# how many are drawn, nor on who computes its block. Large models take smaller blocks, of so many numbers.
-BLOCK, NUMBERS = 512, 2_000_000
-# Numbers of the table of all L_k R_k, up to which it is made.
-LARGEST_TABLE = 4_000_000
-
-
 class RealSet:
     """A set of real scalar blocks, prepared for the evaluation of many members.
 
@@ -185,6 +182,21 @@ class RealSet:
     def channels(self, theta: Array) -> Array:
         """The numbers on Delta's diagonal (k, q) that belong to normalised deltas (k, d)."""
         return np.where(theta < 0, theta * self.below, theta)[:, self.of_channel]
+
+    def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
+        """The members at some of the samples.
+
+        Raises
+        ------
+        NoTrustworthyNumber
+            One of them is ill-posed.
+        """
+        ensemble = self.members(deltas.numbers(part))
+        if ensemble.ill_posed.any():
+            index = part.start + int(np.argmax(ensemble.ill_posed))
+            found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {deltas[index]}"
+            raise NoTrustworthyNumber(where, found)
+        return ensemble
 
     def members(self, theta: Array) -> Ensemble:
         """The members at normalised deltas (k, d)."""

@@ -2,21 +2,20 @@ r"""Many members of an uncertain model at once: batched matrices, poles, time re
 
 .. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}_k = M_{22} + M_{21} \Delta_k (I - D_{11} \Delta_k)^{-1} M_{12}
 
-Responses of many members by the compiled kernels, for models that are worth loading them.
-
-What drives a response: a uniform clock and the samples of every input.
+A response is driven by an `Excitation`, a uniform clock and the samples of every input; it is computed with arrays, or
+by the compiled kernels for models that are worth loading them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.record import UNIFORM_TOLERANCE
@@ -26,26 +25,37 @@ from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 __all__ = [
     "Ensemble",
+    "Excitation",
     "Hold",
+    "Lanes",
     "chunks",
+    "default_clock",
     "delta_stack",
+    "excitation",
+    "in_lanes",
     "members",
     "peak_gains",
+    "responses",
     "split",
     "state_scale",
     "time_responses",
     "transitions",
-    "Lanes",
-    "in_lanes",
-    "responses",
-    "Excitation",
-    "default_clock",
-    "excitation",
 ]
 
 
+Hold = Literal["zoh", "foh"]
+
 # A discrete model's clock may differ from its sample time by this share.
 SAMPLE_TIME_TOLERANCE = 1e-6
+# Intermediate arrays hold about this many numbers.
+CHUNK = 2_000_000
+# Points and rounds of the zoom on the highest grid point: each round narrows its bracket by a factor of 4.
+ZOOM_POINTS, ZOOM_ROUNDS = 7, 8
+# From this many products per member on, loading the compiled kernel is worth its time.
+COMPILED_FROM = 20_000
+
+
+# --- what drives a response -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -152,12 +162,7 @@ def default_clock(model: StateSpaceModel, where: str, n: int = 401) -> Array:
     return real_array("t", step * np.arange(n), 1, where)
 
 
-Hold = Literal["zoh", "foh"]
-
-# Intermediate arrays hold about this many numbers.
-CHUNK = 2_000_000
-# Points and rounds of the zoom on the highest grid point: each round narrows its bracket by a factor of 4.
-ZOOM_POINTS, ZOOM_ROUNDS = 7, 8
+# --- members ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -182,7 +187,7 @@ class Ensemble:
     C: NDArray[Any]
     D: NDArray[Any]
     dt: float
-    ill_posed: NDArray[np.bool_]
+    ill_posed: Mask
     scale: Array
 
     def __len__(self) -> int:
@@ -201,7 +206,11 @@ class Ensemble:
         value = np.abs(poles).max(axis=1) - 1.0 if self.dt else poles.real.max(axis=1)
         return np.where(self.ill_posed, np.inf, value)
 
-    def is_unstable(self, margin: float) -> NDArray[np.bool_]:
+    def is_stable(self) -> Mask:
+        """Which members are asymptotically stable and well-posed, (k,); all well-posed ones without states."""
+        return ~self.ill_posed & (self.spectral_abscissa() < 0)
+
+    def is_unstable(self, margin: float) -> Mask:
         """Whether a pole lies beyond the stability boundary by more than ``margin`` times the member's largest pole."""
         if not self.A.shape[1]:
             return self.ill_posed.copy()
@@ -246,7 +255,7 @@ def members(uncertain: UncertainModel, delta: NDArray[Any]) -> Ensemble:
     return split(whole, n, m.dt, ill_posed, state_scale(m.A))
 
 
-def split(whole: NDArray[Any], n: int, dt: float, ill_posed: NDArray[np.bool_], scale: Array) -> Ensemble:
+def split(whole: NDArray[Any], n: int, dt: float, ill_posed: Mask, scale: Array) -> Ensemble:
     """The members whose matrices ``[A B; C D]`` are given, shape (k, n_x + n_y, n_x + n_u)."""
     return Ensemble(whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:], dt, ill_posed, scale)
 
@@ -344,6 +353,81 @@ def transitions(
     return phi, gamma, slope
 
 
+# --- time, compiled ---------------------------------------------------------------------------------------------------
+
+
+class Lanes(NamedTuple):
+    """Members and what drives them, as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`.
+
+    Attributes
+    ----------
+    phi, gamma, c, d
+        Matrices of the recursion, shapes (n_groups, rows, columns, LANES).
+    c_entries, d_entries
+        Places (i, j) of C and D that are not zero in every member.
+    u, v, x0
+        Inputs of the outputs (n_t, n_used) and of the states (n_t - 1, ...), and the initial state (n_x,).
+    """
+
+    phi: Array
+    gamma: Array
+    c: Array
+    d: Array
+    c_entries: NDArray[np.int64]
+    d_entries: NDArray[np.int64]
+    u: Array
+    v: Array
+    x0: Array
+
+
+def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> Lanes:
+    """The kernels' arrays for some members under one input."""
+    used = np.flatnonzero(drive.u.any(axis=0))
+    phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
+    u = np.ascontiguousarray(drive.u[:, used])
+    v = u[:-1]
+    if hold == "foh":
+        gamma, v = np.concatenate([gamma, slope], axis=2), np.hstack([v, np.diff(u, axis=0)])
+    d = ensemble.D[:, :, used]
+    # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
+    where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
+    grouped = [_grouped(matrices) for matrices in (phi, gamma, ensemble.C, d)]
+    entries = [np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d)]
+    return Lanes(*grouped, *entries, u, np.ascontiguousarray(v), np.array(x0, dtype=float))
+
+
+def _grouped(matrices: Array) -> Array:
+    """(k, r, c) as (n_groups, r, c, LANES), zeros after the last."""
+    from robustlab.worst_case_analysis.response_kernels import LANES
+
+    k, rows, columns = matrices.shape
+    groups = -(-k // LANES)
+    whole = np.zeros((groups * LANES, rows, columns))
+    whole[:k] = matrices
+    return np.ascontiguousarray(whole.reshape(groups, LANES, rows, columns).transpose(0, 2, 3, 1))
+
+
+def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out: Array | None = None) -> Array:
+    """Outputs of all (real) members (k, n_t, n_y), by the way that suits the size of one of them.
+
+    The choice depends on the model and the clock alone, so that a member's response does not depend on how many others
+    are asked for.
+    """
+    n_t, n_y = len(drive.u), ensemble.C.shape[1]
+    if n_t * max(1, len(x0)) ** 2 < COMPILED_FROM:
+        found = time_responses(ensemble, drive.h, drive.u, x0, hold)
+        if out is None:
+            return found
+        out[:] = found
+        return out
+    from robustlab.worst_case_analysis.response_kernels import respond
+
+    out = np.empty((len(ensemble), n_t, n_y)) if out is None else out
+    with np.errstate(over="ignore", invalid="ignore"):
+        respond(in_lanes(ensemble, drive, x0, hold), out)
+    return out
+
+
 # --- frequency -------------------------------------------------------------------------------------------------------
 
 
@@ -417,74 +501,3 @@ def _largest_singular_value(g: NDArray[Any]) -> Array:
         top = np.maximum(size.max(axis=(-2, -1), keepdims=True), np.finfo(float).tiny)
         return np.sqrt(((size / top) ** 2).sum(axis=(-2, -1))) * top[..., 0, 0]
     return np.linalg.norm(g, 2, axis=(-2, -1))
-
-
-Entries = NDArray[np.int64]
-
-# From this many products per member on, loading the compiled kernel is worth its time.
-COMPILED_FROM = 20_000
-
-
-@dataclass(frozen=True)
-class Lanes:
-    """Arrays as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`."""
-
-    matrices: tuple[Array, Array, Array, Array]
-    c_entries: Entries
-    d_entries: Entries
-    u: Array
-    v: Array
-    x0: Array
-
-    @property
-    def arguments(self) -> tuple[Array, Array, Array, Array, Entries, Entries, Array, Array, Array]:
-        """In the kernels' order."""
-        return (*self.matrices, self.c_entries, self.d_entries, self.u, self.v, self.x0)
-
-
-def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> Lanes:
-    """The kernels' arrays for some members under one input."""
-    used = np.flatnonzero(drive.u.any(axis=0))
-    phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
-    u = np.ascontiguousarray(drive.u[:, used])
-    v = u[:-1]
-    if hold == "foh":
-        gamma, v = np.concatenate([gamma, slope], axis=2), np.hstack([v, np.diff(u, axis=0)])
-    d = ensemble.D[:, :, used]
-    # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
-    where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
-    grouped = (_grouped(phi), _grouped(gamma), _grouped(ensemble.C), _grouped(d))
-    entries = [np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d)]
-    return Lanes(grouped, entries[0], entries[1], u, np.ascontiguousarray(v), np.array(x0, dtype=float))
-
-
-def _grouped(matrices: Array) -> Array:
-    """(k, r, c) as (n_groups, r, c, LANES), zeros after the last."""
-    from robustlab.worst_case_analysis.response_kernels import LANES
-
-    k, rows, columns = matrices.shape
-    groups = -(-k // LANES)
-    whole = np.zeros((groups * LANES, rows, columns))
-    whole[:k] = matrices
-    return np.ascontiguousarray(whole.reshape(groups, LANES, rows, columns).transpose(0, 2, 3, 1))
-
-
-def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out: Array | None = None) -> Array:
-    """Outputs of all (real) members (k, n_t, n_y), by the way that suits the size of one of them.
-
-    The choice depends on the model and the clock alone, so that a member's response does not depend on how many others
-    are asked for.
-    """
-    n_t, n_y = len(drive.u), ensemble.C.shape[1]
-    if n_t * max(1, len(x0)) ** 2 < COMPILED_FROM:
-        found = time_responses(ensemble, drive.h, drive.u, x0, hold)
-        if out is None:
-            return found
-        out[:] = found
-        return out
-    from robustlab.worst_case_analysis.response_kernels import respond
-
-    out = np.empty((len(ensemble), n_t, n_y)) if out is None else out
-    with np.errstate(over="ignore", invalid="ignore"):
-        respond(*in_lanes(ensemble, drive, x0, hold).arguments, out)
-    return out

@@ -21,8 +21,8 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.controllability_metrics import HankelValue, RelativeReach
 from robustlab.worst_case_analysis.draws import BLOCK, Deltas, RealSet
 from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, default_clock, delta_stack, excitation
-from robustlab.worst_case_analysis.gain_metrics import Damping, H2Gain, HinfGain, SpectralAbscissa
 from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, connected, need_real
+from robustlab.worst_case_analysis.model_metrics import Damping, H2Gain, HinfGain, SpectralAbscissa
 from robustlab.worst_case_analysis.streaming import blocks_of, in_order
 from robustlab.worst_case_analysis.time_metrics import Overshoot, Peak, PeakDeviation, Rms, SettlingTime, TimeMetric
 

@@ -52,57 +52,44 @@ def _advance(phi, gamma, x, v, next_x):
                 target[lane] += factor[lane] * state[lane]
 
 
-@njit(
-    "void(f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],i8[:,::1],i8[:,::1],f8[:,::1],f8[:,::1],f8[::1],"
-    "f8[:,:,::1])",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def respond(phi, gamma, c, d, c_entries, d_entries, u, v, x0, out):
-    """Responses of all members into out (k, n_t, n_y); k may end inside the last group."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def respond(lanes, out):
+    """Responses of all members of `Lanes` into out (k, n_t, n_y); k may end inside the last group."""
+    phi, gamma, c, d, c_entries, d_entries, u, v, x0 = lanes
     n_t, n_y = out.shape[1], out.shape[2]
-    n, lanes = phi.shape[1], phi.shape[3]
-    x, next_x, y = np.empty((n, lanes)), np.empty((n, lanes)), np.empty((n_y, lanes))
+    n = phi.shape[1]
+    x, next_x, y = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n_y, LANES))
     for group in range(phi.shape[0]):
-        used = min(lanes, out.shape[0] - lanes * group)
+        used = min(LANES, out.shape[0] - LANES * group)
         for i in range(n):
             x[i, :] = x0[i]
         for t in range(n_t):
             _outputs(c[group], d[group], c_entries, d_entries, x, u[t], y)
             for lane in range(used):
                 for i in range(n_y):
-                    out[lanes * group + lane, t, i] = y[i, lane]
+                    out[LANES * group + lane, t, i] = y[i, lane]
             if t < n_t - 1:
                 _advance(phi[group], gamma[group], x, v[t], next_x)
                 x, next_x = next_x, x
 
 
-@njit(
-    "void(f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1],i8[:,::1],i8[:,::1],f8[:,::1],f8[:,::1],f8[::1],"
-    "i8,f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],i8[:,::1],i4[:,:,::1],f8[:,::1])",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def accumulate(
-    phi, gamma, c, d, c_entries, d_entries, u, v, x0,
-    count, nominal, low, per_bin, lower, upper, total, squares, lost, counts, peak,
-):  # fmt: skip
-    """Add the responses of the first ``count`` members to running statistics.
+@njit(cache=True, nogil=True, error_model="numpy")
+def accumulate(lanes, bins, sums, peak):
+    """Add the responses of the first ``len(peak)`` members of `Lanes` to the running statistics ``sums``.
 
-    Per time and output (n_t, n_y): ``lower`` and ``upper``, ``total`` and ``squares`` of the deviation from
-    ``nominal``, ``lost`` (how many are not finite), and ``counts`` (n_t, n_y, n_bins) of values in bins of
-    ``1 / per_bin`` from ``low`` on, the first and last of which take all beyond. ``peak (count, n_y)`` gets each
-    member's largest deviation.
+    ``bins`` are `streaming.Bins`, ``sums`` `streaming.Sums`; ``peak (count, n_y)`` gets each member's largest
+    deviation.
     """
-    n_t, n_y, bins = counts.shape
-    n, lanes = phi.shape[1], phi.shape[3]
-    x, next_x, y = np.empty((n, lanes)), np.empty((n, lanes)), np.empty((n_y, lanes))
-    largest = np.empty((n_y, lanes))
+    phi, gamma, c, d, c_entries, d_entries, u, v, x0 = lanes
+    nominal, low, per_bin = bins
+    lower, upper, total, squares, lost, counts = sums
+    n_t, n_y, n_bins = counts.shape
+    n = phi.shape[1]
+    x, next_x, y = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((n_y, LANES))
+    largest = np.empty((n_y, LANES))
     for group in range(phi.shape[0]):
-        first = lanes * group
-        used = min(lanes, count - first)
+        first = LANES * group
+        used = min(LANES, len(peak) - first)
         if used <= 0:
             break
         for i in range(n):
@@ -126,7 +113,7 @@ def accumulate(
                     added += gap
                     added_squares += gap * gap
                     largest[i, lane] = max(largest[i, lane], abs(gap))
-                    bin_counts[int(min(max((value - start) * scale, 0.0), bins - 1.0))] += 1
+                    bin_counts[int(min(max((value - start) * scale, 0.0), n_bins - 1.0))] += 1
                 lower[t, i], upper[t, i] = smallest, greatest
                 total[t, i] += added
                 squares[t, i] += added_squares

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import Deltas, RealSet, vertex_signs
+from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, vertex_signs
 from robustlab.worst_case_analysis.ensemble import Excitation, Hold, excitation, responses
 from robustlab.worst_case_analysis.streaming import (
     LABEL,
@@ -196,6 +196,8 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
 
     Parameters
     ----------
+    uncertain
+        The set.
     n
         Number of random samples.
     seed
@@ -203,6 +205,11 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
     vertices
         Number of vertices to add: all ``2^k`` of k real deltas where the number allows it, else a seeded selection;
         ``"all"`` asks for every one. Complex and full blocks are put on their boundary there, at random.
+
+    Returns
+    -------
+    Samples
+        The random samples first, then the vertices; their models and responses are made when they are asked for.
 
     Raises
     ------
@@ -219,7 +226,7 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
     if not isinstance(uncertain, UncertainModel):
         raise InputError("sample", type(uncertain).__name__, "an UncertainModel")
     for name, count in (("n", n), ("vertices", 0 if vertices == "all" else vertices), ("seed", seed)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 0:
+        if not is_count(count, 0):
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
@@ -271,13 +278,7 @@ def _respond(
     unstable: list[int] = []
     members = RealSet(uncertain)
     for part in blocks_of(len(samples), members.block):
-        ensemble = members.members(samples.deltas.numbers(part))
-        if ensemble.ill_posed.any():
-            index = part.start + int(np.argmax(ensemble.ill_posed))
-            raise NoTrustworthyNumber(
-                "respond",
-                f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {samples.deltas[index]}",
-            )
+        ensemble = members.drawn(samples.deltas, part, "respond")
         unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
         responses(ensemble, drive, start, hold, y[part])
     nominal = responses(members.members(np.zeros((1, len(members)))), drive, start, hold)[0]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,10 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import Signal
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import Deltas, RealSet
-from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, in_lanes, responses
+from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
+from robustlab.worst_case_analysis.ensemble import Excitation, Hold, in_lanes, responses
 
-__all__ = ["StreamedResponses", "blocks_of", "in_order", "stream"]
+__all__ = ["Bins", "StreamedResponses", "Sums", "blocks_of", "in_order", "stream"]
 
 T = TypeVar("T")
 
@@ -101,7 +101,7 @@ def blocks_of(count: int, size: int) -> list[slice]:
 
 def in_order(function: Callable[[slice], T], parts: Sequence[slice], workers: int) -> Iterator[T]:
     """``function`` of each part in their order, computed by ``workers`` threads that keep a few parts ahead."""
-    if isinstance(workers, bool) or not isinstance(workers, (int, np.integer)) or workers < 1:
+    if not is_count(workers, 1):
         raise InputError("workers", f"{workers!r}", "a whole number, at least 1")
     if workers == 1:
         yield from map(function, parts)
@@ -119,9 +119,36 @@ def in_order(function: Callable[[slice], T], parts: Sequence[slice], workers: in
 # --- statistics ------------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Sums:
-    """Running statistics of one block, or of all blocks so far."""
+class Bins(NamedTuple):
+    """What responses are held against, each (n_t, n_y).
+
+    Attributes
+    ----------
+    nominal
+        Nominal response.
+    low, per_bin
+        Bins of width ``1 / per_bin`` from ``low`` on; the first and the last take all beyond.
+    """
+
+    nominal: Array
+    low: Array
+    per_bin: Array
+
+
+class Sums(NamedTuple):
+    """Running statistics per time and output, each (n_t, n_y); arrays that are added to in place.
+
+    Attributes
+    ----------
+    lower, upper
+        Smallest and largest value.
+    total, squares
+        Sums of the deviation from nominal, and of its squares.
+    lost
+        How many values are not finite.
+    counts
+        How many fall into each bin, (n_t, n_y, n_bins).
+    """
 
     lower: Array
     upper: Array
@@ -129,26 +156,30 @@ class _Sums:
     squares: Array
     lost: NDArray[np.int64]
     counts: NDArray[Any]
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], n_bins: int, dtype: Any) -> Sums:
+        """Statistics of no samples."""
+        lower, upper = np.full(shape, np.inf), np.full(shape, -np.inf)
+        lost, counts = np.zeros(shape, dtype=np.int64), np.zeros((*shape, n_bins), dtype=dtype)
+        return cls(lower, upper, np.zeros(shape), np.zeros(shape), lost, counts)
+
+
+@dataclass
+class _Tally:
+    """What is known of one block, or of all blocks so far: the worst sample of each output with its deviation, too."""
+
+    sums: Sums
     peak: Array
     worst: NDArray[np.int64]
     unstable: int = 0
 
-    @classmethod
-    def empty(cls, shape: tuple[int, int], bins: int, dtype: Any) -> _Sums:
-        """Statistics of no samples."""
-        lower, upper = np.full(shape, np.inf), np.full(shape, -np.inf)
-        lost, counts = np.zeros(shape, dtype=np.int64), np.zeros((*shape, bins), dtype=dtype)
-        peak, worst = np.full(shape[1], -1.0), np.zeros(shape[1], dtype=np.int64)
-        return cls(lower, upper, np.zeros(shape), np.zeros(shape), lost, counts, peak, worst)
-
-    def add(self, other: _Sums) -> None:
+    def add(self, other: _Tally) -> None:
         """The samples of ``other`` come after those of this one."""
-        np.minimum(self.lower, other.lower, out=self.lower)
-        np.maximum(self.upper, other.upper, out=self.upper)
-        for mine, theirs in ((self.total, other.total), (self.squares, other.squares)):
+        np.minimum(self.sums.lower, other.sums.lower, out=self.sums.lower)
+        np.maximum(self.sums.upper, other.sums.upper, out=self.sums.upper)
+        for mine, theirs in zip(self.sums[2:], other.sums[2:], strict=True):
             mine += theirs
-        self.lost += other.lost
-        self.counts += other.counts
         self.unstable += other.unstable
         higher = other.peak > self.peak
         self.peak, self.worst = np.where(higher, other.peak, self.peak), np.where(higher, other.worst, self.worst)
@@ -163,38 +194,20 @@ class _Stream:
     drive: Excitation
     x0: Array
     hold: Hold
-    nominal: Array
-    low: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    per_bin: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    bins: int = 0
+    bins: Bins
+    n_bins: int
 
-    def ensemble(self, part: slice) -> Ensemble:
-        """The members of a block."""
-        ensemble = self.members.members(self.deltas.numbers(part))
-        if ensemble.ill_posed.any():
-            index = part.start + int(np.argmax(ensemble.ill_posed))
-            raise NoTrustworthyNumber(
-                "stream",
-                f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {self.deltas[index]}",
-            )
-        return ensemble
-
-    def block(self, part: slice) -> _Sums:
+    def block(self, part: slice) -> _Tally:
         """Statistics of one block."""
         from robustlab.worst_case_analysis.response_kernels import accumulate
 
-        count, ensemble = part.stop - part.start, self.ensemble(part)
-        sums = _Sums.empty(self.nominal.shape, self.bins, np.int32)
-        peak = np.empty((count, self.nominal.shape[1]))
+        ensemble, shape = self.members.drawn(self.deltas, part, "stream"), self.bins.nominal.shape
+        sums, peak = Sums.empty(shape, self.n_bins, np.int32), np.empty((part.stop - part.start, shape[1]))
         with np.errstate(over="ignore", invalid="ignore"):
             lanes = in_lanes(ensemble, self.drive, self.x0, self.hold)
-        accumulate(
-            *lanes.arguments, count, self.nominal, self.low, self.per_bin,
-            sums.lower, sums.upper, sums.total, sums.squares, sums.lost, sums.counts, peak,
-        )  # fmt: skip
-        sums.unstable = int(ensemble.is_unstable(MARGINAL).sum())
-        sums.peak, sums.worst = peak.max(axis=0), part.start + peak.argmax(axis=0)
-        return sums
+        accumulate(lanes, self.bins, sums, peak)
+        unstable = int(ensemble.is_unstable(MARGINAL).sum())
+        return _Tally(sums, peak.max(axis=0), part.start + peak.argmax(axis=0), unstable)
 
 
 def stream(
@@ -215,78 +228,78 @@ def stream(
     if nominal.size * FEWEST_BINS > MOST_COUNTS:
         limit = MOST_COUNTS // FEWEST_BINS
         raise InputError("stream", f"{nominal.size} times x outputs", f"at most {limit}", "fewer times or outputs")
-    job = _Stream(members, deltas, drive, x0, hold, np.ascontiguousarray(nominal))
-    job = _with_bins(job)
-    parts = blocks_of(len(deltas), members.block)
-    sums = _Sums.empty(nominal.shape, job.bins, np.int64)
-    for found in in_order(job.block, parts, workers):
-        sums.add(found)
-    return _result(uncertain, job, sums, quantiles)
+    first = members.drawn(deltas, slice(0, min(members.block, len(deltas))), "stream")
+    n_bins = int(np.clip(MOST_COUNTS // max(1, nominal.size), FEWEST_BINS, BINS))
+    bins = _bins(responses(first, drive, x0, hold), np.ascontiguousarray(nominal), n_bins)
+    job = _Stream(members, deltas, drive, x0, hold, bins, n_bins)
+    n_y = nominal.shape[1]
+    sums = Sums.empty((len(nominal), n_y), n_bins, np.int64)
+    tally = _Tally(sums, np.full(n_y, -1.0), np.zeros(n_y, dtype=np.int64))
+    for found in in_order(job.block, blocks_of(len(deltas), members.block), workers):
+        tally.add(found)
+    return _result(uncertain, job, tally, quantiles)
 
 
-def _with_bins(job: _Stream) -> _Stream:
-    """Bins from the first block's envelope, widened by half of it on both sides."""
-    bins = int(np.clip(MOST_COUNTS // max(1, job.nominal.size), FEWEST_BINS, BINS))
-    first = slice(0, min(job.members.block, len(job.deltas)))
-    y = responses(job.ensemble(first), job.drive, job.x0, job.hold)
-    everything = np.concatenate([y, job.nominal[None]])
+def _bins(y: Array, nominal: Array, n_bins: int) -> Bins:
+    """Bins from the envelope of the first block's responses, widened by half of it on both sides."""
+    everything = np.concatenate([y, nominal[None]])
     finite = np.isfinite(everything)
     low = np.where(finite, everything, np.inf).min(axis=0)
     high = np.where(finite, everything, -np.inf).max(axis=0)
     low, high = np.where(np.isfinite(low), low, 0.0), np.where(np.isfinite(high), high, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
-        width = 2.0 * (high - low) / bins
+        width = 2.0 * (high - low) / n_bins
     # Where all samples agree, one bin of any width takes them.
     size = np.maximum(np.abs(low), np.abs(high))
     width = np.where(width > 1e-12 * size, width, np.maximum(1e-12 * size, 1e-300))
     width = np.where(np.isfinite(width), width, np.finfo(float).max)
     middle = 0.5 * low + 0.5 * high
-    start = np.ascontiguousarray(middle - 0.5 * bins * width)
-    return replace(job, low=start, per_bin=np.ascontiguousarray(1.0 / width), bins=bins)
+    start = np.ascontiguousarray(middle - 0.5 * n_bins * width)
+    return Bins(nominal, start, np.ascontiguousarray(1.0 / width))
 
 
-def _result(uncertain: UncertainModel, job: _Stream, sums: _Sums, quantiles: Sequence[float]) -> StreamedResponses:
-    count, drive = len(job.deltas), job.drive
+def _result(uncertain: UncertainModel, job: _Stream, tally: _Tally, quantiles: Sequence[float]) -> StreamedResponses:
+    count, drive, nominal, sums = len(job.deltas), job.drive, job.bins.nominal, tally.sums
     valid = np.maximum(count - sums.lost, 1)
     mean_gap = sums.total / valid
     with np.errstate(over="ignore", invalid="ignore"):
         variance = np.maximum(sums.squares / valid - mean_gap**2, 0.0)
-    lower, upper = np.minimum(sums.lower, job.nominal), np.maximum(sums.upper, job.nominal)
+    lower, upper = np.minimum(sums.lower, nominal), np.maximum(sums.upper, nominal)
     gone = sums.lost > 0
-    worst = tuple(int(i) for i in sums.worst)
+    worst = tuple(int(i) for i in tally.worst)
     deltas = tuple(job.deltas[i] for i in worst)
-    worst_y, repeats = _worst_again(uncertain, job, deltas, sums.peak)
+    worst_y, repeats = _worst_again(uncertain, job, deltas, tally.peak)
     return StreamedResponses(
         drive.t,
         drive.u,
-        job.nominal,
+        nominal,
         np.where(gone, -np.inf, lower),
         np.where(gone, np.inf, upper),
-        np.where(gone, np.nan, job.nominal + mean_gap),
+        np.where(gone, np.nan, nominal + mean_gap),
         np.where(gone, np.nan, np.sqrt(variance)),
-        {float(q): _quantile(job, sums, q, lower, upper) for q in quantiles},
-        1.0 / job.per_bin,
+        {float(q): _quantile(job.bins, sums, q, lower, upper) for q in quantiles},
+        1.0 / job.bins.per_bin,
         worst,
         deltas,
         worst_y,
-        sums.peak,
+        tally.peak,
         job.deltas.n,
         len(job.deltas.signs),
         job.deltas.seed,
-        sums.unstable,
+        tally.unstable,
         uncertain.inputs,
         uncertain.outputs,
         Status.CONVERGED if repeats and not gone.any() else Status.INACCURATE,
     )
 
 
-def _quantile(job: _Stream, sums: _Sums, q: float, lower: Array, upper: Array) -> Array:
+def _quantile(bins: Bins, sums: Sums, q: float, lower: Array, upper: Array) -> Array:
     """Value of the sample with rank ``ceil(q n)``, to half a bin; the envelope in the outermost bins."""
     below = np.cumsum(sums.counts, axis=2)
     wanted = np.ceil(q * below[:, :, -1:])
     place = (below < wanted).sum(axis=2)
-    value = job.low + (place + 0.5) / job.per_bin
-    value = np.where(place == 0, lower, np.where(place == job.bins - 1, upper, value))
+    value = bins.low + (place + 0.5) / bins.per_bin
+    value = np.where(place == 0, lower, np.where(place == sums.counts.shape[2] - 1, upper, value))
     value = np.clip(value, lower, upper)
     return np.where(sums.lost > 0, np.nan, value)
 
@@ -306,7 +319,7 @@ def _worst_again(
             repeats = repeats and not np.isfinite(peak[k])
             continue
         y[k] = record[signal.name]
-        again = float(np.abs(y[k] - job.nominal[:, k]).max())
+        again = float(np.abs(y[k] - job.bins.nominal[:, k]).max())
         size = max(float(peak[k]), float(np.abs(y[k]).max()))
         repeats = repeats and abs(again - peak[k]) <= AGREEMENT * size
     return y, repeats

@@ -10,8 +10,9 @@ import pytest
 import robustlab as rl
 from robustlab.budget import Budget
 from robustlab.mu_analysis.axis.axis_model import continuous
-from robustlab.mu_analysis.axis.branch_and_bound import MarginProblem, Region, tighten
+from robustlab.mu_analysis.axis.axis_problems import MarginProblem
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.uncertainty.blocks import delta_matrix
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.matrix.ball_proof import certified_in_balls
-from robustlab.mu_analysis.matrix.certificate import has_structure
+from robustlab.mu_analysis.matrix.certificate import certified_in_balls, has_structure
 from robustlab.uncertainty.blocks import as_blocks, structure_size
 
 STRUCTURES = [

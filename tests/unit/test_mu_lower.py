@@ -12,8 +12,8 @@ from robustlab.mu_analysis.axis.critical_delta import block_sensitivities, pole_
 from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
 from robustlab.mu_analysis.matrix.certificate import delta_norm, project
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
-from robustlab.mu_analysis.matrix.gain_based_lower import vertex_search
 from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
+from robustlab.mu_analysis.matrix.starting_points import vertex_search
 from robustlab.uncertainty.blocks import as_blocks, structure_size
 
 STRUCTURES = {

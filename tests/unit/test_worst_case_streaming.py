@@ -78,7 +78,7 @@ def test_compiled_and_array_responses_agree(k, hold):
     x0 = np.arange(12.0)
     compiled = responses(members, drive, x0, hold)
     np.testing.assert_allclose(compiled, time_responses(members, drive.h, drive.u, x0, hold), rtol=1e-9, atol=1e-9)
-    assert in_lanes(members, drive, x0, hold).matrices[0].shape[0] == -(-k // 32)
+    assert in_lanes(members, drive, x0, hold).phi.shape[0] == -(-k // 32)
 
 
 def test_discrete_and_static_members():

@@ -14,7 +14,15 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["check_nominal", "continuous", "coupled_blocks", "frequencies", "model_frequency", "seed_frequencies"]
+__all__ = [
+    "check_nominal",
+    "continuous",
+    "coupled_blocks",
+    "frequencies",
+    "model_frequency",
+    "seed_frequencies",
+    "typical_speed",
+]
 
 
 # Entries of M that are larger than this are refused.
@@ -101,6 +109,12 @@ def seed_frequencies(model: StateSpaceModel) -> Array:
     # One of those closer together than 2 %.
     marks = np.unique(np.round(np.log(found) / 0.02))
     return np.exp(marks * 0.02)
+
+
+def typical_speed(model: StateSpaceModel) -> float:
+    """Median of the poles' moduli in rad/s; 1 without poles."""
+    poles = np.abs(model.poles())
+    return float(np.median(poles)) if len(poles) else 1.0
 
 
 def coupled_blocks(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:

@@ -1,6 +1,4 @@
-r"""The critical Delta replayed in the time domain: what the proved number means on the machine.
-
-How much the margin changes with the size of each block, from the critical Delta alone.
+r"""The critical Delta: what it means on the machine (a replay in time), and which blocks the margin hangs on.
 
 Let block i be ``s_i`` times as large. At the smallest singular Delta, the parts
 :math:`c_i = y^* M_i \Delta_i x / y^* x` of the linearised loop add up to one, and a multiplier phi makes every
@@ -34,15 +32,10 @@ from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
-__all__ = [
-    "Replay",
-    "replay",
-    "block_sensitivities",
-    "pole_block_sensitivities",
-]
+__all__ = ["Replay", "block_sensitivities", "pole_block_sensitivities", "replay"]
 
 
-INSIDE = 0.95
+INSIDE = 0.95  # share of the critical Delta that is shown as just inside the margin
 
 
 @dataclass(frozen=True, eq=False)

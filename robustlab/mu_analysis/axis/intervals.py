@@ -13,18 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import balancing_factors
-from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
+from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
 
@@ -93,6 +95,29 @@ class AxisCover:
         self.beta = max(self.beta, other.beta)
         self.points += other.points
 
+    def grow(
+        self,
+        model: StateSpaceModel,
+        omega: Array,
+        bounds: Sequence[UpperBound],
+        beta: float,
+        budget: Budget,
+        level: float | None = None,
+    ) -> bool:
+        """Extend the bound found at each frequency to an interval and add it; False where the budget ended that.
+
+        ``beta`` is what the pieces prove of this model; ``level`` what that means for the cover, where it differs.
+        """
+        self.points += len(omega)
+        for w, bound in zip(omega, bounds, strict=True):
+            if budget.over:  # of 70 blocks an interval takes seconds
+                return False
+            piece = extend(model, bound, beta, float(w))
+            budget.spend(extend_work(model))
+            if piece is not None:
+                self.add(piece if level is None else replace(piece, beta=level))
+        return True
+
     def take_points(self, pending: list[float], scale: float, count: int) -> Array:
         """The next of the pending frequencies that are still open (they are taken off the list), else new ones."""
         while pending:
@@ -101,6 +126,14 @@ class AxisCover:
             if chosen:
                 return np.array(chosen)
         return self.next_points(scale, count)
+
+    def reported(
+        self, uncertain: UncertainModel, level: float
+    ) -> tuple[tuple[tuple[float, float, float], ...], tuple[tuple[float, float], ...]]:
+        """Pieces as ``(low, high, bound)``, at most ``level``, and open intervals, in rad/s of the model itself."""
+        at = partial(model_frequency, uncertain)
+        pieces = tuple((at(p.low), at(p.high), min(p.beta, level)) for p in self.pieces)
+        return pieces, tuple((at(low), at(high)) for low, high in self.open)
 
     def next_points(self, scale: float, count: int) -> Array:
         """A frequency inside each open interval, the widest (in decades) first, at most ``count``."""
@@ -143,25 +176,16 @@ def cover_axis(
     accuracy
         Relative distance of the proved bound to the largest pointwise D-G bound.
     """
-    cover = AxisCover()
-    poles = np.abs(model.poles())
-    scale = float(np.median(poles)) if len(poles) else 1.0
+    cover, scale = AxisCover(), typical_speed(model)
     beta = beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and not budget.over:
         omega = cover.take_points(pending, scale, BATCH)
         bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
         budget.spend(points_work(blocks, len(omega)))
-        cover.points += len(omega)
         finite = [b.beta for b in bounds if np.isfinite(b.beta)]
         beta = max(beta, max(finite, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
-        for w, bound in zip(omega, bounds, strict=True):
-            if budget.over:  # of 70 blocks an interval takes seconds
-                return cover
-            piece = extend(model, bound, beta, float(w))
-            budget.spend(extend_work(model))
-            if piece is not None:
-                cover.add(piece)
+        cover.grow(model, omega, bounds, beta, budget)
     return cover
 
 
@@ -268,15 +292,9 @@ def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array
     return np.abs(np.linalg.eigvals(H / t[:, None] * t).imag)
 
 
-def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> NDArray[np.bool_]:
+def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> Mask:
     """Whether ``Phi(omega) < 0`` at each frequency."""
-    M = frequency_response(model, omega)
-    product = bound.G @ M
-    supply = hermitian(M) @ bound.Dz @ M + 1j * (product - hermitian(product))
-    factor = np.linalg.cholesky(bound.Dw)
-    half = np.linalg.solve(factor, supply)
-    scaled = np.linalg.solve(factor, hermitian(half))
-    scaled = (scaled + hermitian(scaled)) / 2
+    scaled = relative(bound.Dw, supply(frequency_response(model, omega), bound.Dz, bound.G))
     finite = np.isfinite(scaled).all(axis=(1, 2))
     scaled[~finite] = 0
     return finite & (np.linalg.eigvalsh(scaled)[:, -1] < beta**2)

@@ -20,7 +20,7 @@ from robustlab.mu_analysis.axis.axis_model import (
     model_frequency,
     seed_frequencies,
 )
-from robustlab.mu_analysis.axis.branch_and_bound import MarginProblem, Region, tighten
+from robustlab.mu_analysis.axis.axis_problems import MarginProblem
 from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
 from robustlab.mu_analysis.axis.margin import Margin
@@ -30,12 +30,14 @@ from robustlab.mu_analysis.axis.pole_migration import (
     smallest_destabilising,
 )
 from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, block_slices, delta_values
+from robustlab.uncertainty.blocks import Block, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["WORK", "margin_within", "robust_stability"]
@@ -117,6 +119,11 @@ def robust_stability(
     effort
         Work that the proof may take, as a multiple of the usual (about a minute). It is counted, not timed, so that the
         answer is the same on a busy machine.
+
+    Returns
+    -------
+    Margin
+        Both bounds, the critical Delta with its frequency in rad/s, and the intervals or regions that prove ``lower``.
 
     Raises
     ------
@@ -229,11 +236,9 @@ def _sharpened(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabili
 
 def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
     """Cover the axis for each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
-    slices = block_slices(found.blocks)
     whole = AxisCover(open=[])
     for members in coupled_blocks(found.model, found.blocks):
-        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
-        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
+        w, z = entries(found.blocks, members)
         m = found.model
         part = StateSpaceModel(m.A, m.B[:, w], m.C[z], m.D[z[:, None], w])
         some = [found.blocks[i] for i in members]
@@ -338,13 +343,13 @@ def _margin(
     if cover.open:
         notes = (*notes, f"{len(cover.open)} frequency intervals not proved: mu_upper holds on the grid only")
     elif found.proof and isinstance(found.proof[0], Region):
-        notes = (*notes, f"proved by branch and bound; regions of parameters and frequency: {len(found.proof)}")
+        notes = (*notes, by_regions(len(found.proof)))
     if budget.remark:
         notes = (*notes, budget.remark)
     notes = (*notes, *uncertain.impossible(delta))
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
-    pieces = [(p.low, p.high, min(p.beta, found.level)) for p in cover.pieces]
+    intervals, open_intervals = cover.reported(uncertain, found.level)
     shares = _shares(found.model, uncertain.blocks, worst) if worst else {}
     return Margin(
         lower=lower,
@@ -357,8 +362,8 @@ def _margin(
         omega=grid,
         mu_lower=mu_lower,
         mu_upper=mu_upper,
-        intervals=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b), beta) for a, b, beta in pieces),
-        open=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b)) for a, b in cover.open),
+        intervals=intervals,
+        open=open_intervals,
         shares=shares,
         proof=found.proof,
         notes=notes,

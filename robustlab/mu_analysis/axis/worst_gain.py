@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array, Mask
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
@@ -19,15 +19,17 @@ from robustlab.mu_analysis.axis.axis_model import (
     frequencies,
     model_frequency,
     seed_frequencies,
+    typical_speed,
 )
-from robustlab.mu_analysis.axis.branch_and_bound import GainProblem, Region, tighten
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
+from robustlab.mu_analysis.axis.axis_problems import GainProblem
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
-from robustlab.mu_analysis.matrix.skew import skew_upper
+from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
@@ -141,6 +143,11 @@ def worst_case_gain(
     effort
         Work that the proof may take, as a multiple of the usual (about a minute); counted, not timed.
 
+    Returns
+    -------
+    WorstCaseGain
+        Both bounds, the worst Delta found with its frequency in rad/s, and what proves ``upper``.
+
     Raises
     ------
     NoTrustworthyNumber
@@ -229,6 +236,18 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
         Uncertain model whose inputs and outputs are weighted.
     options
         Those of `robust_stability`.
+
+    Returns
+    -------
+    Margin
+        As of `robust_stability`; ``delta`` holds the performance block ``(n_inputs, n_outputs)`` as well.
+
+    Raises
+    ------
+    InputError
+        No inputs or no outputs, or a block that is called ``"performance"`` already.
+    NoTrustworthyNumber
+        The nominal model is unstable.
 
     References
     ----------
@@ -379,7 +398,7 @@ def _prove(
         if proof.upper < known.upper:
             known.upper, known.proof = proof.upper, tuple(proof.leaves)
             known.cover.open.clear()
-            known.notes = (f"proved by branch and bound; regions of parameters and frequency: {len(proof.leaves)}",)
+            known.notes = (by_regions(len(proof.leaves)),)
     if known.upper < known.lower * (1 - 1e-5):
         text = f"a member has the gain {known.lower:.9g} above the proved bound {known.upper:.9g}: digits were lost"
         raise NoTrustworthyNumber("worst_case_gain", text)
@@ -407,17 +426,14 @@ def _cover(
         if shifted is None or not shifted.is_stable():
             return AxisCover(), float("inf")
         model = shifted
-    n_u = blocks[-1].rows
-    varying = np.arange(model.n_inputs) >= model.n_inputs - n_u
-    poles = np.abs(model.poles())
-    cover, scale = AxisCover(), float(np.median(poles)) if len(poles) else 1.0
+    varying, cover, scale = _performance_inputs(blocks), AxisCover(), typical_speed(model)
     level = lower * (1 + accuracy)
     pending = list(first)
     while cover.open and not budget.over:
         omega = cover.take_points(pending, scale, BATCH)
         response = frequency_response(model, omega)
         level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
-        bounds = points_below(_scaled(response, varying, level), blocks, 1 / (1 + accuracy / 2))
+        bounds = points_below(divided(response, varying, level), blocks, 1 / (1 + accuracy / 2))
         budget.spend(points_work(blocks, len(omega)))
         over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
         if over:
@@ -425,26 +441,20 @@ def _cover(
             if not np.isfinite(raised):
                 return cover, float("inf")
             level = max(level, raised)
-            again = points_below(_scaled(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
+            again = points_below(divided(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
             budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
             for k, bound in zip(over, again, strict=True):
                 bounds[k] = bound
-        closed = StateSpaceModel(
-            model.A, np.where(varying, model.B / level, model.B), model.C, np.where(varying, model.D / level, model.D)
-        )
-        cover.points += len(omega)
-        for w, bound in zip(omega, bounds, strict=True):
-            if budget.over:
-                return cover, float("inf")
-            piece = extend(closed, bound, 1.0, float(w))
-            budget.spend(extend_work(closed))
-            if piece is not None:
-                cover.add(Piece(piece.low, piece.high, level, piece.bound))
+        closed = StateSpaceModel(model.A, divided(model.B, varying, level), model.C, divided(model.D, varying, level))
+        if not cover.grow(closed, omega, bounds, 1.0, budget, level):
+            return cover, float("inf")
     return cover, float("inf") if cover.open else level
 
 
-def _scaled(response: ComplexArray, varying: NDArray[np.bool_], level: float) -> ComplexArray:
-    return np.where(varying, response / level, response)
+def _performance_inputs(blocks: Sequence[Block]) -> Mask:
+    """Which inputs of M belong to the performance, the last block."""
+    n_inputs = sum(b.rows for b in blocks)
+    return np.arange(n_inputs) >= n_inputs - blocks[-1].rows
 
 
 # --- the answer ------------------------------------------------------------------------------------------------------
@@ -468,7 +478,7 @@ def _result(
         notes = (*notes, "no upper bound: the set was not proved stable")
     notes = (*notes, *uncertain.impossible(known.delta))
     nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
-    pieces = [(p.low, p.high, min(p.beta, known.upper)) for p in known.cover.pieces]
+    intervals, open_intervals = known.cover.reported(uncertain, known.upper)
     return WorstCaseGain(
         lower=known.lower,
         upper=known.upper,
@@ -481,8 +491,8 @@ def _result(
         nominal_gain=nominal_gain,
         gain_lower=low,
         gain_upper=high,
-        intervals=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b), g) for a, b, g in pieces),
-        open=tuple((model_frequency(uncertain, a), model_frequency(uncertain, b)) for a, b in known.cover.open),
+        intervals=intervals,
+        open=open_intervals,
         proof=known.proof,
         notes=notes,
     )
@@ -498,7 +508,7 @@ def _curves(
         return gain, gain.copy(), gain.copy()
     rng, box = np.random.default_rng(seed), root_box(blocks)
     response = frequency_response(uncertain.M, grid)
-    varying = np.arange(model.n_inputs) >= model.n_inputs - blocks[-1].rows
+    varying = _performance_inputs(blocks)
     found = [largest_gain(M, blocks, box, rng, 4) for M in response]
     low = np.array([0.0 if g is None else g.value for g in found])
     high = np.array([skew_upper(M, blocks, varying, 1e-3)[0] for M in response])

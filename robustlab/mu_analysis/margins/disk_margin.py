@@ -26,7 +26,7 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, told_as
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.stability import WORK, margin_within
-from robustlab.mu_analysis.margins.small_gain import replayed_pole, signed, small_gain
+from robustlab.mu_analysis.margins.small_gain import fitting_controller, replayed_pole, signed, small_gain
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import compile_kernels
@@ -38,6 +38,7 @@ from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = [
     "PLACES",
+    "DiskBounds",
     "DiskMargin",
     "DiskMargins",
     "Place",
@@ -59,14 +60,13 @@ PLACES: tuple[Place, ...] = ("input", "output", "both")
 
 
 @dataclass(frozen=True, eq=False)
-class DiskMargin:
-    """Margin against disks of one size in some loops at once.
+class DiskBounds:
+    """Bounds of a disk margin, and what the lower one guarantees.
 
     Attributes
     ----------
     lower, upper
-        ``lower <= alpha_max <= upper``: stable for all ``|delta| < lower`` (proved over the whole axis), not for the
-        ``delta`` below, whose largest modulus is ``upper``. Both inf where nothing destabilises.
+        ``lower <= margin <= upper``; ``lower`` is proved over the whole axis.
     gain_margin
         Interval of factors that leave the loop stable, in each loop independently; it belongs to ``lower``.
     phase_margin
@@ -74,6 +74,33 @@ class DiskMargin:
         holds every change of phase.
     skew
         sigma.
+    """
+
+    lower: float
+    upper: float
+    gain_margin: tuple[float, float]
+    phase_margin: float
+    skew: float
+
+    @property
+    def value(self) -> float:
+        """The disk margin that is proved: ``lower``."""
+        return self.lower
+
+    def to_json(self) -> dict[str, Any]:
+        """All attributes; models stay models."""
+        return {"type": type(self).__name__, **{name: getattr(self, name) for name in self.__dataclass_fields__}}
+
+
+@dataclass(frozen=True, eq=False)
+class DiskMargin(DiskBounds):
+    """Margin against disks of one size in some loops at once, with the attributes of `DiskBounds`.
+
+    Attributes
+    ----------
+    lower, upper
+        Stable for all ``|delta| < lower``, not for the ``delta`` below, whose largest modulus is ``upper``. Both inf
+        where nothing destabilises.
     frequency
         Critical frequency in rad/s; None where nothing destabilises.
     delta
@@ -94,11 +121,6 @@ class DiskMargin:
         Remarks for the reader of a report.
     """
 
-    lower: float
-    upper: float
-    gain_margin: tuple[float, float]
-    phase_margin: float
-    skew: float
     frequency: float | None
     delta: Mapping[str, complex]
     factor: Mapping[str, complex]
@@ -106,15 +128,6 @@ class DiskMargin:
     pole: complex | None
     status: Status
     notes: tuple[str, ...] = ()
-
-    @property
-    def value(self) -> float:
-        """The disk margin that is proved: ``lower``."""
-        return self.lower
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes; models stay models."""
-        return {"type": "DiskMargin", **{name: getattr(self, name) for name in self.__dataclass_fields__}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,10 +251,7 @@ def controller_for(n_outputs: int, n_inputs: int, K: Any) -> StateSpaceModel:
         if n_outputs != n_inputs:
             raise InputError("disk_margin", f"an open loop of {n_outputs} x {n_inputs}", "a square one, or a K")
         return StateSpaceModel([], [], [], np.eye(n_inputs))
-    k = as_model(K, "disk_margin: K")
-    if k.D.shape != (n_inputs, n_outputs):
-        raise InputError("disk_margin: K", f"{k.n_outputs} x {k.n_inputs}", f"{n_inputs} x {n_outputs}")
-    return k
+    return fitting_controller(K, n_inputs, n_outputs, "disk_margin: K")
 
 
 def disk_channels(

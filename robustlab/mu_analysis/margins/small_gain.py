@@ -40,7 +40,7 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
-__all__ = ["SmallGain", "peak_response", "replayed_pole", "signed", "small_gain"]
+__all__ = ["SmallGain", "fitting_controller", "peak_response", "replayed_pole", "signed", "small_gain"]
 
 # Relative width of the norm's bracket.
 RTOL = 1e-9
@@ -103,6 +103,11 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     sign
         -1 for negative feedback, 1 for positive feedback.
 
+    Returns
+    -------
+    SmallGain
+        The verdict, bounds of the margin, and the Delta (rows, cols) that destabilises first.
+
     Raises
     ------
     InputError
@@ -123,7 +128,10 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     blocks = uncertain.blocks
     if len(blocks) != 1 or blocks[0].is_scalar or not blocks[0].is_ball:
         raise InputError("small_gain", f"{uncertain!r}", "one full block", "use robust_stability")
-    closed = uncertain if K is None else uncertain.close(signed(_controller(uncertain, K), sign))
+    closed = uncertain
+    if K is not None:
+        k = fitting_controller(K, len(uncertain.inputs), len(uncertain.outputs), "small_gain: K")
+        closed = uncertain.close(signed(k, sign))
     M = closed.delta_channels
     norm = hinf_norm(M, rtol=RTOL)
     if not np.isfinite(norm.upper):
@@ -190,11 +198,11 @@ def signed(K: StateSpaceModel, sign: int) -> StateSpaceModel:
     return StateSpaceModel(K.A, K.B, sign * K.C, sign * K.D, K.dt)
 
 
-def _controller(uncertain: UncertainModel, K: Any) -> StateSpaceModel:
-    k = as_model(K, "small_gain: K")
-    n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
-    if k.D.shape != (n_u, n_y):
-        raise InputError("small_gain: K", f"{k.n_outputs} x {k.n_inputs}", f"{n_u} x {n_y}")
+def fitting_controller(K: Any, n_inputs: int, n_outputs: int, where: str) -> StateSpaceModel:
+    """K as a model from all outputs of a plant to all its inputs."""
+    k = as_model(K, where)
+    if k.D.shape != (n_inputs, n_outputs):
+        raise InputError(where, f"{k.n_outputs} x {k.n_inputs}", f"{n_inputs} x {n_outputs}")
     return k
 
 

@@ -25,9 +25,11 @@ from numpy.typing import NDArray
 
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import search_work
-from robustlab.mu_analysis.axis.stability import Margin, margin_within
+from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.margins.disk_margin import (
+    DiskBounds,
     DiskMargin,
     Place,
     controller_for,
@@ -57,18 +59,13 @@ MAX_MARGINS = 25
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCaseDiskMargin:
-    """The smallest disk margin over an uncertain set.
+class WorstCaseDiskMargin(DiskBounds):
+    """The smallest disk margin over an uncertain set, with the attributes of `DiskBounds` for every member.
 
     Attributes
     ----------
     lower, upper
-        ``lower <= smallest disk margin <= upper``: every member of the set tolerates disks of ``lower`` (proved
-        over the whole axis); the member at ``delta`` has the disk margin ``upper``.
-    gain_margin, phase_margin
-        What ``lower`` guarantees for every member: interval of gains, and phase in rad.
-    skew
-        sigma.
+        Every member of the set tolerates disks of ``lower``; the member at ``delta`` has the disk margin ``upper``.
     delta
         The worst member found, one value per block of the uncertain model, ``|delta| <= 1``.
     physical
@@ -84,27 +81,12 @@ class WorstCaseDiskMargin:
         Remarks for the reader of a report.
     """
 
-    lower: float
-    upper: float
-    gain_margin: tuple[float, float]
-    phase_margin: float
-    skew: float
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
     member: DiskMargin | None
     nominal: DiskMargin
     status: Status
     notes: tuple[str, ...] = ()
-
-    @property
-    def value(self) -> float:
-        """What is proved: ``lower``."""
-        return self.lower
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return {"type": "WorstCaseDiskMargin", **parts}
 
 
 @told_as("worst_case_disk_margin")
@@ -139,6 +121,11 @@ def worst_case_disk_margin(
         Seed of the searches for critical values.
     effort
         Work of the whole search, as a multiple of the usual (about a minute); counted, not timed.
+
+    Returns
+    -------
+    WorstCaseDiskMargin
+        Bounds of the smallest margin, and the worst member found with its own critical factors.
 
     Raises
     ------

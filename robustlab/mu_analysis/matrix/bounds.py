@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import ComplexArray
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.mu_analysis.matrix.certificate import has_structure
+from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
+from robustlab.mu_analysis.matrix.certificate import certified_in_balls, has_structure
 from robustlab.mu_analysis.matrix.decomposition import components
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
@@ -118,6 +119,12 @@ def mu(
     certify
         Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
 
+    Returns
+    -------
+    MuBounds
+        Both bounds with what proves them: ``delta`` (q, p), ``D`` (q, q), ``D_z`` (p, p), ``G`` (q, p), each with a
+        leading axis k for a stack.
+
     Raises
     ------
     InputError
@@ -210,8 +217,6 @@ def _close(
     stack: ComplexArray, parts: dict[str, Any], blocks: tuple[Block, ...], tolerance: float, budget: Budget
 ) -> NDArray[np.intp]:
     """Branch and bound of each matrix whose bounds are further apart than the tolerance; how many boxes each took."""
-    from robustlab.mu_analysis.axis.branch_and_bound import MatrixProblem, tighten
-
     boxes, scale = np.zeros(len(stack), dtype=int), _scale(stack)
     some_real = any(b.interval for b in blocks)
     for k, m in enumerate(stack * scale[:, None, None]):
@@ -263,8 +268,6 @@ def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
 
 def _confirm(stack: ComplexArray, parts: dict[str, Any], blocks: Sequence[Block]) -> None:
     """Prove each upper bound in ball arithmetic; a zero by the zero pattern of M where D shows it in the limit only."""
-    from robustlab.mu_analysis.matrix.ball_proof import certified_in_balls
-
     for k, m in enumerate(stack):
         D, D_z, G, beta = (parts[key][k] for key in ("D", "D_z", "G", "upper"))
         if beta == 0 and not any(component.matrix.any() for component in components(m, blocks)):

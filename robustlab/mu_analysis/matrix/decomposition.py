@@ -6,15 +6,16 @@ Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["Component", "balancing_exponents", "block_norms", "components", "expand"]
+__all__ = ["Component", "balancing_exponents", "block_norms", "components", "entries", "expand"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,13 @@ def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:
     return np.repeat(values, [b.rows for b in blocks]), np.repeat(values, [b.cols for b in blocks])
 
 
+def entries(blocks: Sequence[Block], members: Sequence[int] | Indices) -> tuple[Indices, Indices]:
+    """Rows (entries of w) and columns (entries of z) of Delta that belong to some of the blocks, in their order."""
+    slices = block_slices(blocks)
+    w, z = ([np.arange(slices[i][side].start, slices[i][side].stop) for i in members] for side in (0, 1))
+    return np.concatenate(w), np.concatenate(z)
+
+
 def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     """The strongly connected components of M in the order in which signals pass through them, each balanced."""
     from scipy.sparse.csgraph import connected_components
@@ -81,16 +89,14 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
         if (deeper == depth).all():
             break
         depth = deeper
-    slices = block_slices(blocks)
     result = []
     for c in np.argsort(depth, kind="stable"):
         members = groups[c]
         exponents = _osborne(norms[members[:, None], members])
         part = [blocks[i] for i in members]
         w, z = expand(part, exponents)
-        rows = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in members])
-        cols = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in members])
-        matrix = M[rows[:, None], cols] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
+        of_w, of_z = entries(blocks, members)
+        matrix = M[of_z[:, None], of_w] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
         result.append(Component(tuple(int(i) for i in members), int(depth[c]), exponents, matrix))
     return result
 
@@ -103,13 +109,45 @@ def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
 
 def _osborne(norms: Array) -> Array:
     """Whole exponents e such that row i and column i of ``norms_ij 2^(e_i - e_j)`` have about the same norm."""
-    from robustlab.mu_analysis.matrix.balancing_kernel import osborne
-
     n = len(norms)
     if n < 2:
         return np.zeros(n)
     with np.errstate(divide="ignore"):
         log = np.log2(norms)
     np.fill_diagonal(log, -np.inf)
-    e = osborne(log, 100, 0.01)
+    e = _compiled_osborne()(log, 100, 0.01)
     return np.round(e - np.round(e.mean()))
+
+
+@cache
+def _compiled_osborne() -> Callable[[Array, int, float], Array]:
+    """Osborne's iteration; compiled here, so that numba is imported where it is used only."""
+    import numba as nb
+
+    @nb.njit(cache=True, error_model="numpy")
+    def osborne(log, sweeps, tol):
+        """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about the same norm.
+
+        The norms come as logarithms to base 2 (-inf on the diagonal): their squares span more decades than floats do.
+        """
+        n = len(log)
+        e = np.zeros(n)
+        for _ in range(sweeps):
+            largest = 0.0
+            for i in range(n):
+                top_row, top_column = -np.inf, -np.inf
+                for j in range(n):
+                    top_row = max(top_row, log[i, j] - e[j])
+                    top_column = max(top_column, log[j, i] + e[j])
+                row, column = 0.0, 0.0
+                for j in range(n):
+                    row += 4.0 ** (log[i, j] - e[j] - top_row)
+                    column += 4.0 ** (log[j, i] + e[j] - top_column)
+                step = 0.5 * (top_column + 0.5 * np.log2(column) - top_row - 0.5 * np.log2(row)) - e[i]
+                e[i] += step
+                largest = max(largest, abs(step))
+            if largest < tol:
+                break
+        return e
+
+    return osborne

@@ -10,7 +10,7 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["DeltaLayout", "delta_layout"]
+__all__ = ["DeltaLayout", "delta_layout", "positive"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +68,8 @@ class DeltaLayout:
         delta = np.zeros((len(values), self.q, self.p), dtype=complex)
         entries = values[:, self.entry_block]
         if not self.diagonal:
-            left = np.conj(row) / _positive(self.vector_sizes(row, self.of_w))[:, self.of_w]
-            right = np.conj(x) / _positive(self.vector_sizes(x, self.of_z))[:, self.of_z]
+            left = np.conj(row) / positive(self.vector_sizes(row, self.of_w))[:, self.of_w]
+            right = np.conj(x) / positive(self.vector_sizes(x, self.of_z))[:, self.of_z]
             rank_one = left[:, self.entry_w] * right[:, self.entry_z]
             entries = np.where(self.full[self.entry_block], entries * rank_one, entries)
         delta[:, self.entry_w, self.entry_z] = entries
@@ -139,5 +139,6 @@ def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
     )
 
 
-def _positive(size: Array) -> Array:
+def positive(size: Array) -> Array:
+    """Sizes to divide by: one in place of zero."""
     return np.where(size > 0, size, 1.0)

@@ -26,9 +26,8 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
-from robustlab.mu_analysis.matrix.decomposition import Component, components, expand
+from robustlab.mu_analysis.matrix.decomposition import Component, components, entries, expand
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
-from robustlab.mu_analysis.matrix.gain_based_lower import gain_ascent, power_directions, vertex_rays, vertex_search
 from robustlab.mu_analysis.matrix.minimum_norm import (
     descended,
     first_steps,
@@ -36,7 +35,8 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
     sharpened,
     smallest_step,
 )
-from robustlab.uncertainty.blocks import Block, block_slices, structure_size
+from robustlab.mu_analysis.matrix.starting_points import gain_ascent, power_directions, vertex_rays, vertex_search
+from robustlab.uncertainty.blocks import Block, structure_size
 
 __all__ = ["SINGULAR", "lower_bound", "lower_bounds"]
 
@@ -356,14 +356,12 @@ def _flat(v: ComplexArray) -> ComplexArray:
 def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -> ComplexArray:
     """A component's Delta in the coordinates of the whole M, zero elsewhere."""
     q, p = structure_size(blocks)
-    slices = block_slices(blocks)
     part = [blocks[i] for i in component.members]
     e_w, e_z = expand(part, component.exponents)
     # M_balanced = 2^z M 2^-w, so Delta = 2^-w Delta_balanced 2^z: the same numbers block by block, by exact powers of
     # two.
     scaled = delta * np.exp2(-e_w)[:, None] * np.exp2(e_z)[None, :]
     result = np.zeros((q, p), dtype=complex)
-    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
-    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
+    w, z = entries(blocks, component.members)
     result[w[:, None], z] = scaled
     return result

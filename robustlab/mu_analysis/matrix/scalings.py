@@ -18,12 +18,32 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-__all__ = ["ScalingSpace", "hermitian", "scaling_space"]
+__all__ = ["ScalingSpace", "hermitian", "relative", "scaling_space", "supply"]
 
 
 def hermitian(X: NDArray) -> NDArray:
     """Conjugate transpose over the last two axes."""
     return np.conj(np.swapaxes(X, -1, -2))
+
+
+def supply(M: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> ComplexArray:
+    """``M^* D_z M + j (G M - M^* G^*)``, what ``beta^2 D_w`` has to exceed; of one matrix or of a stack."""
+    product = G @ M
+    return hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+
+
+def relative(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
+    """``L^-1 Y L^-*`` for ``X = L L^*``: its eigenvalues are those of Y relative to the positive definite X.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        X is not positive definite.
+    """
+    factor = np.linalg.cholesky(X)
+    half = np.linalg.solve(factor, Y)
+    value = np.linalg.solve(factor, hermitian(half))
+    return (value + hermitian(value)) / 2
 
 
 class ScalingSpace:

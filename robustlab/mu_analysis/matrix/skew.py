@@ -18,22 +18,23 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from robustlab.arrays import ComplexArray
+from robustlab.arrays import AnyArray, ComplexArray, Mask
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, did_you_mean, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.matrix.bounds import MuBounds, matrix_stack
 from robustlab.mu_analysis.matrix.box import root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
+from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.gain import largest_gain
 from robustlab.mu_analysis.matrix.lower import lower_bound
-from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, structure_size
 
-__all__ = ["skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
+__all__ = ["divided", "skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
 
 
 ROUNDS = 14
@@ -94,7 +95,8 @@ def skew_mu(M: ArrayLike, blocks: Any, fixed: Sequence[str], seed: int = 0) -> M
         "D_z": np.stack([b.Dz for _, b in found]),
     }
     if (lower > upper).any():
-        raise _contradiction(float(lower.max()), float(upper.min()))
+        found = f"lower bound {float(lower.max()):.12g} above upper bound {float(upper.min()):.12g}: digits were lost"
+        raise NoTrustworthyNumber("skew_mu", found)
     sure = bool(np.isfinite(upper).all())
     status = Status.CERTIFIED if sure and (lower > 0).all() else Status.CONVERGED if sure else Status.INACCURATE
     if single:
@@ -103,7 +105,7 @@ def skew_mu(M: ArrayLike, blocks: Any, fixed: Sequence[str], seed: int = 0) -> M
     return MuBounds(lower, upper, **parts, status=status, blocks=structure)
 
 
-def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str]) -> NDArray[np.bool_]:
+def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str]) -> Mask:
     """True for the inputs of M (entries of w) that belong to blocks whose size is sought, shape (q,)."""
     names = [b.name for b in blocks]
     for name in fixed:
@@ -116,9 +118,7 @@ def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str]) -> NDArray[np.
     return np.repeat(np.array(varying, dtype=bool), [b.rows for b in blocks])
 
 
-def skew_upper(
-    M: ComplexArray, blocks: Sequence[Block], varying: NDArray[np.bool_], tol: float = 1e-4
-) -> tuple[float, UpperBound]:
+def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: float = 1e-4) -> tuple[float, UpperBound]:
     """The smallest level found that D, G prove, and these D, G for ``M / S(level)``; inf where none was found."""
     q, p = structure_size(blocks)
     size = float(np.linalg.norm(M, 2))
@@ -128,8 +128,8 @@ def skew_upper(
         return _when_nothing_varies(M, blocks, plain)
     level, best, proof = max(size, 1e-300), float("inf"), plain
     for _ in range(ROUNDS):
-        bound = upper_bounds(_scaled(M, varying, level)[None], blocks, tol)[0]
-        reached = level * _level_of(_scaled(M, varying, level), bound, varying)
+        bound = upper_bounds(divided(M, varying, level)[None], blocks, tol)[0]
+        reached = level * _level_of(divided(M, varying, level), bound, varying)
         if not np.isfinite(reached):
             if np.isfinite(best) or level > LARGEST * size:
                 break
@@ -145,7 +145,7 @@ def skew_upper(
 
 
 def skew_lower(
-    M: ComplexArray, blocks: Sequence[Block], varying: NDArray[np.bool_], seed: int = 0, rounds: int = 10
+    M: ComplexArray, blocks: Sequence[Block], varying: Mask, seed: int = 0, rounds: int = 10
 ) -> tuple[float, ComplexArray | None]:
     """``(1 / size of the varying blocks, Delta)`` of the smallest Delta found with fixed blocks within one."""
     level = float(np.linalg.norm(M, 2))
@@ -158,7 +158,7 @@ def skew_lower(
         return _largest_gain(M, blocks, moving[0], seed)
     failed = np.inf
     for _ in range(rounds):
-        value, delta = lower_bound(_scaled(M, varying, level), blocks, seed, restarts=8, steps=30)
+        value, delta = lower_bound(divided(M, varying, level), blocks, seed, restarts=8, steps=30)
         if delta is None:
             failed, level = level, level / 4
             if level < 1e-9 * np.linalg.norm(M, 2):
@@ -189,10 +189,8 @@ def _largest_gain(
     M: ComplexArray, blocks: Sequence[Block], moving: int, seed: int
 ) -> tuple[float, ComplexArray | None]:
     """One full block varies: its level is the largest gain of the channels that it closes."""
-    slices = block_slices(blocks)
     order = [i for i in range(len(blocks)) if i != moving] + [moving]
-    w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in order])
-    z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in order])
+    w, z = entries(blocks, order)
     sorted_blocks = [blocks[i] for i in order]
     gain = largest_gain(M[z[:, None], w], sorted_blocks, root_box(sorted_blocks), np.random.default_rng(seed))
     if gain is None or gain.value == 0:
@@ -212,48 +210,38 @@ def _when_nothing_varies(M: ComplexArray, blocks: Sequence[Block], plain: UpperB
     return (0.0, bound) if bound.beta < 1 else (float("inf"), plain)
 
 
-def _scaled(M: ComplexArray, varying: NDArray[np.bool_], level: float) -> ComplexArray:
+def divided(M: AnyArray, varying: Mask, level: float) -> AnyArray:
+    """M, or a stack of them, with the columns of the varying inputs divided by the level."""
     return np.where(varying, M / level, M)
 
 
-def _carried(G: ComplexArray, varying: NDArray[np.bool_], ratio: float) -> ComplexArray:
+def _carried(G: ComplexArray, varying: Mask, ratio: float) -> ComplexArray:
     """G of the scaled inequality for a level that is ``1 / ratio`` times the old one."""
     return np.where(varying[:, None], G * ratio, G)
 
 
-def _level_of(M: ComplexArray, bound: UpperBound, varying: NDArray[np.bool_]) -> float:
+def _level_of(M: ComplexArray, bound: UpperBound, varying: Mask) -> float:
     """Factor on the level of the scaled M at which D, G hold with equality; inf where the fixed part never does."""
-    product = bound.G @ M
-    supply = hermitian(M) @ bound.Dz @ M + 1j * (product - hermitian(product))
-    fixed = ~varying
+    needed, fixed = supply(M, bound.Dz, bound.G), ~varying
     try:
-        rest = supply[varying][:, varying]
+        rest = needed[varying][:, varying]
         if fixed.any():
-            inner = bound.Dw[fixed][:, fixed] - supply[fixed][:, fixed]
+            inner = bound.Dw[fixed][:, fixed] - needed[fixed][:, fixed]
             factor = np.linalg.cholesky((inner + hermitian(inner)) / 2)
-            half = np.linalg.solve(factor, supply[fixed][:, varying])
+            half = np.linalg.solve(factor, needed[fixed][:, varying])
             rest = rest + hermitian(half) @ half
-        outer = np.linalg.cholesky(bound.Dw[varying][:, varying])
-        first = np.linalg.solve(outer, rest)
-        relative = np.linalg.solve(outer, hermitian(first))
-        value = float(np.linalg.eigvalsh((relative + hermitian(relative)) / 2)[-1])
+        value = float(np.linalg.eigvalsh(relative(bound.Dw[varying][:, varying], rest))[-1])
     except np.linalg.LinAlgError:
         return float("inf")
     return float(np.sqrt(max(value, 1e-30))) if np.isfinite(value) else float("inf")
 
 
-def _certified(M: ComplexArray, varying: NDArray[np.bool_], level: float, bound: UpperBound) -> float:
+def _certified(M: ComplexArray, varying: Mask, level: float, bound: UpperBound) -> float:
     """The level, raised until D, G prove it with their rounding errors; inf where they never do."""
     for inflation in INFLATIONS:
         raised = level * (1 + inflation)
         G = _carried(bound.G, varying, 1 / (1 + inflation))
         # M / level carries one rounding more a entry, far inside the allowance of `proves`.
-        if proves(_scaled(M, varying, raised), bound.Dw, bound.Dz, G, 1.0):
+        if proves(divided(M, varying, raised), bound.Dw, bound.Dz, G, 1.0):
             return raised
     return float("inf")
-
-
-def _contradiction(lower: float, upper: float) -> ArithmeticError:
-    from robustlab.errors import NoTrustworthyNumber
-
-    return NoTrustworthyNumber("skew_mu", f"lower bound {lower:.12g} above upper bound {upper:.12g}: digits were lost")

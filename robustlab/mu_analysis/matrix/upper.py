@@ -10,9 +10,10 @@ import numpy as np
 
 from robustlab.arrays import ComplexArray
 from robustlab.mu_analysis.matrix.certificate import certified_level, certified_levels
-from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, expand
+from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, entries, expand
+from robustlab.mu_analysis.matrix.interior_point import path_following, primal_dual
 from robustlab.mu_analysis.matrix.scalings import scaling_space
-from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
 __all__ = ["UpperBound", "compile_kernels", "points_below", "points_work", "upper_bounds"]
 
@@ -81,14 +82,12 @@ def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[
 
 def _minimise(M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None) -> list[UpperBound]:
     """D and G by the primal-dual method; where that came to no end, the better ones of two methods."""
-    from robustlab.mu_analysis.matrix import path_following, primal_dual
-
     space = scaling_space(tuple(blocks))
-    x, settled = primal_dual.minimise(M, space, tol, target)
+    x, settled = primal_dual(M, space, tol, target)
     bounds = _certified(M, *space.matrices(x))
     rest = np.flatnonzero(~settled)
     if len(rest):
-        others = _certified(M[rest], *space.matrices(path_following.minimise(M[rest], space, tol, target)))
+        others = _certified(M[rest], *space.matrices(path_following(M[rest], space, tol, target)))
         for k, other in zip(rest, others, strict=True):
             if other.beta < bounds[k].beta:
                 bounds[k] = other
@@ -146,12 +145,10 @@ def _placed(
     q, p = structure_size(blocks)
     Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
     G = np.zeros((q, p), dtype=complex)
-    slices = block_slices(blocks)
     for component, bound in zip(found, parts, strict=True):
         part = [blocks[i] for i in component.members]
         e_w, e_z = (np.exp2(e) for e in expand(part, component.exponents))
-        w = np.concatenate([np.arange(slices[i][0].start, slices[i][0].stop) for i in component.members])
-        z = np.concatenate([np.arange(slices[i][1].start, slices[i][1].stop) for i in component.members])
+        w, z = entries(blocks, component.members)
         weight = ratio**component.depth
         Dw[w[:, None], w] = weight * bound.Dw * e_w[:, None] * e_w[None, :]
         Dz[z[:, None], z] = weight * bound.Dz * e_z[:, None] * e_z[None, :]

@@ -44,7 +44,6 @@ from robustlab.synthesis.reduction.balancing import (
     gramian_factors,
     split_stable,
 )
-from robustlab.synthesis.reduction.controller_candidates import CandidateFamily, candidate_families
 from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weighted_factors
 from robustlab.uncertainty.blocks import Block
 

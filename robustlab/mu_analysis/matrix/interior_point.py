@@ -1,40 +1,56 @@
-r"""The D-G upper bound by path following, for a batch of matrices and every block structure.
+r"""Minimising the D-G upper bound: two interior-point methods for every block structure.
 
-For fixed ``t = beta^2`` the analytic centre minimises
+With ``F(x, t) = t D_w - M^* D_z M - j (G M - M^* G^*)`` the generalised eigenvalue problem is
 
-.. math:: \varphi_t(x) = -\log\det F_t(x) - \rho \log\det D_w(x) + \kappa \, \mathrm{tr} D_w(x), \qquad
-          F_t(x) = t D_w - M^* D_z M - j (G M - M^* G^*)
+.. math:: \min t \quad \text{subject to} \quad F(x, t) \succeq 0, \; D(x) \succeq 0, \; \mathrm{tr} D(x) = n
 
-Newton steps keep x near the centre while t falls along the tangent of the central path. Every x met on the way is
-feasible for the t that `certificate.level` gives it, so stopping early costs tightness, never soundness.
+The primal-dual method (compiled) solves its optimality conditions ``<Z, D_w> = 1``, ``<Z, F_i> + <Y, D_i> = eta tr
+D_i``, ``F Z = 0``, ``D Y = 0`` with ``Z, Y >= 0``. The zeros of the last two are moved to ``nu I`` and followed down to
+``nu = 0`` by Newton steps in Mehrotra's way (a predictor that tells how far to go, a corrector with the second-order
+terms), from the analytic centre of a large t. The only product of unknowns is ``t D``; the problem is quasiconvex, so a
+stationary point is the optimum. About ten Newton systems do for any size.
+
+Path following, for matrices at which that came to the end of its digits, keeps x near the minimiser of
+
+.. math:: \varphi_t(x) = -\log\det F_t(x) - \rho \log\det D_w(x) + \kappa \, \mathrm{tr} D_w(x)
+
+while t falls along the tangent of the central path.
+
+Every x met is feasible for its t, so stopping early costs tightness, never soundness.
 
 References
 ----------
 Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Linear Algebra and its Applications 188
-(1993).
+(1993); Helmberg, Rendl, Vanderbei, Wolkowicz, "An interior-point method for semidefinite programming", SIAM J. Optim. 6
+(1996) (the direction of the first method); Mehrotra, SIAM J. Optim. 2 (1992).
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array, ComplexArray
-from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian
+from robustlab.arrays import Array, ComplexArray, Indices, Mask
+from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian, relative, supply
 
-__all__ = ["minimise"]
+if TYPE_CHECKING:
+    from robustlab.mu_analysis.matrix.primal_dual_kernels import Pattern
+
+__all__ = ["path_following", "primal_dual"]
 
 
+START = 1.3  # t at which a path begins, for M of norm 1: D = I, G = 0 is feasible there
 RHO = 0.3  # weight of the barrier that keeps D away from singular
 NEAR = 0.3  # squared Newton decrement below which a point counts as centred
 STEP = 0.9  # part of the way to the boundary that a predictor step goes
 NEGATIVE = -1.0  # t below this, of a matrix of norm 1, cannot make a proof of mu = 0 any firmer
 
 
-def minimise(
-    M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 80
-) -> Array:
-    """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q).
+def primal_dual(
+    M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 40
+) -> tuple[Array, Mask]:
+    """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q), and where that is all.
 
     Parameters
     ----------
@@ -44,18 +60,64 @@ def minimise(
         Stop where the estimated distance of t to its optimum falls below ``tol * t``.
     target
         Stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of reach.
+
+    Returns
+    -------
+    x, settled
+        ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid, another
+        method may find a better one.
     """
-    scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
+    from robustlab.mu_analysis.matrix.primal_dual_kernels import descend
+
+    scale, goal = _scale_and_goal(M, target)
+    eye = np.broadcast_to(np.eye(space.q, dtype=complex), (len(M), space.q, space.q))
+    tall = np.concatenate([eye, M / scale[:, None, None]], axis=1)
+    pattern = _pattern(space)
+    x, settled = np.empty((len(M), space.size)), np.empty(len(M), dtype=bool)
+    for k in range(len(M)):
+        x[k], settled[k], _ = descend(space.identity.copy(), START, tall[k], pattern, tol, goal[k], max_steps)
+    return _in_own_unit(x, space, scale), settled
+
+
+def path_following(
+    M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 80
+) -> Array:
+    """Parameters x (k, size) as those of `primal_dual`, for a whole stack at once."""
+    scale, goal = _scale_and_goal(M, target)
     path = _Path(M / scale[:, None, None], space)
-    goal = np.full(len(M), -np.inf) if target is None else (np.minimum(target, 1e3 * scale) / scale) ** 2
     active = np.arange(len(M))
     for _ in range(max_steps):
         if not len(active):
             break
         active = path.step(active, tol, goal)
-    x = path.best_x
-    # Back from M / scale: G carries the unit of M.
+    return _in_own_unit(path.best_x, space, scale)
+
+
+def _scale_and_goal(M: ComplexArray, target: float | None) -> tuple[Array, Array]:
+    """The norm of each matrix, by which it is divided, and the t that is aimed at then."""
+    scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
+    goal = np.full(len(M), -np.inf) if target is None else (np.minimum(target, 1e3 * scale) / scale) ** 2
+    return scale, goal
+
+
+def _in_own_unit(x: Array, space: ScalingSpace, scale: Array) -> Array:
+    """Parameters for M from those for ``M / scale``: G carries the unit of M."""
     return np.where(space.scales_with_m, x * scale[:, None], x)
+
+
+def _pattern(space: ScalingSpace) -> Pattern:
+    """The sparse linear map x -> E(x) as the compiled code reads it."""
+    from robustlab.mu_analysis.matrix.primal_dual_kernels import Pattern
+
+    in_w = space.in_w[space.first] > 0
+    owner = np.where(in_w, space.block_of, -1)
+    diagonal = (space.in_w > 0) & (space.rows == space.cols)
+    trace = np.add.reduceat(diagonal.astype(float), space.first)
+    # D_w of a full block is a multiple of the identity: diagonal blocks of order one.
+    sizes = [[1] * b.rows if b.d_order == 1 else [b.rows] for b in space.blocks]
+    corners = np.cumsum([0, *(size for part in sizes for size in part)])
+    first = np.append(space.first, len(space.rows))
+    return Pattern(space.rows, space.cols, space.coefficients, first, owner, trace, corners)
 
 
 class _Path:
@@ -68,12 +130,12 @@ class _Path:
         eye = np.broadcast_to(np.eye(self.m, dtype=complex), (k, self.m, self.m))
         self.U = np.concatenate([eye, hermitian(M)], axis=2)  # (k, q, q + p)
         self.x = np.tile(space.identity, (k, 1))
-        self.t = np.full(k, 1.3)
+        self.t = np.full(k, START)
         self.best_t = np.ones(k)
         self.best_x = self.x.copy()
         self.calm = np.zeros(k, dtype=int)
 
-    def step(self, active: NDArray[np.intp], tol: float, goal: Array) -> NDArray[np.intp]:
+    def step(self, active: Indices, tol: float, goal: Array) -> Indices:
         """One Newton step and, where centred, one predictor step; returns the points that go on."""
         try:
             done = self._step(active, tol, goal)
@@ -84,9 +146,9 @@ class _Path:
             return np.concatenate([self.step(active[i : i + 1], tol, goal) for i in range(len(active))])
         return active[~done]
 
-    def _step(self, i: NDArray[np.intp], tol: float, goal: Array) -> NDArray[np.bool_]:
+    def _step(self, i: Indices, tol: float, goal: Array) -> Mask:
         x, t = self.x[i], self.t[i]
-        F, Dw, _ = self._forms(i, x, t)
+        F, Dw = self._forms(i, x, t)
         gradient, hessian, drift, P = self._derivatives(i, F, Dw, t)
         dx, tangent = _solve(hessian, -gradient, -drift)
         decrement = -(gradient * dx).sum(axis=1)
@@ -106,17 +168,15 @@ class _Path:
         self.calm[i] = np.where(calm, self.calm[i] + 1, 0)
         return (self.calm[i] >= 2) | (best <= 0) | (self.t[i] < NEGATIVE) | (best <= goal[i])
 
-    def _forms(self, i: NDArray[np.intp], x: Array, t: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """``F_t(x)``, ``D_w(x)`` and the supply ``t D_w - F_t``, which does not depend on t."""
+    def _forms(self, i: Indices, x: Array, t: Array) -> tuple[ComplexArray, ComplexArray]:
+        """``F_t(x)`` and ``D_w(x)``."""
         M = self.M[i]
         Dw, Dz, G = self.space.matrices(x)
-        product = G @ M
-        supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
-        supply = (supply + hermitian(supply)) / 2
-        return t[:, None, None] * Dw - supply, Dw, supply
+        needed = supply(M, Dz, G)
+        return t[:, None, None] * Dw - (needed + hermitian(needed)) / 2, Dw
 
     def _derivatives(
-        self, i: NDArray[np.intp], F: ComplexArray, Dw: ComplexArray, t: Array
+        self, i: Indices, F: ComplexArray, Dw: ComplexArray, t: Array
     ) -> tuple[Array, Array, Array, ComplexArray]:
         """Gradient, Hessian, derivative of the gradient by t, and ``P = F^-1``."""
         s, U = self.space, self.U[i]
@@ -145,10 +205,10 @@ class _Path:
             P,
         )
 
-    def _line(self, i: NDArray[np.intp], dx: Array, t: Array, F: ComplexArray, Dw: ComplexArray) -> Array:
+    def _line(self, i: Indices, dx: Array, t: Array, F: ComplexArray, Dw: ComplexArray) -> Array:
         """Step lengths that minimise the barrier along dx, by safeguarded Newton steps on its eigenvalue form."""
-        dF, dD, _ = self._forms(i, dx, t)
-        e, d = _relative(F, dF), _relative(Dw, dD)
+        dF, dD = self._forms(i, dx, t)
+        e, d = _eigenvalues(F, dF), _eigenvalues(Dw, dD)
         slope = (1 + RHO) * np.einsum("kii->k", dD).real
         high = 0.999 / np.maximum(np.maximum(-e[:, 0], -d[:, 0]), 1e-3)
         low = np.zeros(len(high))
@@ -162,21 +222,19 @@ class _Path:
             a = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
         return a
 
-    def _predict(
-        self, i: NDArray[np.intp], x: Array, t: Array, tangent: Array, near: NDArray[np.bool_]
-    ) -> tuple[Array, Array]:
+    def _predict(self, i: Indices, x: Array, t: Array, tangent: Array, near: Mask) -> tuple[Array, Array]:
         """Lower t along the tangent of the central path where centred; towards the level of x elsewhere."""
-        F, Dw, _ = self._forms(i, x, t)
-        vF, vD, _ = self._forms(i, tangent, t)
-        e = _relative(F, Dw + vF)  # F(t - s, x - s v) = F - s (D_w + F(v)) + s^2 D_w(v)
-        d = _relative(Dw, vD)
+        F, Dw = self._forms(i, x, t)
+        vF, vD = self._forms(i, tangent, t)
+        e = _eigenvalues(F, Dw + vF)  # F(t - s, x - s v) = F - s (D_w + F(v)) + s^2 D_w(v)
+        d = _eigenvalues(Dw, vD)
         reach = STEP / np.maximum(np.maximum(e[:, -1], d[:, -1]), 1e-12)
-        own = STEP * 0.5 / np.maximum(_relative(F, Dw)[:, -1], 1e-12)
+        own = STEP * 0.5 / np.maximum(_eigenvalues(F, Dw)[:, -1], 1e-12)
         step = np.where(near, reach, 0.0)
         good = np.zeros(len(i), dtype=bool)
         for _ in range(6):
             nx, nt = x - step[:, None] * tangent, t - step
-            F1, D1, _ = self._forms(i, nx, nt)
+            F1, D1 = self._forms(i, nx, nt)
             good = (np.linalg.eigvalsh(F1)[:, 0] > 0) & (np.linalg.eigvalsh(D1)[:, 0] > 0)
             if good.all():
                 break
@@ -184,7 +242,7 @@ class _Path:
         straight = ~(good & near & (step > own))
         return np.where(straight[:, None], x, x - step[:, None] * tangent), np.where(straight, t - own, t - step)
 
-    def _level(self, i: NDArray[np.intp], x: Array) -> Array:
+    def _level(self, i: Indices, x: Array) -> Array:
         """Smallest t for which x is feasible in spite of rounding; near mu = 0, G grows and digits are lost."""
         M = self.M[i]
         Dw, Dz, G = self.space.matrices(x)
@@ -193,23 +251,20 @@ class _Path:
         Dw = Dw * w[:, :, None] * w[:, None, :]
         Dz = Dz * z[:, :, None] * z[:, None, :]
         G = G * w[:, :, None] * z[:, None, :]
-        product = G @ M
-        supply = hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
+        needed = supply(M, Dz, G)
         size = np.abs(M)
         cross = np.abs(G) @ size
         bound = np.swapaxes(size, 1, 2) @ np.abs(Dz) @ size + cross + np.swapaxes(cross, 1, 2)
         rounding = 1e-14 * self.m * bound.sum(axis=2).max(axis=1)
-        return _relative(Dw, (supply + hermitian(supply)) / 2)[:, -1] + rounding / np.linalg.eigvalsh(Dw)[:, 0]
+        return _eigenvalues(Dw, (needed + hermitian(needed)) / 2)[:, -1] + rounding / np.linalg.eigvalsh(Dw)[:, 0]
 
 
-def _relative(X: ComplexArray, Y: ComplexArray) -> Array:
+def _eigenvalues(X: ComplexArray, Y: ComplexArray) -> Array:
     """Eigenvalues of Y relative to the positive definite X, ascending, (k, n)."""
-    factor = np.linalg.cholesky(X)
-    half = np.linalg.solve(factor, Y)
-    value = np.linalg.solve(factor, hermitian(half))
+    value = relative(X, Y)
     if not np.isfinite(value).all():
         raise np.linalg.LinAlgError("not finite")
-    return np.linalg.eigvalsh((value + hermitian(value)) / 2)
+    return np.linalg.eigvalsh(value)
 
 
 def _solve(hessian: Array, *right: Array) -> list[Array]:

@@ -1,10 +1,10 @@
-r"""Branch and bound over the real parameters, with the interval bounds over frequency inside.
+r"""Branch and bound over the real parameters: of one matrix here, over the frequency axis in `axis.axis_problems`.
 
 About a fifth of the distance between the bounds of purely real mu is conservatism of the D-G scalings. It goes where
 the set is cut into boxes: in each box the real parameters have a smaller range around their own centre. A region is a
 box together with the frequencies that are still open there; what is proved for a box holds for its halves, so they
-inherit the open frequencies only. Nothing is singular in any region: then, by continuity from the stable nominal
-model, no Delta of the set destabilises.
+inherit the open frequencies only. Where nothing is singular in any region, by continuity from the nominal model no
+Delta of the set destabilises.
 
 References
 ----------
@@ -21,26 +21,29 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
-from robustlab.frequency import frequency_response
-from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
-from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
-from robustlab.mu_analysis.matrix.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.box import Box, box_matrices, centre_matrix, root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
-from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bound
-from robustlab.mu_analysis.matrix.scalings import hermitian
+from robustlab.mu_analysis.matrix.scalings import relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
-from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
-__all__ = ["GainProblem", "Improved", "MarginProblem", "MatrixProblem", "Proof", "Region", "tighten"]
+__all__ = [
+    "Improved",
+    "MatrixProblem",
+    "Problem",
+    "Proof",
+    "Region",
+    "block_weights",
+    "by_regions",
+    "real_blocks",
+    "tighten",
+]
 
 
 BATCH = 16  # regions solved together
-INSIDE = 0.98  # level aimed at in a region, so that its D, G hold on an interval worth having
-PROVED = 0.9999  # a level below this proves the point
 SEARCHED = 2  # regions of a batch in which a Delta is searched for, where the problem is one matrix
 NARROW = 1e-7  # relative width below which a box is not cut again: rounding decides there
 
@@ -144,6 +147,11 @@ def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budg
     return proof
 
 
+def by_regions(count: int) -> str:
+    """What a result says of a proof by so many regions."""
+    return f"proved by branch and bound; regions of parameters and frequency: {count}"
+
+
 def _prove(
     problem: Problem, regions: list[Region], level: float, budget: Budget, leaves: list[Region], proof: Proof
 ) -> Improved | None:
@@ -151,7 +159,7 @@ def _prove(
 
     A region whose box has come to rounding size is put back, and ends the work.
     """
-    real, root = _real(problem), problem.root(level).box
+    real, root = real_blocks(problem.blocks), problem.root(level).box
     while regions and not budget.over:
         chosen = regions[-BATCH:]
         del regions[-BATCH:]
@@ -183,11 +191,12 @@ def _prove(
     return None
 
 
-def _real(problem: Problem) -> NDArray[np.bool_]:
-    return np.array([b.interval is not None for b in problem.blocks], dtype=bool)
+def real_blocks(blocks: Sequence[Block]) -> Mask:
+    """Which blocks are real scalars, shape (n_blocks,): those whose interval can be cut."""
+    return np.array([b.interval is not None for b in blocks], dtype=bool)
 
 
-def _where_to_cut(box: Box, weight: Array, real: NDArray[np.bool_], root: Box) -> int | None:
+def _where_to_cut(box: Box, weight: Array, real: Mask, root: Box) -> int | None:
     """The real block that weighs most in what is not proved, wide intervals first; None where all are narrow."""
     share = np.where(real & (box.half > NARROW * root.half), box.half / np.maximum(root.half, 1e-300), 0.0)
     if not share.any():
@@ -195,22 +204,14 @@ def _where_to_cut(box: Box, weight: Array, real: NDArray[np.bool_], root: Box) -
     return int(np.argmax((weight / max(float(weight.sum()), 1e-300) + 1e-6) * np.sqrt(share)))
 
 
-def _weights(M: ComplexArray, bound: UpperBound, blocks: Sequence[Block]) -> Array:
+def block_weights(M: ComplexArray, bound: UpperBound, blocks: Sequence[Block]) -> Array:
     """How much each block carries of the directions in which D, G come nearest to failing."""
-    product = bound.G @ M
-    supply = hermitian(M) @ bound.Dz @ M + 1j * (product - hermitian(product))
     try:
-        factor = np.linalg.cholesky(bound.Dw)
-        half = np.linalg.solve(factor, supply)
-        relative = np.linalg.solve(factor, hermitian(half))
-        values, vectors = np.linalg.eigh((relative + hermitian(relative)) / 2)
+        values, vectors = np.linalg.eigh(relative(bound.Dw, supply(M, bound.Dz, bound.G)))
     except np.linalg.LinAlgError:
         return np.ones(len(blocks))
     vectors = np.abs(vectors[:, -3:]) ** 2 * np.maximum(values[-3:], 0.0)
     return np.array([float(vectors[w].sum()) for w, _ in block_slices(blocks)])
-
-
-# --- constant matrices -----------------------------------------------------------------------------------------------
 
 
 class MatrixProblem:
@@ -242,7 +243,7 @@ class MatrixProblem:
                 region.open.clear()
                 result.append(None)
                 continue
-            result.append(np.ones(len(self.blocks)) if bound is None else _weights(matrix, bound, self.blocks))
+            result.append(np.ones(len(self.blocks)) if bound is None else block_weights(matrix, bound, self.blocks))
             if bound is not None:
                 failed.append((-bound.beta, k))
         # The lower bound that was given is good nearly always: looks at batch 1, 2, 4, 8, ... cost little.
@@ -266,130 +267,3 @@ class MatrixProblem:
     def attack(self, region: Region) -> Improved | None:
         """The worst Delta that the search of open regions has met."""
         return self._found
-
-
-# --- the whole frequency axis ----------------------------------------------------------------------------------------
-
-
-class _AxisProblem:
-    """Regions of a stable continuous model's Delta channels over [0, inf]."""
-
-    def __init__(self, model: StateSpaceModel, blocks: Sequence[Block], hot: float | None) -> None:
-        self.model, self.blocks, self.hot = model, tuple(blocks), hot
-        poles = np.abs(model.poles())
-        self.scale = float(np.median(poles)) if len(poles) else 1.0
-
-    def work(self, count: int) -> int:
-        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
-        return points_work(self.blocks, count) + count * (500 + extend_work(self.model))
-
-    def examine(self, regions: list[Region]) -> list[Array | None]:
-        """One frequency of each region: proved with an interval around it, or the region has to be cut."""
-        models = [box_model(self.model, self.blocks, r.box) for r in regions]
-        places = [self._frequency(r) for r in regions]
-        sound = [k for k, m in enumerate(models) if m is not None]
-        result: list[Array | None] = [np.ones(len(self.blocks)) for _ in regions]
-        if not sound:
-            return result
-        responses = np.concatenate([frequency_response(_known(models[k]), np.array([places[k]])) for k in sound])
-        for k, M, bound in zip(sound, responses, points_below(responses, self.blocks, INSIDE), strict=True):
-            region, model = regions[k], _known(models[k])
-            piece = extend(model, bound, 1.0, places[k]) if bound.beta < PROVED else None
-            if piece is None or not piece.low <= places[k] <= piece.high:
-                region.hot = places[k]
-                result[k] = _weights(M, bound, self.blocks)
-                continue
-            cover = AxisCover(open=region.open)
-            cover.add(piece)
-            region.open, region.hot = cover.open, None
-            result[k] = None
-        return result
-
-    def _frequency(self, region: Region) -> float:
-        if region.hot is not None and any(low <= region.hot <= high for low, high in region.open):
-            return region.hot
-        return float(AxisCover(open=region.open).next_points(self.scale, 1)[0])
-
-
-def _known(model: StateSpaceModel | None) -> StateSpaceModel:
-    assert model is not None
-    return model
-
-
-class MarginProblem(_AxisProblem):
-    """The largest mu over the axis: levels are mu, the set has size ``1 / level``."""
-
-    def root(self, level: float) -> Region:
-        """All Delta of size ``1 / level`` on the whole axis."""
-        return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
-
-    def attack(self, region: Region) -> Improved | None:
-        """From the centre to the corner that moves the pole next to the axis outwards, as long as that helps."""
-        centre, half = region.box.centre, region.box.half
-        values = centre
-        for _ in range(3):
-            if self._rightmost(values) >= 0:
-                return self._crossing(values)
-            slope = self._slope(values, region.hot or 0.0)
-            corner = np.where(_real(self), centre + half * np.sign(slope), 0.0)
-            if np.array_equal(corner, values):
-                return None
-            values = corner
-        return self._crossing(values) if self._rightmost(values) >= 0 else None
-
-    def _perturbed(self, values: Array) -> Array:
-        delta = centre_matrix(self.blocks, values).astype(complex)
-        return np.real(perturbed_state_matrix(self.model, delta))
-
-    def _rightmost(self, values: Array) -> float:
-        matrix = self._perturbed(values)
-        if not np.isfinite(matrix).all():
-            return float("inf")
-        return float(np.linalg.eigvals(matrix).real.max(initial=-np.inf))
-
-    def _slope(self, values: Array, omega: float) -> Array:
-        """Derivative of the real part of the pole next to ``j omega`` by each entry."""
-        delta = centre_matrix(self.blocks, values)
-        poles, right = np.linalg.eig(self._perturbed(values))
-        k = int(np.argmin(np.abs(poles - 1j * omega)))
-        left = np.linalg.solve(right.T + 1e-13 * np.eye(len(poles)), np.eye(len(poles))[k])
-        z = np.linalg.solve(np.eye(self.model.n_outputs) - self.model.D @ delta, self.model.C @ right[:, k])
-        back = np.eye(self.model.n_inputs) - delta @ self.model.D
-        w = np.linalg.solve(back.T, self.model.B.T @ left)
-        gains = [
-            (w[sw] * z[sz]).sum().real if b.interval else 0.0
-            for b, (sw, sz) in zip(self.blocks, block_slices(self.blocks), strict=True)
-        ]
-        return np.array(gains)
-
-    def _crossing(self, values: Array) -> Improved | None:
-        """The smallest multiple of these entries, by bisection, at which a pole is on or right of the axis."""
-        stable, unstable = 0.0, 1.0
-        for _ in range(50):
-            middle = (stable + unstable) / 2
-            if self._rightmost(middle * values) >= 0:
-                unstable = middle
-            else:
-                stable = middle
-        size = gauge(self.blocks, unstable * values)
-        return Improved(1 / size, unstable * values) if size > 0 else None
-
-
-class GainProblem(_AxisProblem):
-    """The largest gain over the axis and the unit set: levels are gains; the last block stands for the performance."""
-
-    def root(self, level: float) -> Region:
-        """The unit set, and a performance block of size ``1 / level``."""
-        whole = root_box(self.blocks)
-        half = whole.half.copy()
-        half[-1] = 1 / level
-        return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
-
-    def attack(self, region: Region) -> Improved | None:
-        """From the centre to the corner that raises the gain at the frequency in question, as long as that helps."""
-        M = frequency_response(self.model, np.array([region.hot if region.hot is not None else self.scale]))[0]
-        met = ascend_corners(M, self.blocks, region.box, region.box.centre)
-        best = max(met, key=lambda gain: gain.value, default=None)
-        if best is None:
-            return None
-        return Improved(best.value, np.append(block_entries(self.blocks[:-1], best.delta), 0.0))

@@ -315,6 +315,11 @@ def conservatism(
     effort
         Work of that proof, as in `worst_case_gain`.
 
+    Returns
+    -------
+    Conservatism
+        The ratio of both gains, with its status; FAILED with a reason where there is no gain to compare.
+
     Raises
     ------
     InputError

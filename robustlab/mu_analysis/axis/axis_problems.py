@@ -1,0 +1,148 @@
+"""What branch and bound cuts over the whole frequency axis: regions of parameters and frequency.
+
+A region is proved where intervals with constant D, G cover the frequencies that are open in it; what its ancestors have
+proved there holds in it, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.frequency import frequency_response
+from robustlab.mu_analysis.axis.axis_model import typical_speed
+from robustlab.mu_analysis.axis.intervals import AxisCover, extend, extend_work
+from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, real_blocks
+from robustlab.mu_analysis.matrix.gain import ascend_corners
+from robustlab.mu_analysis.matrix.upper import points_below, points_work
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block, block_slices
+
+__all__ = ["GainProblem", "MarginProblem"]
+
+
+INSIDE = 0.98  # level aimed at in a region, so that its D, G hold on an interval worth having
+PROVED = 0.9999  # a level below this proves the point
+
+
+class _AxisProblem:
+    """Regions of a stable continuous model's Delta channels over [0, inf]."""
+
+    def __init__(self, model: StateSpaceModel, blocks: Sequence[Block], hot: float | None) -> None:
+        self.model, self.blocks, self.hot = model, tuple(blocks), hot
+        self.scale = typical_speed(model)
+
+    def work(self, count: int) -> int:
+        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
+        return points_work(self.blocks, count) + count * (500 + extend_work(self.model))
+
+    def examine(self, regions: list[Region]) -> list[Array | None]:
+        """One frequency of each region: proved with an interval around it, or the region has to be cut."""
+        models = [box_model(self.model, self.blocks, r.box) for r in regions]
+        places = [self._frequency(r) for r in regions]
+        sound = {k: m for k, m in enumerate(models) if m is not None}
+        result: list[Array | None] = [np.ones(len(self.blocks)) for _ in regions]
+        if not sound:
+            return result
+        responses = np.concatenate([frequency_response(m, np.array([places[k]])) for k, m in sound.items()])
+        bounds = points_below(responses, self.blocks, INSIDE)
+        for (k, model), M, bound in zip(sound.items(), responses, bounds, strict=True):
+            region = regions[k]
+            piece = extend(model, bound, 1.0, places[k]) if bound.beta < PROVED else None
+            if piece is None or not piece.low <= places[k] <= piece.high:
+                region.hot = places[k]
+                result[k] = block_weights(M, bound, self.blocks)
+                continue
+            cover = AxisCover(open=region.open)
+            cover.add(piece)
+            region.open, region.hot = cover.open, None
+            result[k] = None
+        return result
+
+    def _frequency(self, region: Region) -> float:
+        if region.hot is not None and any(low <= region.hot <= high for low, high in region.open):
+            return region.hot
+        return float(AxisCover(open=region.open).next_points(self.scale, 1)[0])
+
+
+class MarginProblem(_AxisProblem):
+    """The largest mu over the axis: levels are mu, the set has size ``1 / level``."""
+
+    def root(self, level: float) -> Region:
+        """All Delta of size ``1 / level`` on the whole axis."""
+        return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
+
+    def attack(self, region: Region) -> Improved | None:
+        """From the centre to the corner that moves the pole next to the axis outwards, as long as that helps."""
+        centre, half = region.box.centre, region.box.half
+        values = centre
+        for _ in range(3):
+            if self._rightmost(values) >= 0:
+                return self._crossing(values)
+            slope = self._slope(values, region.hot or 0.0)
+            corner = np.where(real_blocks(self.blocks), centre + half * np.sign(slope), 0.0)
+            if np.array_equal(corner, values):
+                return None
+            values = corner
+        return self._crossing(values) if self._rightmost(values) >= 0 else None
+
+    def _perturbed(self, values: Array) -> Array:
+        delta = centre_matrix(self.blocks, values).astype(complex)
+        return np.real(perturbed_state_matrix(self.model, delta))
+
+    def _rightmost(self, values: Array) -> float:
+        matrix = self._perturbed(values)
+        if not np.isfinite(matrix).all():
+            return float("inf")
+        return float(np.linalg.eigvals(matrix).real.max(initial=-np.inf))
+
+    def _slope(self, values: Array, omega: float) -> Array:
+        """Derivative of the real part of the pole next to ``j omega`` by each entry."""
+        delta = centre_matrix(self.blocks, values)
+        poles, right = np.linalg.eig(self._perturbed(values))
+        k = int(np.argmin(np.abs(poles - 1j * omega)))
+        left = np.linalg.solve(right.T + 1e-13 * np.eye(len(poles)), np.eye(len(poles))[k])
+        z = np.linalg.solve(np.eye(self.model.n_outputs) - self.model.D @ delta, self.model.C @ right[:, k])
+        back = np.eye(self.model.n_inputs) - delta @ self.model.D
+        w = np.linalg.solve(back.T, self.model.B.T @ left)
+        gains = [
+            (w[sw] * z[sz]).sum().real if b.interval else 0.0
+            for b, (sw, sz) in zip(self.blocks, block_slices(self.blocks), strict=True)
+        ]
+        return np.array(gains)
+
+    def _crossing(self, values: Array) -> Improved | None:
+        """The smallest multiple of these entries, by bisection, at which a pole is on or right of the axis."""
+        stable, unstable = 0.0, 1.0
+        for _ in range(50):
+            middle = (stable + unstable) / 2
+            if self._rightmost(middle * values) >= 0:
+                unstable = middle
+            else:
+                stable = middle
+        size = gauge(self.blocks, unstable * values)
+        return Improved(1 / size, unstable * values) if size > 0 else None
+
+
+class GainProblem(_AxisProblem):
+    """The largest gain over the axis and the unit set: levels are gains; the last block stands for the performance."""
+
+    def root(self, level: float) -> Region:
+        """The unit set, and a performance block of size ``1 / level``."""
+        whole = root_box(self.blocks)
+        half = whole.half.copy()
+        half[-1] = 1 / level
+        return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
+
+    def attack(self, region: Region) -> Improved | None:
+        """From the centre to the corner that raises the gain at the frequency in question, as long as that helps."""
+        M = frequency_response(self.model, np.array([region.hot if region.hot is not None else self.scale]))[0]
+        met = ascend_corners(M, self.blocks, region.box, region.box.centre)
+        best = max(met, key=lambda gain: gain.value, default=None)
+        if best is None:
+            return None
+        return Improved(best.value, np.append(block_entries(self.blocks[:-1], best.delta), 0.0))
