@@ -12,7 +12,7 @@ import robustlab as rl
 from robustlab.dynamics.extended.effect_blocks import _above_beyond, delay_block, effect_blocks
 from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.remaining_uncertainty import uncertain_from
+from robustlab.identification.naming.updated_plant import uncertain_from
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.uncertainty.covering.overbound import overbound
 

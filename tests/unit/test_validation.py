@@ -12,7 +12,7 @@ import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.validation import smallest_delta
+from robustlab.identification.validation import time_domain as smallest_delta
 from robustlab.identification.validation.constant_parameters import Parameters
 from robustlab.identification.validation.contraction_kernel import barrier, diagonal_sums, gain, pull_after, toeplitz
 from robustlab.result import plain

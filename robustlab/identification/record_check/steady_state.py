@@ -23,8 +23,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
-from robustlab.identification.response.response import Evidence
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
 
 __all__ = [
     "BalanceCheck",

@@ -22,11 +22,10 @@ import numpy as np
 from robustlab.dynamics.extended.effect_blocks import NoiseInput
 from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
 from robustlab.errors import InputError
-from robustlab.identification.response.response import Evidence
 from robustlab.identification.validation import Validation, validate
 from robustlab.identification.validation.sampled_problem import NoiseNorm
 from robustlab.record import Record
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.algebra import product
 from robustlab.uncertainty.blocks.base import FullBlock

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.response.response import Evidence
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
 
 __all__ = ["BlockSize", "Validation"]
 

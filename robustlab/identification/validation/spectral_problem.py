@@ -32,9 +32,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.comparison.noise_floor import noise_floor
-from robustlab.identification.response.response import Evidence
 from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
 from robustlab.record import Record
+from robustlab.result import Evidence
 from robustlab.statespace import Signal
 from robustlab.uncertainty.blocks.base import ComplexScalar, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
