@@ -198,7 +198,7 @@ class Problem:
         """The same plant and nuisances over other records or windows."""
         return Problem(self.plant, records, self.nuisances, chosen)
 
-    # --- parameters ------------------------------------------------------------------------------------------------
+    # --- parameters --------------------------------------------------------------------------------------------------
 
     def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
         """Plant factors and effect values of the standardised parameters."""
@@ -218,7 +218,7 @@ class Problem:
         """Number of standardised parameters."""
         return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
 
-    # --- residuals -------------------------------------------------------------------------------------------------
+    # --- residuals ---------------------------------------------------------------------------------------------------
 
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
         """One simulator a record."""
@@ -285,7 +285,7 @@ class Problem:
                 found[k] = found.get(k, 1.0) * gain
         return found
 
-    # --- the fit ---------------------------------------------------------------------------------------------------
+    # --- the fit -----------------------------------------------------------------------------------------------------
 
     def fit(
         self,

@@ -108,7 +108,7 @@ def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
     ]  # fmt: skip
 
 
-# --- the uncertain model ----------------------------------------------------------------------------------------------
+# --- the uncertain model ---------------------------------------------------------------------------------------------
 
 
 @runtime_checkable

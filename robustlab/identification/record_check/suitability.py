@@ -336,7 +336,7 @@ def quantisation_step(y: Array) -> float | None:
     return float(np.format_float_scientific(near.sum() / np.round(multiple).sum(), precision=9))
 
 
-# --- the clock and the samples --------------------------------------------------------------------------------------
+# --- the clock and the samples ---------------------------------------------------------------------------------------
 
 
 def _clock(record: Record, level: UniformRecord) -> list[Finding]:
@@ -391,7 +391,7 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     return found
 
 
-# --- what the record can show ---------------------------------------------------------------------------------------
+# --- what the record can show ----------------------------------------------------------------------------------------
 
 
 def _too_short(response: Response, record: Record) -> list[Finding]:
@@ -448,7 +448,7 @@ def _moves(y: Array, share: float) -> bool:
     return spread > WHITE * _noise(y)
 
 
-# --- channels that are not what they are called ---------------------------------------------------------------------
+# --- channels that are not what they are called ----------------------------------------------------------------------
 
 
 def _named(one: Contradiction, response: Response, record: Record) -> Finding:

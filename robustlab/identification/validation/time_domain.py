@@ -1,274 +1,75 @@
-r"""Could this uncertain model have produced this record? The smallest scaling of Delta for which it could.
+r"""Validation in the time domain, sample by sample: constants, systems, and both together.
 
-.. math:: \gamma^* = \min \gamma \quad \text{s.t.} \quad y = F_u(M, \Delta) u + n, \quad \|\Delta_i\| \le \gamma,
-          \quad n \text{ within its bound}
-
-Constants and dynamic blocks together: a search over the constants, and a relaxation from below.
-
-For fixed constants the dynamic blocks are found by their own methods, so
+Systems are found as cone programmes (time-varying) or by their pulse responses (time-invariant), constants by descent
+and branch and bound. For fixed constants the systems beside them are found by their own methods, so
 
 .. math:: \gamma^* = \min_\delta \max(|\delta|_\infty, \gamma_{dyn}(\delta))
 
 is searched from above (pattern search). From below every constant is allowed to be a time-varying system of the same
 size, a larger set, whose multipliers disprove a gamma.
-
-References
-----------
-Poolla, Khargonekar, Tikku, Krause, Nagpal, "A time-domain approach to model validation", IEEE TAC 39 (1994) 951-959.
-Smith and Doyle, "Model validation: a connection between robust control and identification", IEEE TAC 37 (1992) 942-952.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
-from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.constant_parameters import WindowFit, smallest_parameters
-from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
-from robustlab.identification.validation.result import BlockSize, Validation
-from robustlab.identification.validation.sampled_problem import (
-    NoiseNorm,
-    Recorded,
-    SampledProblem,
-    prepared,
-    sampled,
-    with_delta_of,
+from robustlab.identification.validation.result import (
+    BlockSize,
+    Validation,
+    concluded,
+    each_alone,
+    in_own_units,
+    require_replay,
 )
-from robustlab.identification.validation.spectral_problem import FrequencyData
+from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, sampled, with_delta_of
 from robustlab.identification.validation.time_invariant import PulseResponses, smallest_pulse_responses
 from robustlab.identification.validation.time_varying import Contractions, largest_disproved, smallest_contractions
+from robustlab.identification.validation.tuning import Search
 from robustlab.record import Record
-from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import Block, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "DeltaKind",
-    "validate",
-    "smallest_mixed",
-]
-
-
-SHARE = 0.4  # of the budget for the search over the constants
-FINEST = 0.02
-LONGEST_RELAXED = 4000  # samples at the beginning of the record from which the lower bound comes
-
-
-def smallest_mixed(job: _Job, scaled: NDArray[np.bool_]) -> _Found:
-    """Bounds for real and dynamic blocks together."""
-    blocks = job.recorded.uncertain.blocks
-    real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
-    names = [b.name for b in blocks if isinstance(b, RealScalar)]
-    free, kept = scaled[real], scaled[~real]
-    problem = sampled(job.recorded.part(0, LONGEST_RELAXED), job.recorded.uncertain.M, blocks)
-    relaxed = smallest_contractions(problem, scaled, job.precision, job.budget)
-    if np.isinf(relaxed.lower):
-        return _unexplained(job, relaxed, problem)
-    part = replace(job, budget=job.budget.share(SHARE))
-
-    def size_at(delta: Any) -> float:
-        if (np.abs(delta[~free]) > 1).any():
-            return np.inf
-        try:
-            found = part.dynamic(dict(zip(names, map(float, delta), strict=True)), kept, quick=True)
-        except NoTrustworthyNumber:
-            return np.inf
-        return max(found.upper, float(np.abs(delta[free]).max(initial=0.0)))
-
-    delta = np.zeros(len(names))
-    best, step = size_at(delta), 0.5
-    if len(job.recorded.t) > LONGEST_RELAXED:
-        step = 0.0  # nothing explains a record of which only the beginning is judged
-    while step > FINEST * max(best if np.isfinite(best) else 1.0, 0.05) and not part.budget.over:
-        better = False
-        for k in range(len(names)):
-            for sign in (1.0, -1.0):
-                trial = delta.copy()
-                trial[k] += sign * step
-                size = size_at(trial)
-                if size < best * (1 - 1e-4) or (np.isinf(best) and np.isfinite(size)):
-                    delta, best, better = trial, size, True
-                    break
-        step = step if better else step / 2
-    values = dict(zip(names, map(float, delta), strict=True))
-    found = job.dynamic(values, kept)
-    upper = max(found.upper, float(np.abs(delta[free]).max(initial=0.0)))
-    label = "constants and systems; lower bound with all blocks time-varying (relaxation), upper bound by search"
-    evidence = {"energy": relaxed.multipliers.D, "noise": relaxed.multipliers.noise}
-    return replace(
-        found,
-        lower=relaxed.lower,
-        upper=upper,
-        label=label,
-        multipliers=evidence,
-        recheck=None,
-        certified=False,
-    )
-
-
-def _unexplained(job: _Job, relaxed: Any, problem: Any) -> _Found:
-    found = job._varying(problem, relaxed, np.ones(len(problem.blocks), dtype=bool), {})
-    return replace(found, sizes={})
-
+__all__ = ["DeltaKind", "validate_by_samples"]
 
 DeltaKind = Literal["time-invariant", "time-varying"]
 
-# What a validation may cost: about two minutes.
-WORK = 120 * MILLION
-# Pulse responses are unknowns of a dense problem: a longer record is cut to its beginning, which is a weaker test.
-MOST_UNKNOWNS = 2000
-LONGEST = 700
-# So many samples a cone programme over all of them takes some 10 s; of a longer record the beginning is judged.
-LONGEST_PROGRAMME = 8000
-# Confidence that a noise bound taken from repeats is not exceeded by noise of that standard deviation.
-CONFIDENCE = 0.99
-# Sizes below this count as zero.
-SMALLEST = 1e-6
-# Rounding in the noise of an explanation, over its bound; and between a lower and an upper bound that meet.
-SLACK, MEET = 1e-9, 1e-4
+# Sizes below this count as zero; rounding in the noise of an explanation, over its bound; and between a lower and an
+# upper bound that meet.
+SMALLEST, SLACK, MEET = 1e-6, 1e-9, 1e-4
 
 
-def validate(
-    uncertain: UncertainModel,
-    record: Record | FrequencyData,
-    noise: Mapping[str, ArrayLike] | None = None,
+def _nothing() -> Array:
+    return np.zeros((0, 0))
+
+
+def validate_by_samples(
+    record: Record,
+    recorded: Recorded,
+    delta: DeltaKind,
+    search: Search,
     *,
-    domain: Literal["time", "frequency"] = "time",
-    noise_norm: NoiseNorm | None = None,
-    delta: DeltaKind = "time-invariant",
-    at_rest: bool = False,
-    window: float | None = None,
-    period: float | None = None,
-    missing: Mapping[str, Sequence[int]] | None = None,
-    per_block: bool = False,
-    precision: float = 0.01,
-    time_limit: float | None = None,
-    progress: Callable[[str], None] | None = None,
-    effort: float = 1.0,
+    per_block: bool,
+    progress: Callable[[str], None],
+    estimated: bool,
 ) -> Validation:
-    """Smallest scaling of Delta with which an uncertain model could have produced a record.
+    """Bounds of the smallest gamma over the samples; see `robustlab.identification.validation.validate`."""
+    job = _Job(recorded, delta, progress)
+    found, alone = job.bounds(search), {}
+    if per_block and np.isfinite(found.upper):
 
-    Parameters
-    ----------
-    uncertain
-        The set. Real blocks are constants; complex and full blocks are causal systems. A continuous model is sampled
-        with all inputs, also w, held between samples. Without any block noise alone has to explain the record: gamma is
-        0, or there is none.
-    record
-        The measurement, on a uniform clock; all inputs of the set must be recorded, and some of its outputs. In the
-        frequency domain also a measured frequency response (`FrequencyData`).
-    noise
-        Output name -> bound of its noise, in its unit. Where left out it is estimated from the record's own periods
-        (99 % confidence for white Gaussian noise), which asks for a record that repeats.
-    domain
-        ``"time"``: sample by sample (Poolla et al.). ``"frequency"``: line by line (Smith and Doyle), for blocks that
-        are time-invariant systems, from whole periods of a record in steady state or from a `FrequencyData`.
-    noise_norm
-        ``"peak"``: no sample is off by more; ``"rms"``: the root mean square over the record is not larger. Where left
-        out ``"peak"`` in the time domain. In the frequency domain it is ``"rms"`` for a record (over the periods used),
-        and each line's own bound for a frequency response, of which ``noise`` may hold one for each line.
-    delta
-        What the complex and full blocks are.
-    at_rest
-        The record starts at rest. Otherwise the states that the outputs show are free at the start. Delta is at rest.
-    window
-        Cut the record into windows of that many seconds, each with a free start; Delta keeps its memory and its
-        values. A weaker test, for records over which an open-loop response drifts.
-    period
-        Frequency domain: the period in s, where no recorded signal tells it.
-    missing
-        Output name -> samples (indices or a mask) that were not measured.
-    per_block
-        Also find the smallest scaling of each block alone, the others kept within their size 1.
-    precision
-        Relative width of the bounds to be reached.
-    time_limit
-        In s; what was found by then is returned with status TIMEOUT, and cannot be repeated. None: no limit.
-    progress
-        Called with one line at each step.
-    effort
-        Work that the search may take, as a multiple of the usual (about two minutes); counted, not timed.
+        def bounds(scaled: Mask) -> tuple[float, float]:
+            part = job.bounds(replace(search, scaled=scaled))
+            return part.lower, part.upper
 
-    Returns
-    -------
-    Validation
-        With both bounds, the Delta and the noise that explain the record, and the certificate of the lower bound.
-
-        ============================  =======================================  =====================================
-        blocks                        upper bound                              lower bound
-        ============================  =======================================  =====================================
-        frequency domain              w by cone programmes, loop closed again  multipliers, re-checked line by line
-        time-varying                  w by convex-concave procedure, replayed  multipliers, re-checked by a sweep
-        time-invariant, z known       pulse responses, replayed                dual of the convex problem (exact)
-        time-invariant, z unknown     pulse responses by Gauss-Newton          that of time-varying ones (relaxation)
-        constant                      values by descent, replayed              boxes tested at points (not proved)
-        constant and dynamic          search over the constants                that of all time-varying (relaxation)
-        none                          0 where noise alone explains the record  infinite elsewhere, weights re-checked
-        ============================  =======================================  =====================================
-
-        z is known where it depends neither on Delta nor on a free state: additive and multiplicative uncertainty.
-
-    Raises
-    ------
-    InputError
-        Signals that do not fit, an output without a noise bound, blocks that a domain cannot judge.
-    NoTrustworthyNumber
-        Irregular sampling, a noise bound of zero, a record that is not steady, no noise bound and no repeats to take it
-        from, a solver that gives no answer.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> from robustlab.uncertainty.unstructured import unstructured
-    >>> gain = unstructured(StateSpaceModel([], [], [], [[2.0]], dt=1.0), 1.0)
-    >>> steps = Record(range(4), {"u1": [1, 0, 0, 0]}, {"y1": [2.5, 0, 0, 0]})
-    >>> found = validate(gain, steps, {"y1": 0.1}, at_rest=True)
-    >>> round(found.upper, 2), found.invalidated, str(found.status)
-    (0.4, False, 'certified')
-    """
-    budget, estimated = search_budget("validate", WORK, effort, time_limit), noise is None
-    if not isinstance(uncertain, UncertainModel):
-        raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
-    if delta not in ("time-invariant", "time-varying"):
-        raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
-    if not 1e-4 <= precision <= 0.2:
-        raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
-    if domain not in ("time", "frequency"):
-        raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
-    say = progress or (lambda _line: None)
-    if domain == "frequency" or isinstance(record, FrequencyData):
-        fits_frequency_domain(record, domain, noise_norm, delta, window, at_rest, missing, noise)
-        with one_thread():
-            if isinstance(record, Record):
-                noise = noise if noise is not None else _estimated(uncertain, record, "rms")
-            return validate_by_lines(
-                uncertain, record, noise or {}, period=period, per_block=per_block, precision=precision,
-                budget=budget, progress=say, estimated=estimated,
-            )  # fmt: skip
-    if period is not None:
-        raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
-    norm: NoiseNorm = noise_norm or "peak"
-    with one_thread():
-        bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm)
-        recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest, missing=missing)
-        job = _Job(recorded, delta, precision, budget, say)
-        found, alone = job.run(per_block)
-        assumptions = _assumptions(recorded, delta, estimated)
-        return _result(record, recorded, found, alone, assumptions, precision, job)
-
-
-def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
-    for name, value in noise.items():
-        if np.ndim(value):
-            raise InputError(f"validate: noise of {name!r}", f"shape {np.shape(value)}", "one number")
-    return {name: float(np.asarray(value)) for name, value in noise.items()}
+        alone = each_alone([b.name for b in recorded.uncertain.blocks], bounds, progress)
+    return _result(record, job, found, alone, _assumptions(recorded, delta, estimated), search)
 
 
 @dataclass(frozen=True)
@@ -279,57 +80,42 @@ class _Found:
     upper: float
     label: str
     certified: bool
-    values: Mapping[str, float]
-    problem: SampledProblem | None
-    w: Array
-    z: Array
     noise: Array
-    pulses: tuple[Array, ...]
-    states: Mapping[int, Array]
-    sizes: Mapping[str, float]
-    multipliers: Mapping[str, Array]
-    recheck: Callable[[], float] | None
     excess: float
-    finished: bool = True
-
-
-_NONE = np.zeros((0, 0))
+    values: Mapping[str, float] = field(default_factory=dict)
+    problem: SampledProblem | None = None
+    w: Array = field(default_factory=_nothing)
+    z: Array = field(default_factory=_nothing)
+    pulses: tuple[Array, ...] = ()
+    states: Mapping[int, Array] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    multipliers: Mapping[str, Array] = field(default_factory=dict)
+    recheck: Callable[[], float] | None = None
 
 
 @dataclass(frozen=True)
 class _Job:
+    """A record, what the systems of Delta are, and who is told."""
+
     recorded: Recorded
     delta: DeltaKind
-    precision: float
-    budget: Budget
     progress: Callable[[str], None]
 
-    def run(self, per_block: bool) -> tuple[_Found, dict[str, tuple[float, float]]]:
-        """Bounds over all blocks, and those of each alone where asked."""
-        blocks = self.recorded.uncertain.blocks
-        found, alone = self.bounds(np.ones(len(blocks), dtype=bool)), {}
-        if per_block and np.isfinite(found.upper):
-            for k, block in enumerate(blocks):
-                self.progress(f"block {block.name} alone")
-                part = self.bounds(np.arange(len(blocks)) == k)
-                alone[block.name] = part.lower, part.upper
-        return found, alone
-
-    def bounds(self, scaled: NDArray[np.bool_]) -> _Found:
-        """Bounds over the blocks that ``scaled`` names, the others within 1."""
+    def bounds(self, search: Search) -> _Found:
+        """Bounds over the blocks that are scaled, the others within 1."""
         blocks = self.recorded.uncertain.blocks
         real = np.array([isinstance(b, RealScalar) for b in blocks], dtype=bool)
         if not blocks:
-            return self.noise_alone()
+            return self.noise_alone(search)
         if not real.any():
-            return self.dynamic({}, scaled)
+            return self.dynamic({}, search)
         if real.all():
-            return self.constant(scaled)
-        return smallest_mixed(self, scaled)
+            return self.constant(search)
+        return self.mixed(search, real)
 
-    def noise_alone(self) -> _Found:
+    def noise_alone(self, search: Search) -> _Found:
         """Without a block the record is explained by its noise, or not at all."""
-        fit, none = WindowFit(self.recorded, [], self.budget), np.zeros(0)
+        fit, none = WindowFit(self.recorded, [], search.budget, search.tuning), np.zeros(0)
         excess, noise, weights = fit.excess(fit.windows(none))
         gamma = 0.0 if excess <= 1 + SLACK else np.inf
         if gamma and not fit.witness(weights, none) > 1:
@@ -337,119 +123,159 @@ class _Job:
             raise NoTrustworthyNumber(f"validate: {self.recorded.uncertain!r}", found)
         label = "noise alone: the set has no block"
         recheck = (lambda: np.inf if fit.witness(weights, none) > 1 else 0.0) if gamma else None
-        return _Found(
-            gamma, gamma, label, True, {}, None, _NONE, _NONE, fit.whole(noise), (), {}, {}, {}, recheck, excess,
-        )  # fmt: skip
+        return _Found(gamma, gamma, label, True, fit.whole(noise), excess, recheck=recheck)
 
-    def constant(self, scaled: NDArray[np.bool_]) -> _Found:
+    def constant(self, search: Search) -> _Found:
         """All blocks are real."""
         blocks = [b for b in self.recorded.uncertain.blocks if isinstance(b, RealScalar)]
-        found = smallest_parameters(self.recorded, blocks, scaled, self.precision, self.budget)
+        found = smallest_parameters(self.recorded, blocks, search)
         self.progress(f"constants: gamma {found.lower:.4g} .. {found.upper:.4g}, {found.boxes} boxes")
-        values = {b.name: float(v) for b, v in zip(blocks, found.delta, strict=True)}
-        explained = np.isfinite(found.upper)
         label = f"constants; upper bound replayed, lower bound from {found.boxes} boxes tested at points"
+        values: dict[str, float] = {}
+        if np.isfinite(found.upper):
+            values = {b.name: float(v) for b, v in zip(blocks, found.delta, strict=True)}
         return _Found(
-            found.lower, found.upper, label, False, values if explained else {}, None, _NONE, _NONE, found.noise, (),
-            {}, {n: abs(v) for n, v in values.items()} if explained else {}, {}, None, found.least_excess,
-            found.finished,
+            found.lower, found.upper, label, False, found.noise, found.least_excess, values,
+            sizes={n: abs(v) for n, v in values.items()},
         )  # fmt: skip
 
-    def dynamic(self, values: Mapping[str, float], scaled: NDArray[np.bool_], quick: bool = False) -> _Found:
-        """The real blocks are set; ``scaled`` belongs to the blocks that remain."""
+    def mixed(self, search: Search, real: Mask) -> _Found:
+        """Some blocks are ``real`` (n_blocks,), the others systems."""
+        blocks, tuning = self.recorded.uncertain.blocks, search.tuning
+        names = [b.name for b, constant in zip(blocks, real, strict=True) if constant]
+        free, kept = search.scaled[real], replace(search, scaled=search.scaled[~real])
+        problem = sampled(self.recorded.part(0, tuning.longest_relaxed), self.recorded.uncertain.M, blocks)
+        relaxed = smallest_contractions(problem, search)
+        if np.isinf(relaxed.lower):
+            everything = replace(search, scaled=np.ones(len(problem.blocks), dtype=bool))
+            return replace(self._varying(problem, relaxed, everything, {}), sizes={})
+        part = replace(kept, budget=search.budget.share(tuning.constants_share))
+
+        def named(delta: Array) -> dict[str, float]:
+            return dict(zip(names, map(float, delta), strict=True))
+
+        def size_at(delta: Array) -> float:
+            if (np.abs(delta[~free]) > 1).any():
+                return np.inf
+            try:
+                found = self.dynamic(named(delta), part, quick=True)
+            except NoTrustworthyNumber:
+                return np.inf
+            return max(found.upper, float(np.abs(delta[free]).max(initial=0.0)))
+
+        delta = np.zeros(len(names))
+        best, step = size_at(delta), 0.5
+        if len(self.recorded.t) > tuning.longest_relaxed:
+            step = 0.0  # nothing explains a record of which only the beginning is judged
+        while step > tuning.finest_step * max(best if np.isfinite(best) else 1.0, 0.05) and not part.budget.over:
+            better = False
+            for k in range(len(names)):
+                for sign in (1.0, -1.0):
+                    trial = delta.copy()
+                    trial[k] += sign * step
+                    size = size_at(trial)
+                    if size < best * (1 - 1e-4) or (np.isinf(best) and np.isfinite(size)):
+                        delta, best, better = trial, size, True
+                        break
+            step = step if better else step / 2
+        found = self.dynamic(named(delta), kept)
+        return replace(
+            found,
+            lower=relaxed.lower,
+            upper=max(found.upper, float(np.abs(delta[free]).max(initial=0.0))),
+            label="constants and systems; lower bound with all blocks time-varying (relaxation), upper bound by search",
+            multipliers={"energy": relaxed.multipliers.D, "noise": relaxed.multipliers.noise},
+            recheck=None,
+            certified=False,
+        )
+
+    def dynamic(self, values: Mapping[str, float], search: Search, quick: bool = False) -> _Found:
+        """The real blocks are set; the search is over the blocks that remain."""
         M, blocks = with_delta_of(self.recorded.uncertain, values)
-        long = len(self.recorded.t) > LONGEST_PROGRAMME
-        problem = sampled(self.recorded.part(0, LONGEST_PROGRAMME) if long else self.recorded, M, blocks)
-        varying = smallest_contractions(problem, scaled, self.precision, self.budget)
+        most = search.tuning.longest_programme
+        long = len(self.recorded.t) > most
+        problem = sampled(self.recorded.part(0, most) if long else self.recorded, M, blocks)
+        varying = smallest_contractions(problem, search)
         self.progress(f"time-varying: gamma {varying.lower:.4g} .. {varying.upper:.4g}")
+        found = self._varying(problem, varying, search, values)
         if long:
-            label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
-            begun = self._varying(problem, varying, scaled, values)
-            return replace(begun, upper=np.inf, w=_NONE, z=_NONE, sizes={}, label=label)
+            label = f"lower bound from the first {most} samples (time-varying), no explanation sought"
+            return replace(found, upper=np.inf, w=_nothing(), z=_nothing(), sizes={}, label=label)
         repeated = any(r for _, _, r in problem.blocks)
         if np.isinf(varying.lower) or (quick and not repeated):
-            return self._varying(problem, varying, scaled, values)
+            return found
         if self.delta == "time-varying":
             if repeated:
                 raise InputError(
                     "validate", "a repeated complex scalar as a time-varying system", "time-invariant ones",
                     'delta="time-invariant"',
                 )  # fmt: skip
-            return self._varying(problem, varying, scaled, values)
-        return self._invariant(problem, varying, scaled, values, blocks, M)
+            return found
+        return self._invariant(
+            varying, replace(found, upper=np.inf, w=_nothing(), z=_nothing(), sizes={}), search, blocks, M
+        )
 
-    def _varying(
-        self, problem: SampledProblem, c: Contractions, scaled: NDArray[np.bool_], values: Mapping[str, float]
-    ) -> _Found:
+    def _varying(self, problem: SampledProblem, c: Contractions, search: Search, values: Mapping[str, float]) -> _Found:
         exact = "exact" if c.convex else "lower bound exact where the Lagrangian is concave"
-        label = f"time-varying contractions ({exact})"
-        sizes = dict(zip(problem.names, map(float, c.sizes), strict=True)) if len(c.sizes) else {}
-        evidence = {"energy": c.multipliers.D, "noise": c.multipliers.noise}
+        recheck = None
+        if np.isfinite(c.lower) and c.lower > 0:
+            finer, start = replace(search, precision=search.precision / 10), c.lower * (1 + search.precision)
+            recheck = lambda: largest_disproved(problem, c.multipliers, finer, start)  # noqa: E731
         return _Found(
-            c.lower, c.upper, label, True, values, problem, c.w, c.z, c.noise, (), c.states, sizes, evidence,
-            _sweep(problem, c, scaled, self.precision), c.least_noise if not c.w.size else problem.excess(c.noise),
-        )  # fmt: skip
+            c.lower,
+            c.upper,
+            f"time-varying contractions ({exact})",
+            True,
+            c.noise,
+            c.least_noise if not c.w.size else problem.excess(c.noise),
+            values,
+            problem,
+            c.w,
+            c.z,
+            states=c.states,
+            sizes=dict(zip(problem.names, map(float, c.sizes), strict=True)) if len(c.sizes) else {},
+            multipliers={"energy": c.multipliers.D, "noise": c.multipliers.noise},
+            recheck=recheck,
+        )
 
     def _invariant(
-        self,
-        problem: SampledProblem,
-        c: Contractions,
-        scaled: NDArray[np.bool_],
-        values: Mapping[str, float],
-        blocks: Sequence[Block],
-        M: Any,
+        self, c: Contractions, relaxed: _Found, search: Search, blocks: tuple[Block, ...], M: StateSpaceModel
     ) -> _Found:
-        relaxed = replace(self._varying(problem, c, scaled, values), upper=np.inf, w=_NONE, z=_NONE, sizes={})
+        problem, tuning = relaxed.problem, search.tuning
+        assert problem is not None
         each = sum(1 if r else (a.stop - a.start) * (b.stop - b.start) for a, b, r in problem.blocks)
-        longest = min(LONGEST, MOST_UNKNOWNS // max(each, 1))
+        longest = min(tuning.longest_pulses, tuning.most_unknowns // max(each, 1))
         if problem.n > longest:
             start = sampled(self.recorded.part(0, longest), M, blocks)
-            guess = c.upper if np.isfinite(c.upper) else 1.0
-            head = smallest_pulse_responses(start, scaled, self.precision, self.budget, guess)
+            head = smallest_pulse_responses(start, search, c.upper if np.isfinite(c.upper) else 1.0)
             lower = max(c.lower, head.lower if head is not None else 0.0)
             label = f"time-invariant: lower bound from the first {longest} samples and from time-varying systems"
             return replace(relaxed, lower=lower, label=label)
         guess = c.upper if np.isfinite(c.upper) else max(1.0, c.lower)
-        z = c.z if c.z.size else None
-        found = smallest_pulse_responses(problem, scaled, self.precision, self.budget, guess, z)
+        found = smallest_pulse_responses(problem, search, guess, c.z if c.z.size else None)
         if found is None:
             label = "time-invariant: lower bound from time-varying systems (relaxation), no explanation found"
             return replace(relaxed, label=label)
         self.progress(f"time-invariant: gamma {found.lower:.4g} .. {found.upper:.4g}")
-        return self._pulses(problem, c, found, relaxed)
-
-    def _pulses(self, problem: SampledProblem, c: Contractions, found: PulseResponses, relaxed: _Found) -> _Found:
-        convex = found.lower > c.lower
-        label = (
-            "time-invariant systems (exact)" if c.convex else "time-invariant; lower bound from time-varying systems"
-        )
-        k = problem.free.shape[1]
-        states = {t: found.states[i * k : (i + 1) * k] for i, t in enumerate(problem.free_starts)}
-        return replace(
-            relaxed,
-            lower=max(found.lower, c.lower),
-            upper=found.upper,
-            label=label,
-            w=found.w,
-            z=found.z,
-            noise=found.noise,
-            pulses=found.h,
-            states=states,
-            sizes=dict(zip(problem.names, map(float, found.sizes), strict=True)),
-            multipliers={"noise": found.dual} if convex else relaxed.multipliers,
-            recheck=found.recheck if convex else relaxed.recheck,
-            excess=problem.excess(found.noise),
-        )
+        return _pulses(problem, c, found, relaxed)
 
 
-def _sweep(
-    problem: SampledProblem, c: Contractions, scaled: NDArray[np.bool_], precision: float
-) -> Callable[[], float] | None:
-    if not np.isfinite(c.lower) or c.lower <= 0:
-        return None
-    start = c.lower * (1 + precision)
-    return lambda: largest_disproved(
-        problem, c.multipliers, lambda gamma: np.where(scaled, gamma, 1.0), start, precision / 10
+def _pulses(problem: SampledProblem, c: Contractions, found: PulseResponses, relaxed: _Found) -> _Found:
+    convex, k = found.lower > c.lower, problem.free.shape[1]
+    return replace(
+        relaxed,
+        lower=max(found.lower, c.lower),
+        upper=found.upper,
+        label="time-invariant systems (exact)" if c.convex else "time-invariant; lower bound from time-varying systems",
+        w=found.w,
+        z=found.z,
+        noise=found.noise,
+        pulses=found.h,
+        states={t: found.states[i * k : (i + 1) * k] for i, t in enumerate(problem.free_starts)},
+        sizes=dict(zip(problem.names, map(float, found.sizes), strict=True)),
+        multipliers={"noise": found.dual} if convex else relaxed.multipliers,
+        recheck=found.recheck if convex else relaxed.recheck,
+        excess=problem.excess(found.noise),
     )
 
 
@@ -458,41 +284,34 @@ def _sweep(
 
 def _result(
     record: Record,
-    recorded: Recorded,
+    job: _Job,
     found: _Found,
     alone: Mapping[str, tuple[float, float]],
     assumptions: tuple[str, ...],
-    precision: float,
-    job: _Job,
+    search: Search,
 ) -> Validation:
     if np.isfinite(found.upper) and found.lower > found.upper * (1 + MEET) + SMALLEST:
         contradiction = f"a lower bound of gamma, {found.lower:.6g}, above the upper one, {found.upper:.6g}"
         raise NoTrustworthyNumber(f"validate {record.name}", contradiction)
+    recorded, budget = job.recorded, search.budget
     offset = np.column_stack([record.outputs[s.name] for s in recorded.outputs]) - recorded.y
     measured = recorded.y + offset
     explained, error = np.full(measured.shape, np.nan), 0.0
     if np.isfinite(found.upper):
         explained = measured - found.noise * recorded.bound
         error = _replay_error(recorded, found)
-        if not error <= 1e-3:
-            raise NoTrustworthyNumber(
-                f"validate {record.name}", f"the explanation is off by {error:.1e} of the noise bound when replayed"
-            )
+        require_replay(error, record.name)
     w, z = found.w, found.z
     if found.problem is not None and w.size:
-        w, z = w.copy(), z.copy()
-        for (rows, cols, _), size in zip(found.problem.blocks, found.problem.scale, strict=True):
-            w[:, rows] *= size
-            z[:, cols] *= size
-    bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
+        w, z = in_own_units(w, z, found.problem.blocks, found.problem.scale)
     return Validation(
-        status=_status(found, precision, job.budget),
+        status=concluded(found.lower, found.upper, search.precision, budget, certified=found.certified),
         record=record.name,
         lower=float(min(found.lower, found.upper)),
         upper=float(found.upper),
         label=found.label,
         blocks={b.name: _block(b, found, alone, job.delta) for b in recorded.uncertain.blocks},
-        noise_bound=bound,
+        noise_bound={s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)},
         noise_norm=recorded.norm,
         excess=found.excess,
         replay_error=error,
@@ -506,20 +325,8 @@ def _result(
         z=z,
         multipliers=found.multipliers,
         recheck=found.recheck,
-        notes=(job.budget.remark,) if job.budget.remark else (),
+        notes=(budget.remark,) if budget.remark else (),
     )
-
-
-def _status(found: _Found, precision: float, budget: Budget) -> Status:
-    if np.isinf(found.lower):
-        return Status.INFEASIBLE
-    if budget.struck:
-        return Status.TIMEOUT
-    if np.isfinite(found.upper) and found.upper - found.lower <= 1.01 * precision * max(found.upper, SMALLEST):
-        return Status.CERTIFIED if found.certified else Status.CONVERGED
-    if found.lower > 1 or found.upper <= 1:
-        return Status.CONVERGED
-    return Status.INCONCLUSIVE
 
 
 def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]], delta: DeltaKind) -> BlockSize:
@@ -605,31 +412,6 @@ def _nominal(recorded: Recorded) -> Array:
     basis = free[problem.used]
     x = np.linalg.lstsq(basis, problem.e[problem.used], rcond=None)[0] if basis.shape[1] else np.zeros(0)
     return recorded.y - (problem.e - free @ x) * recorded.bound
-
-
-# --- noise and assumptions -------------------------------------------------------------------------------------------
-
-
-def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm) -> dict[str, float]:
-    """Noise bounds from the record's own periods."""
-    from scipy import stats
-
-    from robustlab.identification.comparison.noise_floor import noise_floor
-
-    names = [s.name for s in uncertain.outputs if s.name in record.outputs]
-    try:
-        floor = noise_floor(record, outputs=names)
-    except NoTrustworthyNumber as error:
-        hint = "noise={'" + (names[0] if names else "y") + "': ...}, in its unit: what the sensor may be off"
-        raise NoTrustworthyNumber(
-            f"validate {record.name}", f"no noise bound was given, and none can be estimated: {error.found}", None, hint
-        ) from None
-    count = record.n * max(len(names), 1)
-    if norm == "peak":
-        factor = float(stats.norm.isf((1 - CONFIDENCE) / (2 * count)))
-    else:
-        factor = float(np.sqrt(stats.chi2.ppf(CONFIDENCE ** (1 / max(len(names), 1)), record.n) / record.n))
-    return {name: factor * floor.std[name] for name in names}
 
 
 def _assumptions(recorded: Recorded, delta: DeltaKind, estimated: bool) -> tuple[str, ...]:
