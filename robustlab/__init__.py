@@ -102,7 +102,7 @@ _PUBLIC = {
     "discover": "identification.naming.discovery",
     "DataCover": "identification.validation.data_cover",
     "data_cover": "identification.validation.data_cover",
-    "uncertain_from": "identification.naming.remaining_uncertainty",
+    "uncertain_from": "identification.naming.updated_plant",
     "validate": "identification.validation",
     "FrequencyData": "identification.validation",
     # trust

@@ -11,7 +11,7 @@ from robustlab.errors import RobustlabError as RobustlabError
 from robustlab.frequency import frequency_response as frequency_response
 from robustlab.identification import compare as compare
 from robustlab.identification.naming.discovery import discover as discover
-from robustlab.identification.naming.remaining_uncertainty import uncertain_from as uncertain_from
+from robustlab.identification.naming.updated_plant import uncertain_from as uncertain_from
 from robustlab.identification.validation import FrequencyData as FrequencyData
 from robustlab.identification.validation import validate as validate
 from robustlab.identification.validation.data_cover import DataCover as DataCover

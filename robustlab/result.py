@@ -10,7 +10,7 @@ from typing import Any
 
 from robustlab.provenance import Traced
 
-__all__ = ["Result", "Status", "plain"]
+__all__ = ["Evidence", "Result", "Status", "plain"]
 
 
 class Status(StrEnum):
@@ -101,3 +101,20 @@ class Result(Traced):
     def to_json(self) -> dict[str, Any]:
         """The data with type and status."""
         return {"type": self.type, **self.data, "status": self.status}
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Base of the parts of a result: arrays, also those in tables, become read-only when it is made."""
+
+    def __post_init__(self) -> None:
+        import numpy as np  # not at the top: the command line asks for a status without it
+
+        for value in vars(self).values():
+            for item in value.values() if isinstance(value, Mapping) else (value,):
+                if isinstance(item, np.ndarray):
+                    item.setflags(write=False)
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return dict(vars(self))

@@ -83,8 +83,7 @@ def check(
     Example: robustlab data check run3.csv --inputs u --outputs q
     Example: robustlab data check run3.csv --model servo-axis
     """
-    from robustlab.identification.record_check.record_quality import check_record
-    from robustlab.identification.record_check.suitability import suitability
+    from robustlab.identification.record_check.suitability import check_record, suitability
 
     if settings and not model:
         raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")

@@ -499,7 +499,7 @@ def from_discovery(
     """The blocks of an updated plant: a plant file, or the folder that ``data discover --out`` wrote."""
     from robustlab.cli.data import PLANT_FILE
     from robustlab.dynamics.extended.force_blocks import Dry
-    from robustlab.identification.naming.remaining_uncertainty import uncertain_from
+    from robustlab.identification.naming.updated_plant import uncertain_from
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage.plants import is_plant_file, load_plant
 

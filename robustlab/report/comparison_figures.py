@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.comparison.comparison import Comparison
+from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.localisation import Bin, DirectionError
 from robustlab.report.figures import COLOURS, axis_label, house_style, logarithmic, new_figure, plain_label
 

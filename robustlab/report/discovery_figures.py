@@ -20,8 +20,14 @@ from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.naming.discovery_result import Discovery, NamingStep
-from robustlab.identification.naming.discovery_text import compared, headline, in_words, with_interval
+from robustlab.identification.naming.discovery_result import (
+    Discovery,
+    NamingStep,
+    compared,
+    headline,
+    in_words,
+    with_interval,
+)
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance
 from robustlab.report.figures import COLOURS, axis_label, house_style, new_figure, plain_label, save_figure

@@ -21,8 +21,10 @@ from robustlab.identification.naming.discovery_result import (
     NominalValue,
     Rival,
     StepEntry,
+    compared,
+    headline,
+    with_interval,
 )
-from robustlab.identification.naming.discovery_text import compared, headline, with_interval
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
 from robustlab.provenance import Provenance

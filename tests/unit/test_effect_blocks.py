@@ -13,7 +13,7 @@ from robustlab.dynamics.extended.delays import _above_beyond, delay_block
 from robustlab.dynamics.extended.effect_blocks import effect_blocks
 from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.remaining_uncertainty import uncertain_from
+from robustlab.identification.naming.updated_plant import uncertain_from
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.uncertainty.covering.overbound import overbound
 

@@ -8,7 +8,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.identification.record_check.record_quality import check_record
+from robustlab.identification.record_check.suitability import check_record
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 

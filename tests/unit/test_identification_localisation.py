@@ -13,7 +13,7 @@ from robustlab.identification.comparison.localisation import (
     speed_edges,
     time_shares,
 )
-from robustlab.identification.record_check.record_quality import clipped_runs
+from robustlab.identification.record_check.suitability import clipped_runs
 from robustlab.record import Record
 
 

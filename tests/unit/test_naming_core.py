@@ -20,10 +20,11 @@ from robustlab.identification.hypotheses.effect_fit import (
     Hypothesis,
     NoiseModel,
     Problem,
+    predicted,
+    refit_distance,
     simulated_outputs,
 )
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.hypotheses.rivals import predicted, refit_distance
 from robustlab.identification.naming.discovery import beyond_tolerance
 from robustlab.identification.naming.greedy_naming import (
     CANNOT_TELL,

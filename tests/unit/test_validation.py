@@ -12,9 +12,10 @@ import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.validation import smallest_delta
+from robustlab.identification.validation import time_domain
 from robustlab.identification.validation.constant_parameters import Parameters
 from robustlab.identification.validation.contraction_kernel import barrier, diagonal_sums, gain, pull_after, toeplitz
+from robustlab.identification.validation.tuning import ValidationTuning
 from robustlab.result import plain
 
 
@@ -276,15 +277,15 @@ def test_without_blocks_noise_alone_explains_a_record_or_nothing_does(norm, boun
         rl.validate(alone, far_record, {"y": bound}, domain="frequency")
 
 
-def test_the_noise_of_a_part_may_be_larger_than_the_rms_of_the_whole(monkeypatch):
-    monkeypatch.setattr(smallest_delta, "LONGEST", 60)
+def test_the_noise_of_a_part_may_be_larger_than_the_rms_of_the_whole():
+    short = ValidationTuning(longest_pulses=60)
     plant = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
     t = np.arange(150) * 0.05
     u = np.sign(np.sin(7.0 * t) + 0.3 * np.sin(21.0 * t))
     noise = np.where(np.arange(150) < 60, 0.5 * u, 0.0)  # at the beginning, and as if the gain were another
     record = rl.Record(t, {"u": u}, {"y": rl.simulate(plant, t, u)["y"] + noise})
     bound = 1.01 * np.sqrt(np.mean(noise**2))
-    found = rl.validate(rl.unstructured(plant, 0.2), record, {"y": bound}, noise_norm="rms", at_rest=True)
+    found = rl.validate(rl.unstructured(plant, 0.2), record, {"y": bound}, noise_norm="rms", at_rest=True, tuning=short)
     assert found.lower == 0.0  # the nominal model explains it
 
 
@@ -306,7 +307,7 @@ def test_a_state_that_only_a_constant_shows_is_free_in_the_relaxation_too():
 
 def test_bounds_that_contradict_each_other_are_no_result(monkeypatch):
     alone = Parameters(0.4, 0.3, np.array([0.3]), np.zeros((4, 1)), 1, True, 1.0)
-    monkeypatch.setattr(smallest_delta, "smallest_parameters", lambda *_: alone)
+    monkeypatch.setattr(time_domain, "smallest_parameters", lambda *_: alone)
     gain = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 2.0]], dt=1.0), [rl.RealScalar("k")])
     steps = rl.Record(range(4), {"u2": [1, 0, 0, 0]}, {"y2": [2.3, 0, 0, 0]})
     with pytest.raises(NoTrustworthyNumber, match=r"lower bound of gamma, 0\.4, above"):

@@ -15,6 +15,7 @@ from robustlab.cli.data import app
 from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.validation.line_programme import line_lagrangian, smallest_by_lines
 from robustlab.identification.validation.spectral_problem import spectrum_of_record, spectrum_of_response
+from robustlab.identification.validation.tuning import Search
 from robustlab.report.validation_figures import validation_figures
 from robustlab.result import plain
 
@@ -143,7 +144,7 @@ def test_the_certificate_bounds_every_point(seed):
     omega = np.array([0.5, 2.0])
     data = rl.FrequencyData(omega, rng.standard_normal((2, 2)) * (1 + 1j), "u", ["y0", "y1"])
     problem = spectrum_of_response(model, data, {"y0": 0.1, "y1": 0.1}).problem
-    found = smallest_by_lines(problem, np.ones(3, dtype=bool), 0.01, Budget())
+    found = smallest_by_lines(problem, Search(np.ones(3, dtype=bool), 0.01, Budget()))
     D, noise = found.multipliers.D, found.multipliers.noise
     gammas = np.full(3, found.lower)
     largest = line_lagrangian(problem, found.multipliers, gammas)

@@ -34,7 +34,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.identification.comparison.localisation import log_bands, uniform_samples, welch_segments
-from robustlab.identification.response.response import Evidence
+from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["BestLinearApproximation", "arbitrary_bla", "held_response", "periodic_bla"]

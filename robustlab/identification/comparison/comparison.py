@@ -7,8 +7,7 @@ best, so that a model with an integrator is judged by its faults and not by the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,17 +21,13 @@ from robustlab.identification.comparison.best_linear_approximation import (
     arbitrary_bla,
     periodic_bla,
 )
-from robustlab.identification.comparison.input_disturbance import (
-    InputDisturbance,
-    NoiseGap,
+from robustlab.identification.comparison.comparison_result import Comparison, OutputGap, ResidualTests, WindowErrors
+from robustlab.identification.comparison.gap_scales import (
     input_disturbance,
     noise_gaps,
 )
 from robustlab.identification.comparison.localisation import (
-    Bin,
-    DirectionError,
     Motion,
-    Spectrum,
     amplitude_edges,
     bins,
     directions,
@@ -44,9 +39,9 @@ from robustlab.identification.comparison.localisation import (
 )
 from robustlab.identification.comparison.noise_floor import NoiseFloor, noise_floor
 from robustlab.identification.comparison.nonlinearity import EvenOdd, even_odd, judged_lines
-from robustlab.identification.comparison.residual_tests import InputCorrelation, Whiteness, input_correlation, whiteness
-from robustlab.identification.record_check.record_quality import channel_warnings
-from robustlab.identification.response.response import Evidence, Response, Stretch, response_of
+from robustlab.identification.comparison.residual_tests import input_correlation, whiteness
+from robustlab.identification.record_check.suitability import channel_warnings
+from robustlab.identification.response.response import Response, Stretch, response_of
 from robustlab.identification.response.windowed_simulation import (
     InitialState,
     WindowedSimulation,
@@ -57,7 +52,7 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import Signal
 
-__all__ = ["Comparison", "OutputGap", "ResidualTests", "WindowErrors", "compare"]
+__all__ = ["compare"]
 
 
 LAGS = 25
@@ -66,213 +61,6 @@ WINDOWS_AT_LEAST = 4  # that a window chosen by us leaves in the record
 WINDOWS_WITHOUT_TIME_CONSTANT = 50
 PIECES_PER_WINDOW = 4
 LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
-
-REFERENCE = (
-    "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
-    "(each sample predicted from the samples of the same output before it in its window)"
-)
-
-
-@dataclass(frozen=True)
-class OutputGap(Evidence):
-    r"""Disagreement at one output, in its unit and in percent.
-
-    Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
-    :math:`100 (1 - \|y - \hat y\| / \|y - \bar y\|)` percent: 100 is perfect, 0 as good as the mean, negative worse.
-
-    Attributes
-    ----------
-    name, unit, range
-        The output and its measured range.
-    peak, rms, peak_percent, rms_percent, fit
-        Free run. ``peak_time`` is when its peak error occurs [s].
-    windowed_peak, windowed_rms, windowed_peak_percent, windowed_rms_percent, windowed_fit
-        The same of the windowed simulation.
-    """
-
-    name: str
-    unit: str
-    range: float
-    peak: float
-    rms: float
-    peak_percent: float
-    rms_percent: float
-    fit: float
-    peak_time: float
-    windowed_peak: float
-    windowed_rms: float
-    windowed_peak_percent: float
-    windowed_rms_percent: float
-    windowed_fit: float
-
-
-@dataclass(frozen=True)
-class WindowErrors(Evidence):
-    """Error of one output window by window; all arrays have shape (n_windows,).
-
-    Attributes
-    ----------
-    start, stop
-        First and last time of each window in s.
-    rms, share
-        RMS of the free run's error, and its share of the record's squared error (sum 1).
-    windowed_rms, windowed_share
-        The same of the windowed simulation.
-    worst, worst_free
-        Index of the window with the largest windowed RMS, and with the largest free-run RMS.
-    """
-
-    start: Array
-    stop: Array
-    rms: Array
-    share: Array
-    windowed_rms: Array
-    windowed_share: Array
-    worst: int
-    worst_free: int
-
-
-@dataclass(frozen=True)
-class ResidualTests(Evidence):
-    """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`).
-
-    Attributes
-    ----------
-    rms
-        RMS of the residual in the unit of the output.
-    whiteness
-        Autocorrelation and Ljung-Box test.
-    inputs
-        Input name -> correlation with the residual.
-    """
-
-    rms: float
-    whiteness: Whiteness
-    inputs: Mapping[str, InputCorrelation]
-
-
-@dataclass(frozen=True)
-class Comparison(Evidence):
-    """Result of `compare`.
-
-    Attributes
-    ----------
-    status
-        CONVERGED: both simulations are finite and every number follows from the series kept here.
-    model, record
-        What was compared.
-    outputs
-        Output name -> `OutputGap`.
-    windows
-        Output name -> `WindowErrors`.
-    speed, position
-        Output name -> bins of the windowed error over the measured speed and position; empty where neither is recorded.
-    motion
-        The speed and position signals used for that.
-    frequency
-        Output name -> `Spectrum`.
-    residual
-        Output name -> `ResidualTests`.
-    initial_state
-        Where the free run starts.
-    window
-        Length of the windows in s.
-    measured, simulated, windowed, recursive
-        The compared signals: measured, free run, windowed simulation, and the recursive residual (n,) by output, NaN
-        where a sample only fixes the state of its window.
-    disturbance
-        Input name -> the addition to it that would explain the record piece by piece, `InputDisturbance`.
-    warnings
-        What a reader must know before trusting the numbers.
-    direction
-        Output name -> windowed error moving backward, at rest, moving forward; empty where no speed is known.
-    amplitude
-        Output name -> input name -> bins of the windowed error over the magnitude of the input (its deviation from the
-        operating point); inputs that are constant are left out.
-    noise, noise_reason
-        Noise floor where the record repeats, else None and the reason why there is none.
-    against_noise
-        Output name -> `NoiseGap`; empty without a noise floor.
-    linear, linear_reason
-        Output name -> input name -> `BestLinearApproximation` beside the model's response; the reason where one is
-        missing.
-    nonlinearity
-        Even/odd test; its ``reason`` says why it could not be made, or not wholly.
-    """
-
-    status: Status
-    model: str
-    record: str
-    outputs: Mapping[str, OutputGap]
-    windows: Mapping[str, WindowErrors]
-    speed: Mapping[str, tuple[Bin, ...]]
-    position: Mapping[str, tuple[Bin, ...]]
-    motion: Motion
-    frequency: Mapping[str, Spectrum]
-    residual: Mapping[str, ResidualTests]
-    initial_state: InitialState
-    window: float
-    measured: Record
-    simulated: Record
-    windowed: Record
-    recursive: Mapping[str, Array]
-    disturbance: Mapping[str, InputDisturbance]
-    warnings: tuple[str, ...]
-    direction: Mapping[str, Mapping[str, DirectionError]]
-    amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
-    noise: NoiseFloor | None
-    noise_reason: str
-    against_noise: Mapping[str, NoiseGap]
-    linear: Mapping[str, Mapping[str, BestLinearApproximation]]
-    linear_reason: str
-    nonlinearity: EvenOdd
-
-    def summary(self) -> str:
-        """The result as a few lines of text."""
-        from robustlab.identification.comparison.comparison_text import summary
-
-        return summary(self)
-
-    def to_json(self, series: bool = True) -> dict[str, object]:
-        """All fields; without ``series`` the time series and the densities over frequency are left out."""
-        data: dict[str, object] = {
-            "status": self.status,
-            "model": self.model,
-            "record": self.record,
-            "percent_of": "measured range (max - min) of the output",
-            "outputs": self.outputs,
-            "windows": self.windows,
-            "worst_window": {name: [w.start[w.worst], w.stop[w.worst]] for name, w in self.windows.items()},
-            "speed": {"signal": self.motion.speed_source, "unit": self.motion.speed_unit, "bins": self.speed},
-            "position": {"signal": self.motion.position_name, "unit": self.motion.position_unit, "bins": self.position},
-            "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
-            "direction": self.direction,
-            "amplitude": self.amplitude,
-            "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
-            "linear": {
-                "reason": self.linear_reason,
-                "outputs": {
-                    y: {u: g.to_json() if series else g.band_table() for u, g in row.items()}
-                    for y, row in self.linear.items()
-                },
-            },
-            "nonlinearity": self.nonlinearity,
-            "disturbance": self.disturbance,
-            "residual_reference": REFERENCE,
-            "residual": self.residual,
-            "initial_state": self.initial_state,
-            "window": self.window,
-            "warnings": list(self.warnings),
-        }
-        if series:
-            data |= {
-                "t": self.measured.t,
-                "input": self.measured.inputs,
-                "measured": self.measured.outputs,
-                "simulated": self.simulated.outputs,
-                "windowed": self.windowed.outputs,
-            }
-        return data
 
 
 @one_thread()

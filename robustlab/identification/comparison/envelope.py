@@ -18,10 +18,10 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.identification.response.response import Evidence, response_of
+from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
 from robustlab.record import Record
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.identification.response.response import Evidence
 from robustlab.record import Record
+from robustlab.result import Evidence
 
 __all__ = [
     "Bin",

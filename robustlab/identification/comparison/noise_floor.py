@@ -32,8 +32,8 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.response.response import Evidence
 from robustlab.record import Record
+from robustlab.result import Evidence
 
 __all__ = ["Excess", "NoiseFloor", "effective_dof", "noise_floor", "period_of"]
 

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.identification.comparison.noise_floor import NoiseFloor
-from robustlab.identification.response.response import Evidence
+from robustlab.result import Evidence
 
 __all__ = ["EvenOdd", "HarmonicShares", "even_odd", "harmonic_shares", "judged_lines"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.response.response import Evidence
+from robustlab.result import Evidence
 
 __all__ = ["InputCorrelation", "Whiteness", "autocorrelation", "input_correlation", "whiteness"]
 

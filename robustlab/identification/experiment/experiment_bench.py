@@ -13,9 +13,16 @@ from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.identification.experiment.experiment_menu import Excitation, experiment_menu
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
-from robustlab.identification.hypotheses.effect_fit import START_STEP, STEP, Fit, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import (
+    START_STEP,
+    STEP,
+    Fit,
+    NoiseModel,
+    Problem,
+    predicted,
+    refit_distance,
+)
 from robustlab.identification.hypotheses.prepared_record import FEWEST_WINDOWS, PreparedRecord
-from robustlab.identification.hypotheses.rivals import predicted, refit_distance
 from robustlab.record import Record
 
 __all__ = ["Bench", "Entry", "Limits", "Pair", "SAFE", "Trial", "distances", "noise_of", "preference", "trials_of"]

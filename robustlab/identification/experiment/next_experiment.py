@@ -44,7 +44,7 @@ from robustlab.identification.experiment.experiment_bench import (
 )
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.hypotheses.prepared_record import FEWEST_WINDOWS
-from robustlab.identification.response.response import Evidence
+from robustlab.result import Evidence
 
 __all__ = ["NextExperiment", "Pair", "Tried", "propose_experiment"]
 

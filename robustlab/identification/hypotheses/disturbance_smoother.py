@@ -40,8 +40,8 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.response.response import Evidence
 from robustlab.record import UNIFORM_TOLERANCE
+from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel, real_array
 
 __all__ = ["Jump", "SmoothedRecord", "smooth_disturbance"]

@@ -400,7 +400,7 @@ def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, 
     Tolerances of other parameters explain the records as well; but what they hide may be beyond its own tolerance. A
     gain that has no tolerance of its own contradicts nothing: it is in doubt only where it is more probable than none.
     """
-    from robustlab.identification.hypotheses.rivals import refit_distance
+    from robustlab.identification.hypotheses.effect_fit import refit_distance
 
     ranking = naming.steps[-1].ranking
     if naming.fit.hypothesis.candidates or ranking.base.fit.hypothesis.candidates:
@@ -444,7 +444,7 @@ def _judged(
     z: Array,
     entries: Sequence[tuple[Candidate, Fit]],
 ) -> list[Alternative]:
-    from robustlab.identification.hypotheses.rivals import refit_distance
+    from robustlab.identification.hypotheses.effect_fit import refit_distance
 
     rivals = [candidate for candidate, _ in entries]
     fits = []

@@ -133,7 +133,7 @@ def contradictions(
     return found
 
 
-# --- one output the derivative of another ---------------------------------------------------------------------------
+# --- one output the derivative of another ----------------------------------------------------------------------------
 
 
 def derivative_pairs(model: StateSpaceModel) -> list[tuple[str, str, float]]:
@@ -252,7 +252,7 @@ def _best_factor(j: int, fits: Fits) -> tuple[float, float]:
     return float(s[0]), share
 
 
-# --- channels turned, converted and swapped -------------------------------------------------------------------------
+# --- channels turned, converted and swapped --------------------------------------------------------------------------
 
 
 class _Explanation:

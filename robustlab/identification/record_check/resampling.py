@@ -21,8 +21,8 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError
-from robustlab.identification.response.response import Evidence
 from robustlab.record import Record
+from robustlab.result import Evidence
 
 __all__ = ["Gap", "UniformRecord", "clock_step", "join_clocks", "uniform"]
 

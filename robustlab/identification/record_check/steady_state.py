@@ -25,8 +25,7 @@ from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
-from robustlab.identification.response.response import Evidence
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
 
 __all__ = [
     "BalanceCheck",

@@ -1,7 +1,4 @@
-"""The model and the record as a comparison needs them: matched by names and units, and the model's responses.
-
-What all parts of a comparison share: read-only arrays, and all fields as plain data.
-"""
+"""A linear model and a record matched by names and units, and the model's responses at what the record holds."""
 
 from __future__ import annotations
 
@@ -22,7 +19,6 @@ __all__ = [
     "Response",
     "Stretch",
     "response_of",
-    "Evidence",
 ]
 
 
@@ -208,18 +204,3 @@ def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) 
                 f"{name}: {who} a unit; {'taken as ' + (measured or unit) if measured or unit else 'taken as equal'}"
             )
     return warnings
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Base of the parts of a result: arrays, also those in tables, become read-only when it is made."""
-
-    def __post_init__(self) -> None:
-        for value in vars(self).values():
-            for item in value.values() if isinstance(value, Mapping) else (value,):
-                if isinstance(item, np.ndarray):
-                    item.setflags(write=False)
-
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return dict(vars(self))

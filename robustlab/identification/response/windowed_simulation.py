@@ -35,8 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.response.response import Evidence, Response, Stretch
+from robustlab.identification.response.response import Response, Stretch
 from robustlab.record import UNIFORM_TOLERANCE
+from robustlab.result import Evidence
 
 __all__ = [
     "WindowedSimulation",

@@ -33,7 +33,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.response.response import Evidence
 from robustlab.identification.unnamed.block_regression import (
     STIFFNESS,
     Basis,
@@ -47,6 +46,7 @@ from robustlab.identification.unnamed.block_regression import (
     random_signs,
     role,
 )
+from robustlab.result import Evidence
 
 __all__ = [
     "ForceCurve",

@@ -1,7 +1,23 @@
-"""Model validation: the smallest Delta with which an uncertain model explains a record, with proofs on both sides."""
+"""Model validation: the smallest Delta with which an uncertain model explains a record, with proofs on both sides.
 
+model_validation       `validate`: which domain, which noise
+time_domain            sample by sample: constants, systems, both
+  sampled_problem      model and record, sampled and in units of the noise
+  time_varying         systems that vary with time: cone programmes, multipliers checked by a sweep
+  time_invariant       systems that do not: pulse responses along a central path
+  contraction_kernel   their norm and its barrier
+  constant_parameters  constants: descent, branch and bound
+frequency_domain       line by line
+  spectral_problem     model and data at the lines, `FrequencyData`
+  line_programme       cone programmes from above, multipliers from below
+cone_programme         the door to the solver
+result                 `Validation`, and what both domains end with
+data_cover             the unmodelled dynamics that a plant's records need
+tuning                 what a search is given
+"""
+
+from robustlab.identification.validation.model_validation import validate
 from robustlab.identification.validation.result import BlockSize, Validation
-from robustlab.identification.validation.smallest_delta import validate
 from robustlab.identification.validation.spectral_problem import FrequencyData
 
 __all__ = ["BlockSize", "FrequencyData", "Validation", "validate"]

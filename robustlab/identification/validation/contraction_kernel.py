@@ -20,6 +20,7 @@ are sums along diagonals, and a matrix with its flip commutes where the channels
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.lapack import lapack
 
 __all__ = ["Barrier", "barrier", "barrier_value", "diagonal_sums", "gain", "pull_after", "toeplitz", "trace_norm_bound"]
 
@@ -67,8 +69,7 @@ def barrier_value(h: Array, gamma: float) -> float:
     """The barrier; +inf outside."""
     if h.shape[1] > h.shape[2]:  # T turned upside down in both directions and transposed: the same singular values
         h = h.transpose(0, 2, 1)
-    lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
-    factor, info = lapack.dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
+    factor, info = lapack().dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
     return np.inf if info else _value_of(factor, h, gamma)
 
 
@@ -128,13 +129,11 @@ class Barrier:
 
 def barrier(h: Array, gamma: float) -> Barrier:
     """Derivatives of the barrier at a point inside."""
-    lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
-
     n, r, c = h.shape
     T = toeplitz(h)
-    left, info = lapack.dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
+    left, info = lapack().dpotrf(_room(h, gamma), lower=1, overwrite_a=1)
     value = _value_of(left, h, gamma)
-    half, info_inverse = lapack.dpotri(left, lower=1, overwrite_c=1)  # LAPACK has left zeros above the diagonal
+    half, info_inverse = lapack().dpotri(left, lower=1, overwrite_c=1)  # LAPACK has left zeros above the diagonal
     if info or info_inverse:
         raise np.linalg.LinAlgError("outside of the barrier's domain")
     Q = half + half.T  # (gamma^2 I - T T')^-1
@@ -161,17 +160,21 @@ def barrier(h: Array, gamma: float) -> Barrier:
     )
 
 
+@cache
+def _fft() -> Any:
+    """The module scipy.fft, untyped."""
+    return import_module("scipy.fft")
+
+
 def _transform(X: Array, size: int) -> NDArray[np.complex128]:
     """Transform of X (n, n) with zeros up to (size, size), right half of its columns left out."""
-    fft: Any = import_module("scipy.fft")
-    return fft.fft(fft.rfft(X, size, axis=1), size, axis=0, overwrite_x=True)
+    return _fft().fft(_fft().rfft(X, size, axis=1), size, axis=0, overwrite_x=True)
 
 
 def _back(spectrum: NDArray[np.complex128], n: int) -> Array:
     """First (n, n) entries of the inverse transform."""
-    fft: Any = import_module("scipy.fft")
     size = len(spectrum)
-    return fft.irfft(fft.ifft(spectrum, axis=0, overwrite_x=True)[:n], size, axis=1)[:, :n]
+    return _fft().irfft(_fft().ifft(spectrum, axis=0, overwrite_x=True)[:n], size, axis=1)[:, :n]
 
 
 def _upside_down(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -181,10 +184,8 @@ def _upside_down(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 def _single_curvature(S11: Array, S12: Array) -> Array:
     """`_curvature` for one channel: S22 is S11, and S12' is S12, turned upside down in both directions."""
-    fft: Any = import_module("scipy.fft")
-
     n = len(S11)
-    size = fft.next_fast_len(2 * n - 1, real=True)
+    size = _fft().next_fast_len(2 * n - 1, real=True)
     turn = np.exp(2j * np.pi * (n - 1) / size * np.arange(size))
     straight = _transform(S11, size)
     crossed = _transform(S12, size)
@@ -198,9 +199,7 @@ def _single_curvature(S11: Array, S12: Array) -> Array:
 
 def _curvature(S11: Array, S12: Array, S22: Array, n: int, r: int, c: int) -> Array:
     r"""``2 tr(S12 E' S12 K') + 2 tr(S11 E S22 K')`` for all unit pulse responses E, K, as (n r c, n r c)."""
-    fft: Any = import_module("scipy.fft")
-
-    size = fft.next_fast_len(2 * n - 1, real=True)
+    size = _fft().next_fast_len(2 * n - 1, real=True)
 
     def part(X: Array, rows: int, cols: int) -> list[list[Array]]:
         view = X.reshape(rows, n, cols, n)

@@ -22,11 +22,12 @@ import numpy as np
 from robustlab.dynamics.extended.effect_blocks import NoiseInput
 from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
 from robustlab.errors import InputError
-from robustlab.identification.response.response import Evidence
-from robustlab.identification.validation import Validation, validate
+from robustlab.identification.validation.model_validation import validate
+from robustlab.identification.validation.result import Validation
 from robustlab.identification.validation.sampled_problem import NoiseNorm
+from robustlab.identification.validation.tuning import TUNING, ValidationTuning
 from robustlab.record import Record
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.algebra import product
 from robustlab.uncertainty.blocks import FullBlock
@@ -34,8 +35,6 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["DataCover", "data_cover"]
 
-# No plant is known better than this at every frequency: the radius of a set never goes below.
-LEAST_RADIUS = 0.02
 # Loads along a record are means over its samples, known to this share of their bounds.
 LOADS_TOLD = 1e-3
 
@@ -114,7 +113,7 @@ def data_cover(
     *,
     held_out: Sequence[Record] = (),
     margin: float = 1.1,
-    least: float = LEAST_RADIUS,
+    least: float = TUNING.least_radius,
     sigmas: float = 2.0,
     noise_norm: NoiseNorm = "peak",
     window: float | None = None,
@@ -123,6 +122,7 @@ def data_cover(
     time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
     effort: float = 1.0,
+    tuning: ValidationTuning = TUNING,
 ) -> DataCover:
     """The set of models around a plant, with or without effects, that explains its records.
 
@@ -141,8 +141,14 @@ def data_cover(
         bound of its own is ``margin`` times the largest along the records.
     sigmas
         Half width of the range of a fitted value in its standard deviations.
-    noise_norm, window, at_rest, precision, time_limit, progress, effort
+    noise_norm, window, at_rest, precision, time_limit, progress, effort, tuning
         As in `validate`; time limit and effort are those of each record. Delta may vary with time: friction does.
+
+    Returns
+    -------
+    DataCover
+        ``.model`` is the set, ``.radius`` the share of the input that its unmodelled dynamics take, ``.passes`` whether
+        it explains the records held out.
 
     Raises
     ------
@@ -178,6 +184,7 @@ def data_cover(
         found[record.name] = validate(
             bare, driven, noise, noise_norm=noise_norm, delta="time-varying", at_rest=at_rest,
             window=window, precision=precision, time_limit=time_limit, progress=progress, effort=effort,
+            tuning=tuning,
         )  # fmt: skip
     mine = [found[r.name] for r in records]
     needed = max(v.upper for v in mine)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array, ComplexArray
-from robustlab.budget import Budget
+from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.line_programme import SpectralSizes, smallest_by_lines
-from robustlab.identification.validation.result import BlockSize, Validation
+from robustlab.identification.validation.result import (
+    BlockSize,
+    Validation,
+    concluded,
+    each_alone,
+    in_own_units,
+    require_replay,
+)
 from robustlab.identification.validation.spectral_problem import (
     FrequencyData,
     SpectralProblem,
@@ -19,14 +26,11 @@ from robustlab.identification.validation.spectral_problem import (
     spectrum_of_record,
     spectrum_of_response,
 )
+from robustlab.identification.validation.tuning import Search
 from robustlab.record import Record
-from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["fits_frequency_domain", "validate_by_lines"]
-
-
-SMALLEST = 1e-6
 
 
 def fits_frequency_domain(
@@ -61,11 +65,10 @@ def validate_by_lines(
     uncertain: UncertainModel,
     data: Record | FrequencyData,
     noise: Mapping[str, ArrayLike],
+    search: Search,
     *,
     period: float | None,
     per_block: bool,
-    precision: float,
-    budget: Budget,
     progress: Callable[[str], None],
     estimated: bool,
 ) -> Validation:
@@ -78,60 +81,53 @@ def validate_by_lines(
     else:
         spectrum = spectrum_of_response(uncertain, data, noise)
     problem = spectrum.problem
-    count = len(uncertain.blocks)
-    found = smallest_by_lines(problem, np.ones(count, dtype=bool), precision, budget)
+    found = smallest_by_lines(problem, search)
     progress(f"{problem.n} lines: gamma {found.lower:.4g} .. {found.upper:.4g}")
     alone: dict[str, tuple[float, float]] = {}
     if per_block and np.isfinite(found.upper):
-        for k, block in enumerate(uncertain.blocks):
-            progress(f"block {block.name} alone")
-            part = smallest_by_lines(problem, np.arange(count) == k, precision, budget)
-            alone[block.name] = part.lower, part.upper
+
+        def bounds(scaled: Mask) -> tuple[float, float]:
+            part = smallest_by_lines(problem, replace(search, scaled=scaled))
+            return part.lower, part.upper
+
+        alone = each_alone(problem.names, bounds, progress)
     said = (
         *spectrum.said,
         *(("the noise bound was estimated from the record's own periods",) if estimated else ()),
         "complex and full blocks are causal stable time-invariant systems",
     )
-    return _result(data, spectrum, found, alone, said, precision, budget)
+    return _result(data.name, spectrum, found, alone, said, search)
 
 
 def _result(
-    data: Record | FrequencyData,
+    name: str,
     spectrum: Spectrum,
     found: SpectralSizes,
     alone: Mapping[str, tuple[float, float]],
     said: tuple[str, ...],
-    precision: float,
-    budget: Budget,
+    search: Search,
 ) -> Validation:
-    problem = spectrum.problem
+    problem, budget = spectrum.problem, search.budget
     explained, error = np.full(spectrum.y.shape, np.nan), 0.0
-    w, z, sizes = found.w, problem.z(found.w), np.zeros((problem.n, len(problem.blocks)))
+    sizes = np.zeros((problem.n, len(problem.blocks)))
     if np.isfinite(found.upper):
         error = _replay_error(problem, found.w)
-        if not error <= 1e-3:
-            raise NoTrustworthyNumber(
-                f"validate {data.name}", f"the explanation is off by {error:.1e} of the noise bound when replayed"
-            )
+        require_replay(error, name)
         explained = _explained(spectrum, found.w)
         sizes = problem.sizes(found.w)
-    w, z = w.copy(), z.copy()
-    for (rows, cols), size in zip(problem.blocks, problem.scale, strict=True):
-        w[:, rows] *= size
-        z[:, cols] *= size
+    w, z = in_own_units(found.w, problem.z(found.w), problem.blocks, problem.scale)
     largest = sizes.max(axis=0, initial=0.0) if np.isfinite(found.upper) else np.full(len(problem.blocks), np.nan)
     exact = "exact" if found.known else "lower bound exact where the Lagrangian is concave"
-    evidence = {"energy": found.multipliers.D, "noise": found.multipliers.noise}
     return Validation(
-        status=_status(found, precision, budget),
+        status=concluded(found.lower, found.upper, search.precision, budget),
         notes=(budget.remark,) if budget.remark else (),
-        record=data.name,
+        record=name,
         lower=found.lower,
         upper=found.upper,
         label=f"time-invariant systems at {problem.n} lines ({exact})",
         blocks={
-            name: BlockSize(name, "time-invariant", float(size), *alone.get(name, (np.nan, np.nan)))
-            for name, size in zip(problem.names, largest, strict=True)
+            block: BlockSize(block, "time-invariant", float(size), *alone.get(block, (np.nan, np.nan)))
+            for block, size in zip(problem.names, largest, strict=True)
         },
         noise_bound=spectrum.bound,
         noise_norm="rms" if problem.total else "peak",
@@ -145,24 +141,12 @@ def _result(
         outputs=tuple((s.name, s.unit) for s in spectrum.outputs),
         w=w,
         z=z,
-        multipliers=evidence,
+        multipliers={"energy": found.multipliers.D, "noise": found.multipliers.noise},
         recheck=found.recheck,
         domain="frequency",
         omega=problem.omega,
         line_sizes=sizes,
     )
-
-
-def _status(found: SpectralSizes, precision: float, budget: Budget) -> Status:
-    if np.isinf(found.lower):
-        return Status.INFEASIBLE
-    if budget.struck:
-        return Status.TIMEOUT
-    if np.isfinite(found.upper) and found.upper - found.lower <= 1.01 * precision * max(found.upper, SMALLEST):
-        return Status.CERTIFIED
-    if found.lower > 1 or found.upper <= 1:
-        return Status.CONVERGED
-    return Status.INCONCLUSIVE
 
 
 def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:

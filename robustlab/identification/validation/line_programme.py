@@ -13,8 +13,6 @@ From below, for any :math:`D_{ik} \ge 0` and :math:`\Lambda \ge 0`
 at every explanation, so :math:`\max_w L < 0` disproves gamma; the maximum is one small Hermitian system at each line.
 With at most three such forms the test loses nothing (S-procedure over complex numbers); with more it is a relaxation.
 
-One cone programme, solved by Clarabel within a budget: iterations are counted, and spent.
-
 References
 ----------
 Smith and Doyle (1992), section IV; Huang and Zhang, "Complex matrix decomposition and quadratic programming",
@@ -25,67 +23,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array, ComplexArray
-from robustlab.budget import Budget
+from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
 from robustlab.identification.validation.spectral_problem import SpectralProblem
+from robustlab.identification.validation.tuning import Search
 
-__all__ = [
-    "LineMultipliers",
-    "SpectralSizes",
-    "largest_disproved_at",
-    "line_lagrangian",
-    "smallest_by_lines",
-    "solved_cones",
-]
+__all__ = ["LineMultipliers", "SpectralSizes", "line_lagrangian", "smallest_by_lines"]
 
 
-# Iterations: as many as the solver takes at most, and those that any programme gets.
-MOST, LEAST = 200, 20
-# Work of setting a programme up and of an iteration, per stored entry of A, as measured.
-BUILDING, ITERATION = 2.0, 0.5
-
-
-def solved_cones(P: Any, cost: Any, A: Any, b: Any, cones: list[Any], budget: Budget) -> Any:
-    """Clarabel's answer to ``min x P x / 2 + cost x`` subject to ``b - A x`` in the cones; sparse P and A.
-
-    The budget limits the iterations; a time limit, where there is one, is the solver's too, which needs a second.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        The solver breaks down.
-    """
-    clarabel: Any = import_module("clarabel")  # its types are not published
-    each = 50 + ITERATION * A.nnz
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-    settings.max_iter = int(min(max(budget.left / each, LEAST), MOST))
-    if budget.seconds_left < 1e6:
-        settings.time_limit = max(budget.seconds_left, 1.0)
-    try:
-        found = clarabel.DefaultSolver(P, cost, A, b, cones, settings).solve()
-    except BaseException as error:
-        if isinstance(error, (KeyboardInterrupt, SystemExit)):
-            raise
-        raise NoTrustworthyNumber("validate", f"the solver broke down ({type(error).__name__})") from None
-    budget.spend(200 + BUILDING * A.nnz + found.iterations * each)
-    if str(found.status) == "MaxTime":
-        budget.strike()
-    return found
-
-
-ROUNDS = 30
+# Rounding in the noise of an explanation, over its bound.
 SLACK = 1e-9
-MARGIN = 1e-9  # the programmes aim this far inside the noise bound
+# A multiplier of this share of the largest keeps the Lagrangian of a line strictly concave.
 FLOOR = 1e-9
-HALVINGS = 60
 
 
 @dataclass(frozen=True)
@@ -125,17 +79,15 @@ class SpectralSizes:
     recheck: Callable[[], float] | None
 
 
-def smallest_by_lines(
-    problem: SpectralProblem, scaled: NDArray[np.bool_], precision: float, budget: Budget
-) -> SpectralSizes:
-    """Bounds over the blocks that ``scaled`` names; the others keep the size 1.
+def smallest_by_lines(problem: SpectralProblem, search: Search) -> SpectralSizes:
+    """Bounds over the blocks that are scaled; the others keep the size 1.
 
     Raises
     ------
     NoTrustworthyNumber
         The solver gives no answer, or an impossibility that its multipliers do not prove.
     """
-    programme = _Programme(problem, scaled, budget)
+    programme = _Programme(problem, search)
     known = not np.abs(problem.M11).max(initial=0.0)
     none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     empty = LineMultipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
@@ -150,59 +102,49 @@ def smallest_by_lines(
         return SpectralSizes(np.inf, np.inf, none, multipliers, least, known, None)
     best, at, lower, multipliers = np.inf, none, 0.0, empty
     for start in (problem.z0, problem.z(free.w)):
-        gamma, w, solved = _descend(problem, programme, scaled, start, known, precision)
+        gamma, w, solved = _descend(programme, start, known)
         if solved is not None:
             trial = programme.multipliers(solved)
             # With several programmes in one the multipliers of a line are those of its own gamma: the worst decides.
-            disproved = largest_disproved_at(problem, trial, scaled, _reach(gamma, solved))
+            top = gamma if np.isfinite(gamma) else float(np.sqrt(solved.g.max(initial=0.0)))
+            disproved = _largest_disproved(problem, trial, search, top)
             lower, multipliers = (disproved, trial) if disproved > lower else (lower, multipliers)
         if gamma < best:
             best, at = gamma, w
-        if known or lower >= best * (1 - precision):
+        if known or lower >= best * (1 - search.precision):
             break
 
     def recheck() -> float:
-        return largest_disproved_at(problem, multipliers, scaled, lower * (1 + 1e-6))
+        return _largest_disproved(problem, multipliers, search, lower * (1 + 1e-6))
 
     return SpectralSizes(lower, best, at, multipliers, min(least, 1.0), known, recheck if lower > 0 else None)
 
 
-def _reach(gamma: float, solved: _Solved) -> float:
-    """From where to look for what is disproved."""
-    return gamma if np.isfinite(gamma) else float(np.sqrt(solved.g.max(initial=0.0)))
-
-
-def _descend(
-    problem: SpectralProblem,
-    programme: _Programme,
-    scaled: NDArray[np.bool_],
-    z: ComplexArray,
-    known: bool,
-    precision: float,
-) -> tuple[float, ComplexArray, _Solved | None]:
+def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float, ComplexArray, _Solved | None]:
     """Best gamma that its own w shows, that w, and the last programme solved."""
+    problem, search = programme.problem, programme.search
     best, at, last, before = np.inf, np.zeros_like(problem.e[:, :0]), None, np.inf
-    for _ in range(1 if known else ROUNDS):
+    for _ in range(1 if known else search.tuning.line_rounds):
         solved = programme.smallest(z)
         if solved is None:
             break
         last = solved
         z = problem.z(solved.w)
-        gamma = shown_size(problem, solved.w, scaled)
+        gamma = _shown_size(problem, solved.w, search)
         if gamma < best:
             best, at = gamma, solved.w
-        if gamma > before * (1 - 0.02 * precision) or programme.budget.over:
+        if gamma > before * (1 - 0.02 * search.precision) or search.budget.over:
             break
         before = gamma
     return best, at, last
 
 
-def shown_size(problem: SpectralProblem, w: ComplexArray, scaled: NDArray[np.bool_]) -> float:
+def _shown_size(problem: SpectralProblem, w: ComplexArray, search: Search) -> float:
     """Largest size of the scaled blocks that w needs; inf where it leaves too much noise or breaks another block."""
     sizes = problem.sizes(w)
-    if problem.excess(problem.noise(w)) > 1 + SLACK or (sizes[:, ~scaled] > 1 + 1e-6).any():
+    if problem.excess(problem.noise(w)) > 1 + SLACK or (sizes[:, ~search.scaled] > 1 + 1e-6).any():
         return np.inf
-    return float(sizes[:, scaled].max(initial=0.0))
+    return float(sizes[:, search.scaled].max(initial=0.0))
 
 
 # --- certificate -----------------------------------------------------------------------------------------------------
@@ -247,18 +189,16 @@ def line_lagrangian(problem: SpectralProblem, multipliers: LineMultipliers, gamm
     return float(each.min(initial=np.inf))
 
 
-def largest_disproved_at(
-    problem: SpectralProblem, multipliers: LineMultipliers, scaled: NDArray[np.bool_], start: float
-) -> float:
+def _largest_disproved(problem: SpectralProblem, multipliers: LineMultipliers, search: Search, start: float) -> float:
     """Largest gamma, at most ``start``, that the multipliers disprove; L grows with gamma, so halving finds it."""
 
     def disproved(gamma: float) -> bool:
-        return line_lagrangian(problem, multipliers, np.where(scaled, gamma, 1.0)) < 0
+        return line_lagrangian(problem, multipliers, search.gammas(gamma)) < 0
 
     if not start > 0 or not np.isfinite(start) or not disproved(0.0):
         return 0.0
     good, high = 0.0, start
-    for _ in range(HALVINGS):
+    for _ in range(search.tuning.halvings):
         middle = 0.5 * (good + high)
         good, high = (middle, high) if disproved(middle) else (good, middle)
         if high - good < 1e-7 * high:
@@ -273,16 +213,14 @@ def largest_disproved_at(
 class _Solved:
     w: ComplexArray
     g: Array
-    dual: Array
-    starts: NDArray[np.int_]
-    order: tuple[tuple[str, int], ...]
+    cones: ConeSolution
 
 
 class _Programme:
     """Cone programmes in the real and imaginary parts of w, and g: one, or one for each line where they are apart."""
 
-    def __init__(self, problem: SpectralProblem, scaled: NDArray[np.bool_], budget: Budget) -> None:
-        self.problem, self.scaled, self.budget = problem, scaled, budget
+    def __init__(self, problem: SpectralProblem, search: Search) -> None:
+        self.problem, self.search = problem, search
         self.q = problem.M21.shape[2]
         self.n_g = 1 if problem.total else problem.n
         self.at_g = 2 * problem.n * self.q
@@ -290,8 +228,6 @@ class _Programme:
 
     def _affine(self, gains: ComplexArray, offset: ComplexArray) -> tuple[Any, Array]:
         """Rows for real and imaginary part of ``offset_k + gains_k w_k`` (n,), one after the other at each line."""
-        from scipy import sparse
-
         n, q = gains.shape
         cols = (2 * q * np.arange(n)[:, None] + np.arange(q)).repeat(2, axis=0).reshape(n, 2, q)
         rows = np.arange(2 * n).reshape(n, 2, 1).repeat(q, axis=2)
@@ -299,51 +235,38 @@ class _Programme:
         im = np.stack([-gains.imag, gains.real], axis=1)
         values = np.concatenate([re.ravel(), im.ravel()])
         at = np.concatenate([rows.ravel(), rows.ravel()]), np.concatenate([cols.ravel(), (cols + q).ravel()])
-        matrix = sparse.csr_matrix((values, at), (2 * n, self.size))
+        matrix = sparse_matrices().csr_matrix((values, at), (2 * n, self.size))
         return matrix, np.stack([offset.real, offset.imag], axis=1).ravel()
 
-    def _g(self, lines: NDArray[np.int_], values: Array) -> Any:
+    def _g(self, lines: Indices, values: Array) -> Any:
         """Rows that hold ``values`` times the g of each line."""
-        from scipy import sparse
-
         which = self.at_g + (np.zeros_like(lines) if self.n_g == 1 else lines)
-        return sparse.csr_matrix((values, (np.arange(len(lines)), which)), (len(lines), self.size))
+        return sparse_matrices().csr_matrix((values, (np.arange(len(lines)), which)), (len(lines), self.size))
 
-    def _noise(self, free: bool) -> tuple[list[Any], list[Array], list[Any], list[tuple[str, int]]]:
+    def _noise(self, free: bool) -> list[Rows]:
         """Noise within its bound, or within g times its bound."""
-        from scipy import sparse
-
-        clarabel: Any = import_module("clarabel")  # its types are not published
-        p, parts = self.problem, ([], [], [], [])
-        every = np.arange(p.n)
+        sparse, p, found = sparse_matrices(), self.problem, []
+        every, inside = np.arange(p.n), 0.0 if free else 1 - self.search.tuning.line_margin
         for j in range(p.e.shape[1]):
             rows, offset = self._affine(-p.M21[:, j], p.e[:, j])
             if p.total:
-                root = np.sqrt(p.weight).repeat(2)
-                radius = p.radius[j]
+                root, radius = np.sqrt(p.weight).repeat(2), p.radius[j]
                 head = (
                     self._g(np.zeros(1, dtype=int), np.array([radius])) if free else sparse.csr_matrix((1, self.size))
                 )
-                parts[0].append(-sparse.vstack([head, sparse.diags(root) @ rows]))
-                parts[1].append(np.concatenate([[0.0 if free else radius * (1 - MARGIN)], root * offset]))
-                parts[2].append(clarabel.SecondOrderConeT(1 + 2 * p.n))
+                matrix, height = -sparse.vstack([head, sparse.diags(root) @ rows]), 1 + 2 * p.n
+                offset = np.concatenate([[radius * inside], root * offset])
             else:
                 head = self._g(every, np.ones(p.n)) if free else sparse.csr_matrix((p.n, self.size))
-                both = sparse.vstack([head, rows]).tocsr()
-                ahead = np.full(p.n, 0.0 if free else 1 - MARGIN)
                 turn = np.column_stack([every, p.n + 2 * every, p.n + 2 * every + 1]).ravel()
-                parts[0].append(-both[turn])
-                parts[1].append(np.concatenate([ahead, offset])[turn])
-                parts[2].extend([clarabel.SecondOrderConeT(3)] * p.n)
-            parts[3].append(("noise", j))
-        return parts
+                matrix, height = -sparse.vstack([head, rows]).tocsr()[turn], 3
+                offset = np.concatenate([np.full(p.n, inside), offset])[turn]
+            found.append(Rows(matrix, offset, "second-order", height, ("noise", j)))
+        return found
 
-    def _blocks(self, z: ComplexArray) -> tuple[list[Any], list[Array], list[Any], list[tuple[str, int]]]:
+    def _blocks(self, z: ComplexArray) -> list[Rows]:
         """``(g + eps, g - eps, 2 w)`` in the cone, with the tangents eps at z."""
-        from scipy import sparse
-
-        clarabel: Any = import_module("clarabel")
-        p, parts = self.problem, ([], [], [], [])
+        sparse, p, found = sparse_matrices(), self.problem, []
         every = np.arange(p.n)
         for i, (rows, cols) in enumerate(p.blocks):
             here = z[:, cols]
@@ -351,7 +274,9 @@ class _Programme:
             tangent, offset = self._affine(2 * slope, 2 * (here.conj() * p.z0[:, cols]).sum(axis=1))
             tangent, offset = tangent[::2], offset[::2] - (np.abs(here) ** 2).sum(axis=1)
             ones, unit = (
-                (self._g(every, np.ones(p.n)), 0.0) if self.scaled[i] else (sparse.csr_matrix(tangent.shape), 1.0)
+                (self._g(every, np.ones(p.n)), 0.0)
+                if self.search.scaled[i]
+                else (sparse.csr_matrix(tangent.shape), 1.0)
             )
             inner = []
             for row in range(rows.start, rows.stop):
@@ -364,71 +289,52 @@ class _Programme:
             turn = np.column_stack(
                 [*heads, *((2 + 2 * k) * p.n + 2 * every + part for k in range(len(inner)) for part in (0, 1))]
             ).ravel()
-            parts[0].append(-stacked[turn])
-            parts[1].append(np.concatenate([unit + offset, unit - offset, np.zeros(p.n * wide)])[turn])
-            parts[2].extend([clarabel.SecondOrderConeT(2 + wide)] * p.n)
-            parts[3].append(("block", i))
-        return parts
+            offset = np.concatenate([unit + offset, unit - offset, np.zeros(p.n * wide)])[turn]
+            found.append(Rows(-stacked[turn], offset, "second-order", 2 + wide, ("block", i)))
+        return found
 
-    def _still(self) -> tuple[list[Any], list[Array], list[Any], list[tuple[str, int]]]:
+    def _still(self) -> list[Rows]:
         """W is real where every spectrum is."""
-        from scipy import sparse
-
-        clarabel: Any = import_module("clarabel")
         lines = np.flatnonzero(self.problem.real)
         cols = (2 * self.q * lines[:, None] + self.q + np.arange(self.q)).ravel()
         if not len(cols):
-            return [], [], [], []
-        rows = sparse.csr_matrix((np.ones(len(cols)), (np.arange(len(cols)), cols)), (len(cols), self.size))
-        return [rows], [np.zeros(len(cols))], [clarabel.ZeroConeT(len(cols))], [("real", 0)]
+            return []
+        ones = np.ones(len(cols)), (np.arange(len(cols)), cols)
+        return [Rows(sparse_matrices().csr_matrix(ones, (len(cols), self.size)), np.zeros(len(cols)), "zero")]
 
     def smallest(self, z: ComplexArray) -> _Solved | None:
         """Smallest g with the tangents at z; None where there is none."""
-        return self._solve([self._still(), self._noise(False), self._blocks(z)])
+        return self._solved([*self._still(), *self._noise(False), *self._blocks(z)])
 
     def least_noise(self) -> _Solved:
         """Smallest factor on the noise bound with any w."""
-        found = self._solve([self._still(), self._noise(True)])
+        found = self._solved([*self._still(), *self._noise(True)])
         if found is None:
             raise NoTrustworthyNumber("validate", "the solver gave no answer for the least noise")
         return found
 
-    def _solve(self, parts: list[tuple[list[Any], list[Array], list[Any], list[tuple[str, int]]]]) -> _Solved | None:
-        from scipy import sparse
-
-        matrices = [m for part in parts for m in part[0]]
-        A = sparse.vstack(matrices).tocsc()
-        b = np.concatenate([offset for part in parts for offset in part[1]])
+    def _solved(self, rows: list[Rows]) -> _Solved | None:
         cost = np.zeros(self.size)
         cost[self.at_g :] = 1.0
-        square = sparse.csc_matrix((self.size, self.size))
-        found = solved_cones(square, cost, A, b, [c for part in parts for c in part[2]], self.budget)
-        status = str(found.status)
-        if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
+        found = solved_cones(cost, rows, self.search.budget, self.search.tuning)
+        if found is None:
             return None
-        x, dual = np.array(found.x), np.array(found.z)
-        if not (np.isfinite(x).all() and np.isfinite(dual).all()):
-            raise NoTrustworthyNumber("validate", f"the solver gave no answer ({status})")
-        # Whatever the status says, the answer counts only as far as its replay and its multipliers go.
-        p = self.problem
-        w = x[: self.at_g].reshape(p.n, 2, self.q)
-        starts = np.cumsum([0, *(m.shape[0] for m in matrices)])
-        order = tuple(label for part in parts for label in part[3])
-        g = np.broadcast_to(x[self.at_g :], (p.n,)).copy()
-        return _Solved(w[:, 0] + 1j * w[:, 1], np.maximum(g, 0.0), dual, starts, order)
+        n = self.problem.n
+        w = found.x[: self.at_g].reshape(n, 2, self.q)
+        g = np.broadcast_to(found.x[self.at_g :], (n,)).copy()
+        return _Solved(w[:, 0] + 1j * w[:, 1], np.maximum(g, 0.0), found)
 
     def multipliers(self, solved: _Solved) -> LineMultipliers:
         """Multipliers of the quadratic certificate from those of the cone programme."""
         p = self.problem
         noise, D = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks)))
         g = np.maximum(solved.g, 1e-6 * float(solved.g.max(initial=0.0)) + 1e-12)
-        for (kind, k), first, last in zip(solved.order, solved.starts[:-1], solved.starts[1:], strict=True):
-            part = solved.dual[first:last]
+        for (kind, k), part in solved.cones.dual:
             if kind == "noise":  # at |n| = r the slope of r^2 - |n|^2 is 2 r times that of r - |n|
                 noise[:, k] = p.weight * part[0] / (2 * p.radius[k]) if p.total else 0.5 * part.reshape(p.n, 3)[:, 0]
-            elif kind == "block":
+            else:
                 cone = part.reshape(p.n, -1)
-                D[:, k] = (cone[:, 0] - cone[:, 1]) / (g if self.scaled[k] else 1.0)
+                D[:, k] = (cone[:, 0] - cone[:, 1]) / (g if self.search.scaled[k] else 1.0)
         noise, D = np.maximum(noise, 0.0), np.maximum(D, 0.0)
         if p.total:
             D += FLOOR * max(float(D.max(initial=0.0)), float(noise.max(initial=0.0)))

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
-from robustlab.identification.response.response import Evidence
-from robustlab.result import Status
+from robustlab.arrays import AnyArray, Array, Mask
+from robustlab.budget import Budget
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.result import Evidence, Status
 
-__all__ = ["BlockSize", "Validation"]
+__all__ = ["BlockSize", "Validation", "concluded", "each_alone", "in_own_units", "require_replay"]
+
+# Sizes below this count as zero.
+SMALLEST = 1e-6
+# Largest difference between an explanation and its replay, over the noise bound.
+REPLAYED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -111,8 +116,8 @@ class Validation(Evidence):
     nominal: Array
     explained: Array
     outputs: tuple[tuple[str, str], ...]
-    w: Array | NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0)))
-    z: Array | NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0)))
+    w: AnyArray = field(default_factory=lambda: np.zeros((0, 0)))
+    z: AnyArray = field(default_factory=lambda: np.zeros((0, 0)))
     multipliers: Mapping[str, Array] = field(default_factory=dict)
     recheck: Callable[[], float] | None = None
     domain: Literal["time", "frequency"] = "time"
@@ -174,3 +179,54 @@ class Validation(Evidence):
                 for name, b in self.blocks.items()
             }
         return {**data, "verdict": self.verdict, "invalidated": self.invalidated}
+
+
+# --- what both domains end with --------------------------------------------------------------------------------------
+
+
+def concluded(lower: float, upper: float, precision: float, budget: Budget, *, certified: bool = True) -> Status:
+    """What two bounds amount to; ``certified`` where both were re-derived from their evidence."""
+    if np.isinf(lower):
+        return Status.INFEASIBLE
+    if budget.struck:
+        return Status.TIMEOUT
+    if np.isfinite(upper) and upper - lower <= 1.01 * precision * max(upper, SMALLEST):
+        return Status.CERTIFIED if certified else Status.CONVERGED
+    if lower > 1 or upper <= 1:
+        return Status.CONVERGED
+    return Status.INCONCLUSIVE
+
+
+def each_alone(
+    names: Sequence[str], bounds: Callable[[Mask], tuple[float, float]], progress: Callable[[str], None]
+) -> dict[str, tuple[float, float]]:
+    """Bounds over each block alone, the others kept within 1; ``bounds`` takes the blocks that are scaled."""
+    found = {}
+    for k, name in enumerate(names):
+        progress(f"block {name} alone")
+        found[name] = bounds(np.arange(len(names)) == k)
+    return found
+
+
+def in_own_units(
+    w: AnyArray, z: AnyArray, blocks: Sequence[tuple[slice, slice, bool] | tuple[slice, slice]], scale: Array
+) -> tuple[AnyArray, AnyArray]:
+    """W and z of every block times what they were divided by."""
+    w, z = w.copy(), z.copy()
+    for block, size in zip(blocks, scale, strict=True):
+        w[:, block[0]] *= size
+        z[:, block[1]] *= size
+    return w, z
+
+
+def require_replay(error: float, record: str) -> None:
+    """Refuse an explanation whose replay differs from it by ``error`` of the noise bound.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        It differs by more than a thousandth.
+    """
+    if not error <= REPLAYED:
+        found = f"the explanation is off by {error:.1e} of the noise bound when replayed"
+        raise NoTrustworthyNumber(f"validate {record}", found)

@@ -22,7 +22,8 @@ Smith and Doyle, "Model validation: a connection between robust control and iden
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,9 +33,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.comparison.noise_floor import noise_floor
-from robustlab.identification.response.response import Evidence
 from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
 from robustlab.record import Record
+from robustlab.result import Evidence
 from robustlab.statespace import Signal
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
@@ -169,6 +170,32 @@ class SpectralProblem:
                 found[:, i] = np.where(top > 0, top / under, 0.0)
         return found
 
+    def scaled(self) -> SpectralProblem:
+        """W and z of each block in units of its nominal z, and every block taken out where nothing can reach it."""
+        M11, M21, z0 = self.M11.copy(), self.M21.copy(), self.z0.copy()
+        scales = []
+        for rows, cols in self.blocks:
+            size = float(np.sqrt((np.abs(z0[:, cols]) ** 2).mean())) or 1.0
+            M21[:, :, rows] *= size
+            M11[:, :, rows] *= size
+            M11[:, cols] /= size
+            z0[:, cols] /= size
+            scales.append(size)
+        loop = float(np.abs(M11).max(initial=0.0))
+        silent = []
+        for _, cols in self.blocks:
+            size = np.linalg.norm(z0[:, cols], axis=1)
+            silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
+            z0[np.ix_(silent[-1], range(cols.start, cols.stop))] = 0.0
+        # With nothing to start it a well-posed loop is at rest: (I - M11 Delta) z = 0.
+        undriven = np.all(silent, axis=0)
+        for (rows, cols), quiet in zip(self.blocks, silent, strict=True):
+            alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
+            still = quiet if alone else undriven
+            M21[np.ix_(still, range(M21.shape[1]), range(rows.start, rows.stop))] = 0.0
+            M11[np.ix_(still, range(M11.shape[1]), range(rows.start, rows.stop))] = 0.0
+        return replace(self, M11=M11, M21=M21, z0=z0, scale=np.array(scales))
+
 
 @dataclass(frozen=True)
 class Spectrum:
@@ -248,10 +275,10 @@ def spectrum_of_record(
     forced = np.einsum("kij,kj->ki", response[:, :, q:], U)
     e = (Y - forced[:, p:]) / recorded.bound
     left, weight = np.sqrt(1 - changing), np.where(edge, 1.0, 2.0)[kept]
-    problem = _problem(
-        uncertain, 2 * np.pi * f, response[:, :, :q], forced[:, :p], e, recorded.bound[None], left, True, weight,
-        edge[kept],
-    )  # fmt: skip
+    problem = SpectralProblem(
+        2 * np.pi * f, response[:, :p, :q], response[:, p:, :q] / recorded.bound[None, :, None], forced[:, :p], e,
+        weight=weight, real=edge[kept], total=True, radius=left, **_layout(uncertain),
+    ).scaled()  # fmt: skip
     whole = np.zeros((n // 2 + 1, len(recorded.outputs)), dtype=complex)
     whole[kept] = forced[:, p:] * n
     nominal = np.fft.irfft(whole, n, axis=0)
@@ -301,8 +328,10 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
     response = frequency_response(M, data.omega)
     forced = response[:, :, q + names.index(data.input)]
     e = (data.response - forced[:, p:]) / bound
-    problem = _problem(uncertain, data.omega, response[:, :, :q], forced[:, :p], e, bound, np.ones(len(data.outputs)),
-                       False, np.ones(n), data.omega == 0)  # fmt: skip
+    problem = SpectralProblem(
+        data.omega, response[:, :p, :q], response[:, p:, :q] / bound[:, :, None], forced[:, :p], e,
+        weight=np.ones(n), real=data.omega == 0, total=False, radius=np.ones(len(data.outputs)), **_layout(uncertain),
+    ).scaled()  # fmt: skip
     said = ("at each frequency the noise of an output is within its bound",)
     largest = {name: float(bound[:, j].max()) for j, name in enumerate(data.outputs)}
     sizes = np.abs(data.response), np.abs(forced[:, p:])
@@ -314,46 +343,10 @@ def _channels(uncertain: UncertainModel) -> tuple[int, int]:
     return p, q
 
 
-def _problem(
-    uncertain: UncertainModel,
-    omega: Array,
-    from_w: ComplexArray,
-    z0: ComplexArray,
-    e: ComplexArray,
-    bound: Array,
-    radius: Array,
-    total: bool,
-    weight: Array,
-    real: NDArray[np.bool_],
-) -> SpectralProblem:
-    """Scaled, and with every block taken out at lines where nothing can reach it."""
-    p = _channels(uncertain)[0]
-    M11, M21 = from_w[:, :p].copy(), from_w[:, p:] / bound[:, :, None]
-    z0 = z0.copy()
-    scales = []
-    for rows, cols in block_slices(uncertain.blocks):
-        size = float(np.sqrt((np.abs(z0[:, cols]) ** 2).mean())) or 1.0
-        M21[:, :, rows] *= size
-        M11[:, :, rows] *= size
-        M11[:, cols] /= size
-        z0[:, cols] /= size
-        scales.append(size)
-    loop = float(np.abs(M11).max(initial=0.0))
-    silent = []
-    for _, cols in block_slices(uncertain.blocks):
-        size = np.linalg.norm(z0[:, cols], axis=1)
-        silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
-        z0[np.ix_(silent[-1], range(cols.start, cols.stop))] = 0.0
-    # With nothing to start it a well-posed loop is at rest: (I - M11 Delta) z = 0.
-    undriven = np.all(silent, axis=0)
-    for (rows, cols), quiet in zip(block_slices(uncertain.blocks), silent, strict=True):
-        alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
-        still = quiet if alone else undriven
-        M21[np.ix_(still, range(e.shape[1]), range(rows.start, rows.stop))] = 0.0
-        M11[np.ix_(still, range(p), range(rows.start, rows.stop))] = 0.0
+def _layout(uncertain: UncertainModel) -> dict[str, Any]:
+    """The blocks' part of a problem that is not scaled yet."""
     names = tuple(b.name for b in uncertain.blocks)
-    layout = tuple(block_slices(uncertain.blocks))
-    return SpectralProblem(omega, M11, M21, z0, e, weight, real, total, radius, layout, names, np.array(scales))
+    return {"blocks": tuple(block_slices(uncertain.blocks)), "names": names, "scale": np.ones(len(names))}
 
 
 def _integrates(A: Array, dt: float) -> bool:

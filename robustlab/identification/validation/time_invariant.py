@@ -23,14 +23,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
-from robustlab.budget import Budget
+from robustlab.arrays import Array, Mask
 from robustlab.identification.validation.contraction_kernel import (
     Barrier,
     barrier,
@@ -40,29 +36,16 @@ from robustlab.identification.validation.contraction_kernel import (
     trace_norm_bound,
 )
 from robustlab.identification.validation.sampled_problem import SampledProblem
+from robustlab.identification.validation.tuning import Search
+from robustlab.lapack import lapack
 
 __all__ = ["PulseResponses", "smallest_pulse_responses"]
 
 
-STEPS = 200
-# A step keeps at least this share of the way to the boundary before it.
-KEPT = 0.85
-ROUNDS = 8
-# The path's parameter grows by the larger factor; by the smaller one after a centring that took more steps than usual,
-# as it does where many singular values come to the bound together (an all-pass). One that takes far too many starts
-# again from the last centred point, with the root of the factor from there on.
-FASTER, SLOWER, SLOWEST, USUAL, LONG = 10.0, 3.0, 1.5, 7, 20
-# A point counts as centred where the squared Newton decrement is below this: Newton steps converge from there. Far from
-# the end of the path one that falls this fast, and is below this share of the barrier's parameter, is as good.
-CENTRED, FALLS, ROUGHLY = 1.0, 0.1, 0.01
-# What the linearised problem leaves of the noise bound to the error of the linearisation.
-RESERVE = 1e-4
+# Rounding in the noise of an explanation, over its bound.
 SLACK = 1e-9
-# Sizes below this count as zero.
+# Sizes below and above these count as zero and as infinite.
 SMALLEST, HUGE = 1e-6, 1e100
-# A start by least squares that is larger than the guess by this factor is worse than none.
-FAR = 1e6
-PENALTIES = (3.0, 1e2, 1e4)
 
 
 @dataclass(frozen=True)
@@ -193,14 +176,9 @@ def _convolved(a: Array, b: Array) -> Array:
 
 
 def smallest_pulse_responses(
-    problem: SampledProblem,
-    scaled: NDArray[np.bool_],
-    precision: float,
-    budget: Budget,
-    guess: float,
-    z_guess: Array | None = None,
+    problem: SampledProblem, search: Search, guess: float, z_guess: Array | None = None
 ) -> PulseResponses | None:
-    """Bounds over the blocks that ``scaled`` names, the others at most 1; None where nothing was found.
+    """Bounds over the blocks that are scaled, the others at most 1; None where nothing was found.
 
     Parameters
     ----------
@@ -209,35 +187,36 @@ def smallest_pulse_responses(
     z_guess
         z of another explanation, where z is not known.
     """
-    maps = _Maps(problem)
+    maps, scaled = _Maps(problem), search.scaled
+    rest = np.zeros(sum(maps.counts) + maps.n_free)
     if problem.z_is_known():
-        path = _Path(maps, maps.jacobian(None, problem.z0), problem.e[problem.used], scaled, 1.0)
-        theta = path.follow(np.zeros(sum(maps.counts) + maps.n_free), guess, precision, budget)
+        path = _Path(maps, maps.jacobian(None, problem.z0), problem.e[problem.used], search, 1.0)
+        theta = path.follow(rest, guess)
         if theta is None:
             return None
         return replace(_answer(maps, theta, scaled, path.lower, path.dual), recheck=path.recheck)
     # First as if the z of the other explanation were given; then Gauss-Newton.
     z = problem.z0 if z_guess is None else z_guess
-    path = _Path(maps, maps.jacobian(None, z), problem.e[problem.used], scaled, 1 - RESERVE)
-    theta = path.follow(np.zeros(sum(maps.counts) + maps.n_free), guess, 0.1, budget, dual=False)
+    inside = 1 - search.tuning.reserve
+    first = _Path(maps, maps.jacobian(None, z), problem.e[problem.used], replace(search, precision=0.1), inside)
+    theta = first.follow(rest, guess, dual=False)
     best: PulseResponses | None = None
-    for _ in range(ROUNDS):
-        if theta is None or budget.over:
+    for _ in range(search.tuning.gauss_newton_rounds):
+        if theta is None or search.budget.over:
             break
         answer = _answer(maps, theta, scaled, 0.0, np.zeros(problem.e.shape))
         if problem.excess(answer.noise) <= 1 + SLACK and (best is None or answer.upper < best.upper):
-            done = best is not None and answer.upper > best.upper * (1 - 0.2 * precision)
+            done = best is not None and answer.upper > best.upper * (1 - 0.2 * search.precision)
             best = answer
             if done:
                 break
         J = maps.jacobian(theta, answer.z)
-        path = _Path(maps, J, answer.noise[problem.used] + J @ theta, scaled, 1 - RESERVE)
-        size = float(answer.sizes[scaled].max(initial=0.0))
-        theta = path.follow(theta, size, precision, budget, dual=False)
+        path = _Path(maps, J, answer.noise[problem.used] + J @ theta, search, inside)
+        theta = path.follow(theta, float(answer.sizes[scaled].max(initial=0.0)), dual=False)
     return best
 
 
-def _answer(maps: _Maps, theta: Array, scaled: NDArray[np.bool_], lower: float, dual: Array) -> PulseResponses:
+def _answer(maps: _Maps, theta: Array, scaled: Mask, lower: float, dual: Array) -> PulseResponses:
     h, free = maps.split(theta)
     w, z, noise = maps.replay(theta)
     sizes = np.array([gain(part) for part in h])
@@ -249,9 +228,9 @@ def _answer(maps: _Maps, theta: Array, scaled: NDArray[np.bool_], lower: float, 
 class _Path:
     """Central path of the convex problem ``n = e - J theta``."""
 
-    def __init__(self, maps: _Maps, J: Array, e: Array, scaled: NDArray[np.bool_], share: float) -> None:
+    def __init__(self, maps: _Maps, J: Array, e: Array, search: Search, share: float) -> None:
         p = maps.problem
-        self.maps, self.J, self.e, self.scaled = maps, J, e, scaled
+        self.maps, self.J, self.e, self.search, self.scaled = maps, J, e, search, search.scaled
         output = np.broadcast_to(np.arange(p.e.shape[1]), p.e.shape)[p.used]
         # Peak bounds: each sample for itself; rms: the samples of an output together.
         self.groups = None if p.norm == "peak" else [output == j for j in range(p.e.shape[1])]
@@ -268,13 +247,14 @@ class _Path:
         self.last = np.zeros(0), 1.0, np.zeros(0)
         self.recheck: Callable[[], float] | None = None
 
-    def follow(self, theta: Array, guess: float, precision: float, budget: Budget, dual: bool = True) -> Array | None:
+    def follow(self, theta: Array, guess: float, dual: bool = True) -> Array | None:
         """A point near the optimum; None where no point within the noise bound was reached."""
+        tuning, precision, budget = self.search.tuning, self.search.precision, self.search.budget
         if not theta.any():
             theta = self._regularised()
         h, _ = self.maps.split(theta)
         sizes = np.array([gain(part) for part in h])
-        if (sizes[~self.scaled] >= 1).any() or sizes[self.scaled].max(initial=0.0) > FAR * guess:
+        if (sizes[~self.scaled] >= 1).any() or sizes[self.scaled].max(initial=0.0) > tuning.far * guess:
             theta = np.concatenate([np.zeros(sum(self.maps.counts)), theta[sum(self.maps.counts) :]])
             sizes = np.full(len(h), max(guess, SMALLEST) if self.scaled.all() else 1.0)
         gamma = max(1.3 * float(sizes[self.scaled].max(initial=0.0)), 1.5 * guess, 1e-12)
@@ -282,12 +262,12 @@ class _Path:
         sigma = 1.1 * self._excess(self.e - self.J @ theta)
         inside = sigma < 1.1 * 0.995
         sigma = 1.0 if inside else sigma
-        t, penalty, steps, before, fastest = 8.0 * self.count, 0, 0, np.inf, FASTER
+        t, penalty, steps, before, fastest = 8.0 * self.count, 0, 0, np.inf, tuning.faster
         centred = theta, gamma, t
-        for _ in range(STEPS):
+        for _ in range(tuning.path_steps):
             if budget.over and not inside:
                 return None
-            weight = None if inside else max(t, self.count / sigma) * PENALTIES[penalty]
+            weight = None if inside else max(t, self.count / sigma) * tuning.penalties[penalty]
             theta, gamma, sigma, decrement = self._newton(theta, gamma, sigma, t / unit, weight)
             budget.spend(self.work)
             steps += 1
@@ -296,16 +276,22 @@ class _Path:
                 continue
             left = self.count / t * unit
             wanted = precision * max(gamma, SMALLEST)
-            falls, before = decrement < FALLS * before, decrement
-            rough = inside and falls and steps <= USUAL and decrement < ROUGHLY * self.count and left > 8 * wanted
-            if decrement > CENTRED and not rough:
-                if inside and steps > LONG and t > SLOWEST * centred[2]:
-                    fastest, steps, before = max(np.sqrt(t / centred[2]), SLOWEST), 0, np.inf
+            falls, before = decrement < tuning.falls * before, decrement
+            rough = (
+                inside
+                and falls
+                and steps <= tuning.usual_steps
+                and decrement < tuning.roughly * self.count
+                and left > 8 * wanted
+            )
+            if decrement > tuning.centred and not rough:
+                if inside and steps > tuning.long_steps and t > tuning.slowest * centred[2]:
+                    fastest, steps, before = max(np.sqrt(t / centred[2]), tuning.slowest), 0, np.inf
                     theta, gamma, t = centred[0], centred[1], fastest * centred[2]
                 continue
             if not inside:
                 penalty += 1
-                if penalty == len(PENALTIES):
+                if penalty == len(tuning.penalties):
                     return None
                 continue
             late = budget.over
@@ -316,7 +302,7 @@ class _Path:
             elif left < 0.3 * wanted or late:
                 return theta
             aim = left / (0.4 * wanted if dual else 0.25 * wanted)
-            faster = fastest if steps <= USUAL else min(fastest, SLOWER)
+            faster = fastest if steps <= tuning.usual_steps else min(fastest, tuning.slower)
             centred = theta, gamma, t
             t, steps = t * (min(faster, aim) if aim > 1 else faster), 0
             before = np.inf
@@ -414,7 +400,7 @@ class _Path:
             new = along(length)
             if new[2] > 0 and self._value(*new, t, penalty) <= value - 1e-2 * length * decrement:
                 # Not up against the boundary: from there the way back takes a step for each factor of two.
-                ahead = along(length / KEPT)
+                ahead = along(length / self.search.tuning.kept)
                 if decrement < 0.3 or (ahead[2] > 0 and np.isfinite(self._value(*ahead, t, penalty))):
                     return *new, decrement
             length *= 0.7
@@ -492,16 +478,15 @@ class _Path:
 
 def _newton_move(curve: Array, slope: Array) -> Array | None:
     """``-curve^-1 slope``, lifted as far as it takes for the curvature to be positive; None where that is too far."""
-    lapack: Any = import_module("scipy.linalg.lapack")  # its functions carry no types
     weight = 1.0 / np.sqrt(np.maximum(np.diag(curve), 1e-300))
     lift = 1e-13
     while lift < 1e-2:
         scaled = curve * weight
         scaled *= weight[:, None]
         scaled.flat[:: len(slope) + 1] += lift
-        factor, info = lapack.dpotrf(scaled.T, lower=1, overwrite_a=1)
+        factor, info = lapack().dpotrf(scaled.T, lower=1, overwrite_a=1)
         if not info:
-            solved, _ = lapack.dpotrs(factor, weight * slope, lower=1)
+            solved, _ = lapack().dpotrs(factor, weight * slope, lower=1)
             return -weight * solved
         lift *= 100
     return None
@@ -513,9 +498,9 @@ def dual_bound(
     e: Array,
     multipliers: Array,
     pulls: Sequence[Array],
-    scaled: NDArray[np.bool_],
+    scaled: Mask,
     radius: Array,
-    groups: Sequence[NDArray[np.bool_]] | None,
+    groups: Sequence[Mask] | None,
 ) -> float:
     """Lower bound of gamma that any multipliers of the noise prove, once they are orthogonal to the free states."""
     if groups is None:

@@ -19,7 +19,7 @@ def discover(step: DiscoverStep, work: Workspace) -> Outcome:
     """The effects that the records show beyond the model, with their evidence; gives the updated plant."""
     import robustlab as rl
     from robustlab.dynamics.effects.catalogue import effect
-    from robustlab.identification.naming.discovery_text import headline
+    from robustlab.identification.naming.discovery_result import headline
     from robustlab.report.discovery_figures import caption, discovery_figures, facts
 
     found = rl.discover(

@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.identification.comparison.localisation import REST, Motion
 from robustlab.identification.comparison.noise_floor import Excess, NoiseFloor
-from robustlab.identification.response.response import Evidence, Response, Stretch
+from robustlab.identification.response.response import Response, Stretch
 from robustlab.identification.response.windowed_simulation import fit_state, weighted_least_squares, window_edges
 from robustlab.record import UNIFORM_TOLERANCE, Record
+from robustlab.result import Evidence
 
 __all__ = [
     "InputDisturbance",

@@ -1,0 +1,98 @@
+"""Cone programmes: rows, the cones they lie in, and Clarabel's answer within a budget. The one door to the solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.budget import Budget
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.validation.tuning import ValidationTuning
+
+__all__ = ["ConeSolution", "Rows", "solved_cones", "sparse_matrices"]
+
+INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
+
+
+@cache
+def sparse_matrices() -> Any:
+    """The module scipy.sparse, untyped: its types take a minute to infer."""
+    return import_module("scipy.sparse")
+
+
+class Rows(NamedTuple):
+    """Rows ``offset - matrix x`` that lie in cones of one kind, and what they stand for.
+
+    The cones: zero; not negative; or ``|(s_2 .. s_height)| <= s_1``, one after the other.
+    """
+
+    matrix: Any
+    offset: Array
+    cone: Literal["zero", "positive", "second-order"]
+    height: int = 0
+    label: tuple[str, int] | None = None
+
+
+@dataclass(frozen=True)
+class ConeSolution:
+    """The point x, and the multipliers of each part of the rows that has a label, with its label."""
+
+    x: Array
+    dual: tuple[tuple[tuple[str, int], Array], ...]
+
+
+def solved_cones(
+    cost: Array, rows: Sequence[Rows], budget: Budget, tuning: ValidationTuning, squares: Array | None = None
+) -> ConeSolution | None:
+    """Least ``cost x + squares x^2 / 2`` over all x whose rows lie in their cones; None where there is no such x.
+
+    The budget limits the iterations; a time limit, where there is one, is the solver's too, which needs a second.
+    Whatever the solver says of its accuracy, an answer counts only as far as its replay and its certificate go.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The solver breaks down, or gives no numbers.
+    """
+    clarabel: Any = import_module("clarabel")  # its types are not published
+    sparse = sparse_matrices()
+    A = sparse.vstack([part.matrix for part in rows]).tocsc()
+    b = np.concatenate([part.offset for part in rows])
+    cones: list[Any] = []
+    for part in rows:
+        count = part.matrix.shape[0]
+        if part.cone == "second-order":
+            cones += [clarabel.SecondOrderConeT(part.height)] * (count // part.height)
+        else:
+            cones.append((clarabel.ZeroConeT if part.cone == "zero" else clarabel.NonnegativeConeT)(count))
+    P = sparse.csc_matrix((len(cost), len(cost))) if squares is None else sparse.diags(squares).tocsc()
+    each = 50 + tuning.iteration_work * A.nnz
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    settings.max_iter = int(min(max(budget.left / each, tuning.fewest_iterations), tuning.most_iterations))
+    if budget.seconds_left < 1e6:
+        settings.time_limit = max(budget.seconds_left, 1.0)
+    try:
+        found = clarabel.DefaultSolver(P, cost, A, b, cones, settings).solve()
+    except BaseException as error:  # a panic of its native code is no Exception
+        if isinstance(error, (KeyboardInterrupt, SystemExit)):
+            raise
+        raise NoTrustworthyNumber("validate", f"the solver broke down ({type(error).__name__})") from None
+    budget.spend(200 + tuning.building_work * A.nnz + found.iterations * each)
+    status = str(found.status)
+    if status == "MaxTime":
+        budget.strike()
+    if status in INFEASIBLE:
+        return None
+    x, dual = np.array(found.x), np.array(found.z)
+    if not (np.isfinite(x).all() and np.isfinite(dual).all()):
+        raise NoTrustworthyNumber("validate", f"the solver gave no answer ({status})")
+    ends = np.cumsum([part.matrix.shape[0] for part in rows])
+    parts = np.split(dual, ends[:-1])
+    return ConeSolution(x, tuple((r.label, part) for r, part in zip(rows, parts, strict=True) if r.label is not None))

@@ -1,0 +1,196 @@
+r"""Could this uncertain model have produced this record? The smallest scaling of Delta for which it could.
+
+.. math:: \gamma^* = \min \gamma \quad \text{s.t.} \quad y = F_u(M, \Delta) u + n, \quad \|\Delta_i\| \le \gamma,
+          \quad n \text{ within its bound}
+
+References
+----------
+Poolla, Khargonekar, Tikku, Krause, Nagpal, "A time-domain approach to model validation", IEEE TAC 39 (1994) 951-959.
+Smith and Doyle, "Model validation: a connection between robust control and identification", IEEE TAC 37 (1992) 942-952.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.budget import one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
+from robustlab.identification.validation.result import Validation
+from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
+from robustlab.identification.validation.spectral_problem import FrequencyData
+from robustlab.identification.validation.time_domain import DeltaKind, validate_by_samples
+from robustlab.identification.validation.tuning import TUNING, Search, ValidationTuning
+from robustlab.record import Record
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["validate"]
+
+
+def validate(
+    uncertain: UncertainModel,
+    record: Record | FrequencyData,
+    noise: Mapping[str, ArrayLike] | None = None,
+    *,
+    domain: Literal["time", "frequency"] = "time",
+    noise_norm: NoiseNorm | None = None,
+    delta: DeltaKind = "time-invariant",
+    at_rest: bool = False,
+    window: float | None = None,
+    period: float | None = None,
+    missing: Mapping[str, Sequence[int]] | None = None,
+    per_block: bool = False,
+    precision: float = 0.01,
+    time_limit: float | None = None,
+    progress: Callable[[str], None] | None = None,
+    effort: float = 1.0,
+    tuning: ValidationTuning = TUNING,
+) -> Validation:
+    """Smallest scaling of Delta with which an uncertain model could have produced a record.
+
+    Parameters
+    ----------
+    uncertain
+        The set. Real blocks are constants; complex and full blocks are causal systems. A continuous model is sampled
+        with all inputs, also w, held between samples. Without any block noise alone has to explain the record: gamma is
+        0, or there is none.
+    record
+        The measurement, on a uniform clock; all inputs of the set must be recorded, and some of its outputs. In the
+        frequency domain also a measured frequency response (`FrequencyData`).
+    noise
+        Output name -> bound of its noise, in its unit. Where left out it is estimated from the record's own periods
+        (99 % confidence for white Gaussian noise), which asks for a record that repeats.
+    domain
+        ``"time"``: sample by sample (Poolla et al.). ``"frequency"``: line by line (Smith and Doyle), for blocks that
+        are time-invariant systems, from whole periods of a record in steady state or from a `FrequencyData`.
+    noise_norm
+        ``"peak"``: no sample is off by more; ``"rms"``: the root mean square over the record is not larger. Where left
+        out ``"peak"`` in the time domain. In the frequency domain it is ``"rms"`` for a record (over the periods used),
+        and each line's own bound for a frequency response, of which ``noise`` may hold one for each line.
+    delta
+        What the complex and full blocks are.
+    at_rest
+        The record starts at rest. Otherwise the states that the outputs show are free at the start. Delta is at rest.
+    window
+        Cut the record into windows of that many seconds, each with a free start; Delta keeps its memory and its
+        values. A weaker test, for records over which an open-loop response drifts.
+    period
+        Frequency domain: the period in s, where no recorded signal tells it.
+    missing
+        Output name -> samples (indices or a mask) that were not measured.
+    per_block
+        Also find the smallest scaling of each block alone, the others kept within their size 1.
+    precision
+        Relative width of the bounds to be reached.
+    time_limit
+        In s; what was found by then is returned with status TIMEOUT, and cannot be repeated. None: no limit.
+    progress
+        Called with one line at each step.
+    effort
+        Work that the search may take, as a multiple of the usual (about two minutes); counted, not timed.
+    tuning
+        Numbers that choose speed and accuracy.
+
+    Returns
+    -------
+    Validation
+        With both bounds, the Delta and the noise that explain the record, and the certificate of the lower bound.
+
+        ============================  =======================================  =====================================
+        blocks                        upper bound                              lower bound
+        ============================  =======================================  =====================================
+        frequency domain              w by cone programmes, loop closed again  multipliers, re-checked line by line
+        time-varying                  w by convex-concave procedure, replayed  multipliers, re-checked by a sweep
+        time-invariant, z known       pulse responses, replayed                dual of the convex problem (exact)
+        time-invariant, z unknown     pulse responses by Gauss-Newton          that of time-varying ones (relaxation)
+        constant                      values by descent, replayed              boxes tested at points (not proved)
+        constant and dynamic          search over the constants                that of all time-varying (relaxation)
+        none                          0 where noise alone explains the record  infinite elsewhere, weights re-checked
+        ============================  =======================================  =====================================
+
+        z is known where it depends neither on Delta nor on a free state: additive and multiplicative uncertainty.
+
+    Raises
+    ------
+    InputError
+        Signals that do not fit, an output without a noise bound, blocks that a domain cannot judge.
+    NoTrustworthyNumber
+        Irregular sampling, a noise bound of zero, a record that is not steady, no noise bound and no repeats to take it
+        from, a solver that gives no answer.
+
+    Examples
+    --------
+    >>> from robustlab.statespace import StateSpaceModel
+    >>> from robustlab.uncertainty.unstructured import unstructured
+    >>> gain = unstructured(StateSpaceModel([], [], [], [[2.0]], dt=1.0), 1.0)
+    >>> steps = Record(range(4), {"u1": [1, 0, 0, 0]}, {"y1": [2.5, 0, 0, 0]})
+    >>> found = validate(gain, steps, {"y1": 0.1}, at_rest=True)
+    >>> round(found.upper, 2), found.invalidated, str(found.status)
+    (0.4, False, 'certified')
+    """
+    budget, estimated = search_budget("validate", tuning.work, effort, time_limit), noise is None
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
+    for block in uncertain.blocks:
+        if block.is_real and not block.interval:
+            found = f"a {type(block).__name__}"
+            raise InputError(f"validate: block {block.name!r}", found, "real scalars, complex and full blocks")
+    if delta not in ("time-invariant", "time-varying"):
+        raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
+    if not 1e-4 <= precision <= 0.2:
+        raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
+    if domain not in ("time", "frequency"):
+        raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
+    say = progress or (lambda _line: None)
+    search = Search(np.ones(len(uncertain.blocks), dtype=bool), precision, budget, tuning)
+    if domain == "frequency" or isinstance(record, FrequencyData):
+        fits_frequency_domain(record, domain, noise_norm, delta, window, at_rest, missing, noise)
+        with one_thread():
+            if isinstance(record, Record):
+                noise = noise if noise is not None else _estimated(uncertain, record, "rms", tuning.confidence)
+            return validate_by_lines(
+                uncertain, record, noise or {}, search,
+                period=period, per_block=per_block, progress=say, estimated=estimated,
+            )  # fmt: skip
+    if period is not None:
+        raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
+    norm: NoiseNorm = noise_norm or "peak"
+    with one_thread():
+        bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm, tuning.confidence)
+        recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest, missing=missing)
+        return validate_by_samples(
+            record, recorded, delta, search, per_block=per_block, progress=say, estimated=estimated
+        )
+
+
+def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
+    for name, value in noise.items():
+        if np.ndim(value):
+            raise InputError(f"validate: noise of {name!r}", f"shape {np.shape(value)}", "one number")
+    return {name: float(np.asarray(value)) for name, value in noise.items()}
+
+
+def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm, confidence: float) -> dict[str, float]:
+    """Noise bounds from the record's own periods."""
+    from scipy import stats
+
+    from robustlab.identification.comparison.noise_floor import noise_floor
+
+    names = [s.name for s in uncertain.outputs if s.name in record.outputs]
+    try:
+        floor = noise_floor(record, outputs=names)
+    except NoTrustworthyNumber as error:
+        hint = "noise={'" + (names[0] if names else "y") + "': ...}, in its unit: what the sensor may be off"
+        raise NoTrustworthyNumber(
+            f"validate {record.name}", f"no noise bound was given, and none can be estimated: {error.found}", None, hint
+        ) from None
+    count = record.n * max(len(names), 1)
+    if norm == "peak":
+        factor = float(stats.norm.isf((1 - confidence) / (2 * count)))
+    else:
+        factor = float(np.sqrt(stats.chi2.ppf(confidence ** (1 / max(len(names), 1)), record.n) / record.n))
+    return {name: factor * floor.std[name] for name in names}
