@@ -5,58 +5,72 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from math import isnan
 from typing import Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, SeedOption, assignments, emit, note, progress, table
-from robustlab.cli.uncertain import EndOption, InputOption, PointsOption, UncertainArgument, load_uncertain, unit_of
+from robustlab.cli.console import emit, note, progress, require_trust, table
+from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
+from robustlab.cli.options import JsonOption, SeedOption, grouped
 from robustlab.errors import EXIT_INTERRUPTED, UsageError
 
 app = typer.Typer(help="Run samples and searches of any size, stored one by one.", no_args_is_help=True)
 
-SHOWN_BLOCKS, SHOWN_LOST = 40, 10
+SHOWN_LOST = 10
 
 StoreArgument = Annotated[str, typer.Argument(help="Store of a campaign (SQLite).", metavar="STORE")]
-WorkersOption = Annotated[
-    int | None, typer.Option("--workers", "-w", help="Processes on this machine.  [default: one per processor]")
-]
-ClusterOption = Annotated[
-    str | None, typer.Option("--cluster", help="Dask scheduler whose workers are used, such as tcp://host:8786.")
-]
-LimitOption = Annotated[
-    float, typer.Option("--time-limit-per-sample", help="Seconds after which a sample's worker is killed.")
-]
-RetryOption = Annotated[bool, typer.Option("--retry-lost", help="Compute the lost samples of earlier runs again.")]
 BoundOption = Annotated[float | None, typer.Option("--limit", help="Count how often the metric is worse than this.")]
 
 
+@dataclass(frozen=True)
+class PlanOptions:
+    """What is computed, and for how many."""
+
+    metric: Annotated[str, typer.Option("--metric", help="A metric of robustlab worst-case --help.")] = "peak-deviation"
+    n: Annotated[int, typer.Option("-n", "--samples", help="How many samples, vertices or searches.")] = 1000
+    kind: Annotated[str, typer.Option("--kind", help="samples, vertices or search.")] = "samples"
+    seed: SeedOption = 0
+
+
+@dataclass(frozen=True)
+class WorkerOptions:
+    """Who computes; ``**vars(workers)`` hands all of it on."""
+
+    workers: Annotated[
+        int | None, typer.Option("--workers", "-w", help="Processes on this machine.  [default: one per processor]")
+    ] = None
+    cluster: Annotated[
+        str | None, typer.Option("--cluster", help="Dask scheduler whose workers are used, such as tcp://host:8786.")
+    ] = None
+    time_limit: Annotated[
+        float, typer.Option("--time-limit-per-sample", help="Seconds after which a sample's worker is killed.")
+    ] = 60.0
+    retry_lost: Annotated[
+        bool, typer.Option("--retry-lost", help="Compute the lost samples of earlier runs again.")
+    ] = False
+
+
+@dataclass(frozen=True)
+class ExistingOptions:
+    """What becomes of a store that is there already."""
+
+    restart: Annotated[bool, typer.Option("--restart", help="Delete what the store holds and begin anew.")] = False
+    fork: Annotated[bool, typer.Option("--fork", help="Keep the store, begin another one beside it.")] = False
+
+
 @app.command()
+@grouped
 def run(
+    *,
     file: UncertainArgument,
     store: Annotated[str, typer.Option("--store", help="SQLite file to write; an unfinished one is gone on with.")],
-    metric: Annotated[
-        str, typer.Option("--metric", help="A metric of robustlab worst-case --help.")
-    ] = "peak-deviation",
-    n: Annotated[int, typer.Option("-n", "--samples", help="How many samples, vertices or searches.")] = 1000,
-    kind: Annotated[str, typer.Option("--kind", help="samples, vertices or search.")] = "samples",
-    seed: SeedOption = 0,
-    output: Annotated[str | None, typer.Option("--output", help="Output to look at.", show_default=False)] = None,
-    from_input: Annotated[
-        str | None, typer.Option("--from", help="For norms and controllability: input to look from; all if left out.")
-    ] = None,
-    inputs: InputOption = None,
-    t_end: EndOption = None,
-    points: PointsOption = 401,
-    band: Annotated[float, typer.Option("--band", help="Share of the final value that counts as settled.")] = 0.02,
+    plan: PlanOptions,
+    of: MetricOptions,
     starts: Annotated[int, typer.Option("--starts", help="For searches: points each one starts from.")] = 64,
-    workers: WorkersOption = None,
-    cluster: ClusterOption = None,
-    time_limit: LimitOption = 60.0,
-    retry_lost: RetryOption = False,
-    restart: Annotated[bool, typer.Option("--restart", help="Delete what the store holds and begin anew.")] = False,
-    fork: Annotated[bool, typer.Option("--fork", help="Keep the store, begin another one beside it.")] = False,
+    workers: WorkerOptions,
+    existing: ExistingOptions,
     bound: BoundOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -69,47 +83,34 @@ def run(
     """
     from robustlab.campaign import CampaignSettings, run_campaign
 
-    if restart and fork:
+    if existing.restart and existing.fork:
         raise UsageError("campaign run", "--restart and --fork", "one of them")
     model = load_uncertain(file)
     settings = CampaignSettings(
-        metric,
-        n,
-        kind,  # pyright: ignore[reportArgumentType]  the settings say which kinds there are
-        seed,
-        output,
-        from_input,
-        assignments("--input", inputs, unit_of(model.inputs)) or None,
-        t_end,
-        points,
+        plan.metric,
+        plan.n,
+        plan.kind,  # pyright: ignore[reportArgumentType]  the settings say which kinds there are
+        plan.seed,
+        of.output,
+        of.from_input,
+        of.response.driven(model),
+        of.t_end,
+        of.points,
         starts=starts,
-        band=band,
+        band=of.band,
     )
-    with _guarded(store, n) as advance:
+    store_mode = "restart" if existing.restart else "fork" if existing.fork else "resume"
+    with _guarded(store, plan.n) as advance:
         result = run_campaign(
-            model,
-            settings,
-            store,
-            workers=workers,
-            cluster=cluster,
-            time_limit=time_limit,
-            existing="restart" if restart else "fork" if fork else "resume",
-            retry_lost=retry_lost,
-            limit=bound,
-            progress=advance,
+            model, settings, store, existing=store_mode, limit=bound, progress=advance, **vars(workers)
         )
     _print("campaign run", result, as_json, {"file": file})
 
 
 @app.command()
+@grouped
 def resume(
-    store: StoreArgument,
-    workers: WorkersOption = None,
-    cluster: ClusterOption = None,
-    time_limit: LimitOption = 60.0,
-    retry_lost: RetryOption = False,
-    bound: BoundOption = None,
-    as_json: JsonOption = False,
+    *, store: StoreArgument, workers: WorkerOptions, bound: BoundOption = None, as_json: JsonOption = False
 ) -> None:
     """Go on with a campaign where it was interrupted; model and settings are in the store.
 
@@ -118,15 +119,7 @@ def resume(
     from robustlab.campaign import resume_campaign
 
     with _guarded(store, None) as advance:
-        result = resume_campaign(
-            store,
-            workers=workers,
-            cluster=cluster,
-            time_limit=time_limit,
-            retry_lost=retry_lost,
-            limit=bound,
-            progress=advance,
-        )
+        result = resume_campaign(store, limit=bound, progress=advance, **vars(workers))
     _print("campaign resume", result, as_json, {})
 
 
@@ -160,14 +153,15 @@ def replay(
         f"sample {found.index}: {found.metric} {_valued(found.value, found.unit)}",
         f"in the store: {_valued(found.stored, found.unit) if not isnan(found.stored) else 'no value'}"
         + (" (the same bits)" if found.identical else ""),
-        f"through the second path: {_valued(found.again, found.unit)}{_place(found.at, found.location)}",
+        f"through the second path: {_valued(found.again, found.unit)}{place(found.at, found.location)}",
     ]
     if found.reason:
         lines.append(f"lost: {found.reason}")
-    lines += [f"status: {found.status}, {found.seconds:.3g} s", *_delta_table(found.delta, found.physical)]
+    lines.append(f"status: {found.status}, {found.seconds:.3g} s")
+    if found.delta:
+        lines += ["", *delta_lines(found.delta, found.physical)]
     emit("campaign replay", {"store": store, **found.to_json()}, "\n".join(lines), as_json)
-    if not found.status.trustworthy:
-        raise typer.Exit(4)
+    require_trust(found.status)
 
 
 # --- running ---------------------------------------------------------------------------------------------------------
@@ -202,8 +196,7 @@ def _say_interrupted(store: str) -> None:
 
 def _print(command: str, result: Any, as_json: bool, more: Mapping[str, Any]) -> None:
     emit(command, {**more, **result.to_json()}, _text(result), as_json)
-    if not result.status.trustworthy:
-        raise typer.Exit(4)
+    require_trust(result.status)
 
 
 def _text(result: Any) -> str:
@@ -213,8 +206,8 @@ def _text(result: Any) -> str:
     counts += f", {missing} missing yet" if missing else ""
     lines = [f"{result.store}: {result.metric}, {counts}, seed {result.seed}"]
     if result.done:
-        place = f" in {_one(result.kind)} {result.worst_index}{_place(result.at, result.location)}"
-        lines.append(f"worst: {_valued(result.worst, result.unit)}{place} ({result.label})")
+        where = f" in {_one(result.kind)} {result.worst_index}{place(result.at, result.location)}"
+        lines.append(f"worst: {_valued(result.worst, result.unit)}{where} ({result.label})")
         if not isnan(result.again):
             lines.append(f"through the second path: {_valued(result.again, result.unit)}")
         if not isnan(result.nominal):
@@ -232,8 +225,8 @@ def _text(result: Any) -> str:
     if result.quantiles:
         rows = [(f"{100 * q.share:g} %", f"{q.value:.9g}", f"{q.bound:.9g}") for q in result.quantiles]
         lines += ["", table(rows, ("share", "not worse than", "with 95 % confidence"))]
-    if result.done:
-        lines += _delta_table(result.delta, result.physical)
+    if result.done and result.delta:
+        lines += ["", *delta_lines(result.delta, result.physical)]
     if result.lost:
         rows = [(str(sample.index), sample.reason) for sample in result.lost_samples[:SHOWN_LOST]]
         lines += ["", table(rows, ("lost", "reason"))]
@@ -243,32 +236,8 @@ def _text(result: Any) -> str:
     return "\n".join(lines)
 
 
-def _delta_table(delta: Mapping[str, Any], physical: Mapping[str, Any]) -> list[str]:
-    names = list(delta)[:SHOWN_BLOCKS]
-    rows = []
-    for name in names:
-        stands_for = "{:.6g} {}".format(*physical[name]).rstrip() if name in physical else "-"
-        rows.append((name, _number(delta[name]), stands_for))
-    if not rows:
-        return []
-    lines = ["", table(rows, ("block", "delta", "stands for"))]
-    hidden = len(delta) - len(names)
-    return [*lines, f"... and {hidden} more blocks (all with --json)"] if hidden else lines
-
-
-def _number(value: Any) -> str:
-    if getattr(value, "ndim", 0):
-        return f"{value.shape[0]} x {value.shape[1]} matrix"
-    return f"{value:.6g}"
-
-
 def _valued(value: float, unit: str) -> str:
     return f"{value:.9g} {unit}".rstrip()
-
-
-def _place(at: float, location: str) -> str:
-    what, _, unit = location.partition(" ")
-    return f" at {what} = {at:.6g} {unit.strip('[]')}" if what and not isnan(at) else ""
 
 
 def _counted(kind: str) -> str:

@@ -6,48 +6,31 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from robustlab.cli.ending import main_guard
-from robustlab.errors import InputError, UsageError, plain_text
-from robustlab.units import amount, share
+from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from robustlab.result import Status
 
 __all__ = [
-    "EffortOption",
-    "JsonOption",
-    "OutOption",
-    "SeedOption",
-    "TimeLimitOption",
-    "assignments",
+    "SCHEMA",
     "emit",
-    "ends",
     "main_guard",
     "note",
-    "plant_settings",
     "progress",
-    "shares",
+    "require_trust",
+    "save_drawing",
+    "save_figures",
     "status_line",
     "table",
 ]
-
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
-EffortOption = Annotated[
-    float,
-    typer.Option("--effort", help="Work that the search may take, as a multiple of the usual; counted, not timed."),
-]
-TimeLimitOption = Annotated[
-    float | None,
-    typer.Option(
-        "--time-limit",
-        "--timeout",
-        help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
-        show_default=False,
-    ),
-]
-OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
 
 SCHEMA = "robustlab.result/1"
 
@@ -68,66 +51,29 @@ def note(text: str) -> None:
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
 
 
-def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] | None = None) -> dict[str, float]:
-    """``["u=42"]`` as ``{"u": 42.0}``; also ``["u=42V"]`` where ``units`` has the names' units."""
-    values: dict[str, float] = {}
-    for text in texts or []:
-        name, _, value = text.rpartition("=")
-        if not name:
-            raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
-        values[name] = _number(option, text, value, (units or {}).get(name, ""))
-    return values
+def require_trust(status: Status) -> None:
+    """Leave with exit code 4 where the status vouches for no number; what there is has been printed."""
+    if not status.trustworthy:
+        raise typer.Exit(NoTrustworthyNumber.exit_code)
 
 
-def shares(option: str, texts: list[str] | None) -> dict[str, float]:
-    """``["Km=5%"]`` or ``["Km=0.05"]`` as ``{"Km": 0.05}``."""
-    values: dict[str, float] = {}
-    for text in texts or []:
-        name, _, value = text.rpartition("=")
-        if not name:
-            raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
-        try:
-            values[name] = share(f"{option} {text}", value)
-        except InputError as error:
-            raise UsageError(error.where, error.found, error.expected) from None
-    return values
+def save_figures(figures: Mapping[str, Figure], folder: str | Path, prefix: str = "") -> list[str]:
+    """Write each figure as SVG and PNG into a folder; the paths."""
+    from robustlab.report.figures import save_figure
+
+    drawn = figures.items()
+    return [str(path) for name, figure in drawn for path in save_figure(figure, folder, prefix + name)]
 
 
-def ends(
-    option: str, texts: list[str] | None, units: Mapping[str, str] | None = None
-) -> dict[str, tuple[float, float]]:
-    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``; each end may carry its unit as in `assignments`."""
-    found: dict[str, tuple[float, float]] = {}
-    for text in texts or []:
-        name, _, value = text.rpartition("=")
-        low, colon, high = value.partition(":")
-        if not (name and colon):
-            raise UsageError(f"{option} {text}", "no name and two numbers", "NAME=LOW:HIGH")
-        unit = (units or {}).get(name, "")
-        found[name] = _number(option, text, low, unit), _number(option, text, high, unit)
-    return found
+def save_drawing(figure: Figure, path: str, suffix: str = "") -> None:
+    """Write a figure as SVG and PNG beside each other, named as ``path`` with a suffix, with a note for each."""
+    from robustlab.report.figures import save_figure
 
-
-def _number(option: str, text: str, value: str, unit: str) -> float:
-    try:
-        return amount(f"{option} {text}", value, unit)
-    except InputError as error:
-        raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
-
-
-def plant_settings(texts: list[str] | None) -> dict[str, Any]:
-    """``["R=2.1", "preset=physical", "motors=true"]`` as the keyword arguments of a plant."""
-    values: dict[str, Any] = {}
-    for text in texts or []:
-        name, equals, value = text.partition("=")
-        if not (name and equals and value):
-            raise UsageError(f"--set {text}", "no parameter and value", "NAME=VALUE")
-        words: dict[str, Any] = {"true": True, "false": False}
-        try:
-            values[name] = words[value] if value in words else float(value)
-        except ValueError:
-            values[name] = value  # a choice, such as a preset; the plant knows which there are
-    return values
+    target = Path(path)
+    if not target.stem:
+        raise InputError("--figure", repr(path), "a name, for example design.svg")
+    for made in save_figure(figure, target.parent, target.stem + suffix):
+        note(f"written: {made}")
 
 
 def table(rows: list[tuple[str, ...]], header: tuple[str, ...] | None = None) -> str:

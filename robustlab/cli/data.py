@@ -1,81 +1,274 @@
-"""``robustlab data``: check, convert and compare measured records; name what a model lacks.
-
-What ``robustlab data discover`` writes: report, result, figures, updated plant.
-"""
+"""``robustlab data``: check, convert and compare measured records; name what a model lacks, or explain it by a set."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import SCHEMA, JsonOption, OutOption, emit, note, plant_settings, shares, table
-from robustlab.cli.data_validation import validate
-from robustlab.errors import EnvironmentFault, NoTrustworthyNumber, UsageError, did_you_mean
+from robustlab.cli.console import SCHEMA, emit, note, require_trust, save_figures, table
+from robustlab.cli.options import (
+    EffortOptions,
+    JsonOption,
+    OutputOptions,
+    assignments,
+    grouped,
+    names,
+    plant_settings,
+    shares,
+)
+from robustlab.errors import (
+    EXIT_REQUIREMENT_NOT_MET,
+    EnvironmentFault,
+    InputError,
+    NoTrustworthyNumber,
+    UsageError,
+    did_you_mean,
+)
 from robustlab.units import same_unit
 
 if TYPE_CHECKING:
-    from robustlab.identification import Comparison
     from robustlab.identification.naming.discovery_result import Discovery
+    from robustlab.identification.validation import Validation
     from robustlab.provenance import Provenance
     from robustlab.record import Record
 
-__all__ = [
-    "checked_effects",
-    "write_discovery",
-]
+__all__ = ["PLANT_FILE", "DiscoveryFiles", "app"]
 
+PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
 app = typer.Typer(help="Check, convert and compare measured records; name what a model lacks.", no_args_is_help=True)
 
 FileArgument = Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="FILE")]
-GroupOption = Annotated[
-    str | None, typer.Option("--group", help="HDF5 group or MATLAB struct with the signals.", show_default=False)
+ModelArgument = Annotated[str, typer.Argument(help="Model file, or name of a plant (servo-axis).", metavar="MODEL")]
+DataArgument = Annotated[str, typer.Argument(help="Record: HDF5, MATLAB, CSV or TXT file.", metavar="DATA")]
+SettingsOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
 ]
-InputsOption = Annotated[
-    str | None, typer.Option("--inputs", help="Names of the inputs: u or u,w.", show_default=False)
+FiguresOption = Annotated[
+    str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).", show_default=False)
 ]
-OutputsOption = Annotated[
-    str | None, typer.Option("--outputs", help="Names of the outputs: q or q,v.", show_default=False)
-]
-DtOption = Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)]
-ClockOption = Annotated[
-    str | None, typer.Option("--clock", help="Signal with the times; t or time if left out.", show_default=False)
-]
-UnitOption = Annotated[
-    list[str] | None,
-    typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
-]
-DelimiterOption = Annotated[
-    str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
-]
-DecimalOption = Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")]
-GapsOption = Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")]
+
+
+# --- option groups ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """How the file of a record is to be read."""
+
+    group: Annotated[
+        str | None, typer.Option("--group", help="HDF5 group or MATLAB struct with the signals.", show_default=False)
+    ] = None
+    inputs: Annotated[
+        str | None, typer.Option("--inputs", help="Names of the inputs: u or u,w.", show_default=False)
+    ] = None
+    outputs: Annotated[
+        str | None, typer.Option("--outputs", help="Names of the outputs: q or q,v.", show_default=False)
+    ] = None
+    dt: Annotated[float | None, typer.Option("--dt", help="Sample time in s.", show_default=False)] = None
+    clock: Annotated[
+        str | None, typer.Option("--clock", help="Signal with the times; t or time if left out.", show_default=False)
+    ] = None
+    unit: Annotated[
+        list[str] | None,
+        typer.Option("--unit", help="Unit of a signal's numbers, phi=deg: converted to SI.", show_default=False),
+    ] = None
+    delimiter: Annotated[
+        str | None, typer.Option("--delimiter", help="Of a text file: , ; \\t or a blank.", show_default=False)
+    ] = None
+    decimal: Annotated[str, typer.Option("--decimal", help="Decimal sign of a text file.")] = "."
+    allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
+
+    def read(self, file: str, inputs: str | None, group: str | None = None) -> Record:
+        """The record in a file, with these inputs; of this group, where one is given."""
+        from robustlab.record import Record
+
+        units = _units(self.unit or [])
+        sides = [None if text is None else names(text) for text in (inputs, self.outputs)]
+        record = Record.read(
+            file, group or self.group, *sides, self.dt, units=units, clock=self.clock, delimiter=self.delimiter,
+            decimal=self.decimal, allow_gaps=self.allow_gaps,
+        )  # fmt: skip
+        for name in record.units:
+            if name in units and not same_unit(units[name], record.unit(name)):
+                note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
+        return record
+
+
+@dataclass(frozen=True)
+class ModelRecordOptions(RecordOptions):
+    """The same beside a model, which knows its inputs."""
+
+    inputs: Annotated[
+        str | None,
+        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
+    ] = None
+    outputs: Annotated[
+        str | None,
+        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
+    ] = None
+
+
+@dataclass(frozen=True)
+class UncertainRecordOptions(RecordOptions):
+    """The same beside an uncertain model, whose inputs the record must have; gaps are refused."""
+
+    inputs: None = None
+    outputs: Annotated[
+        str | None, typer.Option("--outputs", "--output", help="Names of the outputs.", show_default=False)
+    ] = None
+    clock: Annotated[str | None, typer.Option("--clock", help="Signal with the times.", show_default=False)] = None
+    allow_gaps: bool = False
+
+
+@dataclass(frozen=True)
+class WindowOptions:
+    """How a record is cut, and the records that tell its noise."""
+
+    window: Annotated[
+        float | None, typer.Option("--window", help="Length of the windows in s.", show_default=False)
+    ] = None
+    period: Annotated[
+        float | None,
+        typer.Option("--period", help="Period of the record in s; found if a signal repeats.", show_default=False),
+    ] = None
+    repeat: Annotated[
+        list[str] | None,
+        typer.Option("--repeat", help="Further record with the same input, for the noise floor.", show_default=False),
+    ] = None
+
+
+@dataclass(frozen=True)
+class ExcitationOptions(WindowOptions):
+    """The same where the period is that of an excitation."""
+
+    period: Annotated[
+        float | None, typer.Option("--period", help="Period of the excitation in s.", show_default=False)
+    ] = None
+
+
+@dataclass(frozen=True)
+class NamingOptions:
+    """What a search for the missing effect may use."""
+
+    held_out: Annotated[
+        list[str] | None,
+        typer.Option("--held-out", help="Record that no fit sees; the gap is judged on it.", show_default=False),
+    ] = None
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option("--tolerance", help="Relative tolerance of a parameter: Km=0.05 or Km=5%.", show_default=False),
+    ] = None
+    exclude: Annotated[
+        list[str] | None, typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False)
+    ] = None
+
+
+@dataclass(frozen=True)
+class DiscoveryFiles:
+    """What a discovery is to write.
+
+    The folder ``out`` gets ``report.html``, ``result.json``, ``figures/``, ``updated-plant.h5``, and
+    ``next-experiment.csv`` where one is proposed.
+    """
+
+    figures: FiguresOption = None
+    model_out: Annotated[
+        str | None, typer.Option("--model-out", help="HDF5 file for the updated plant.", show_default=False)
+    ] = None
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.", show_default=False),
+    ] = None
+
+    def write(self, found: Discovery, result: Mapping[str, Any], sources: Sequence[str]) -> list[str]:
+        """Write what was asked for, with a note for each file; the paths.
+
+        Parameters
+        ----------
+        result
+            What ``--json`` prints, for ``result.json``.
+        sources
+            What was read; names that are no files, such as a plant's, are left out of the provenance.
+        """
+        provenance = _provenance("data discover", sources)
+        files: list[str] = []
+        if self.figures:
+            from robustlab.report.discovery_figures import discovery_figures
+
+            files += save_figures(discovery_figures(found), self.figures)
+        if self.model_out:
+            files.append(_save_plant(found, Path(self.model_out), provenance))
+        if self.out:
+            files += _fill_folder(found, result, Path(self.out), provenance)
+        for file in files:
+            note(f"wrote {file}")
+        return files
+
+
+@dataclass(frozen=True)
+class ExplanationOptions:
+    """What may explain a record, and what is asked about it."""
+
+    noise: Annotated[
+        list[str] | None,
+        typer.Option("--noise", help="Noise bound of an output, in its unit: NAME=VALUE.", show_default=False),
+    ] = None
+    domain: Annotated[
+        str,
+        typer.Option("--domain", help="time, or frequency: whole periods in steady state, line by line."),
+    ] = "time"
+    period: Annotated[
+        float | None, typer.Option("--period", help="Frequency domain: period in s where no signal tells it.")
+    ] = None
+    noise_norm: Annotated[
+        str | None,
+        typer.Option("--noise-norm", help="What the bound is of: peak or rms (frequency domain: rms).", metavar="NORM"),
+    ] = None
+    delta: Annotated[
+        str,
+        typer.Option("--delta", help="Complex and full blocks are: time-invariant or time-varying.", metavar="KIND"),
+    ] = "time-invariant"
+    at_rest: Annotated[bool, typer.Option("--at-rest", help="The record starts at rest.")] = False
+    window: Annotated[
+        float | None, typer.Option("--window", help="Length of windows with a free start in s.", show_default=False)
+    ] = None
+    per_block: Annotated[bool, typer.Option("--per-block", help="Also the smallest scaling of each block alone.")] = (
+        False
+    )
+    cover: Annotated[
+        int | None,
+        typer.Option(
+            "--cover",
+            help="Beside it the cheap test: the envelope of so many members; 20 for sets of constants.",
+            min=0,
+        ),
+    ] = None
+    at_most: Annotated[
+        float | None, typer.Option("--at-most", help="Exit code 1 where gamma is not shown to be at most this.")
+    ] = None
+    precision: Annotated[float, typer.Option("--precision", help="Relative width of the bounds.")] = 0.01
+
+
+# --- commands --------------------------------------------------------------------------------------------------------
 
 
 @app.command()
+@grouped
 def check(
-    file: FileArgument,
     *,
+    file: FileArgument,
     model: Annotated[
         str | None,
         typer.Option("--model", help="Model file or plant: is the record fit for naming?", show_default=False),
     ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
-    ] = None,
-    group: GroupOption = None,
-    inputs: InputsOption = None,
-    outputs: OutputsOption = None,
-    dt: DtOption = None,
-    clock: ClockOption = None,
-    unit: UnitOption = None,
-    delimiter: DelimiterOption = None,
-    decimal: DecimalOption = ".",
-    allow_gaps: GapsOption = False,
+    settings: SettingsOption = None,
+    options: RecordOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Read a record and say what is in it and what is odd about it.
@@ -88,18 +281,8 @@ def check(
     if settings and not model:
         raise UsageError(f"--set {settings[0]}", "no --model", "--model PLANT with it")
     system = _plant_or_model(model, settings or []) if model else None
-    record = record_of(
-        file,
-        group=group,
-        dt=dt,
-        inputs=inputs or (",".join(_input_names(system)) if system is not None else None),
-        outputs=outputs,
-        clock=clock,
-        unit=unit,
-        delimiter=delimiter,
-        decimal=decimal,
-        allow_gaps=allow_gaps,
-    )
+    inputs = options.inputs or (",".join(_input_names(system)) if system is not None else None)
+    record = options.read(file, inputs)
     found = check_record(record)
     clock_line = f"{record.n} samples, {record.duration:.6g} s, dt {record.dt:.6g} s, " + (
         "uniform" if record.is_uniform else "not uniform"
@@ -119,83 +302,36 @@ def check(
 
 
 @app.command()
+@grouped
 def convert(
+    *,
     source: Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="IN")],
     target: Annotated[str, typer.Argument(help="HDF5 file to write.", metavar="OUT")],
-    *,
-    group: GroupOption = None,
-    inputs: InputsOption = None,
-    outputs: OutputsOption = None,
-    dt: DtOption = None,
-    clock: ClockOption = None,
-    unit: UnitOption = None,
-    delimiter: DelimiterOption = None,
-    decimal: DecimalOption = ".",
-    allow_gaps: GapsOption = False,
+    options: RecordOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Write a record as HDF5, format 1.
 
     Example: robustlab data convert run3.csv run3.h5 --inputs u --outputs q --unit q=rad
     """
-    from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
 
-    record = record_of(
-        source,
-        group=group,
-        dt=dt,
-        inputs=inputs,
-        outputs=outputs,
-        clock=clock,
-        unit=unit,
-        delimiter=delimiter,
-        decimal=decimal,
-        allow_gaps=allow_gaps,
-    )
-    save(target, record, Provenance.now("data convert", inputs={source: file_sha256(source)}))
+    record = options.read(source, options.inputs)
+    save(target, record, _provenance("data convert", [source]))
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
 
 
 @app.command()
+@grouped
 def compare(
-    model: Annotated[str, typer.Argument(help="Model file, or name of a plant (servo-axis).", metavar="MODEL")],
-    data: Annotated[str, typer.Argument(help="Record: HDF5, MATLAB, CSV or TXT file.", metavar="DATA")],
     *,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
-    ] = None,
-    group: GroupOption = None,
-    inputs: Annotated[
-        str | None,
-        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
-    ] = None,
-    outputs: Annotated[
-        str | None,
-        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
-    ] = None,
-    dt: DtOption = None,
-    clock: ClockOption = None,
-    unit: UnitOption = None,
-    delimiter: DelimiterOption = None,
-    decimal: DecimalOption = ".",
-    allow_gaps: GapsOption = False,
-    window: Annotated[
-        float | None, typer.Option("--window", help="Length of the windows in s.", show_default=False)
-    ] = None,
-    period: Annotated[
-        float | None,
-        typer.Option("--period", help="Period of the record in s; found if a signal repeats.", show_default=False),
-    ] = None,
-    repeat: Annotated[
-        list[str] | None,
-        typer.Option("--repeat", help="Further record with the same input, for the noise floor.", show_default=False),
-    ] = None,
-    figures: Annotated[
-        str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).", show_default=False)
-    ] = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    model: ModelArgument,
+    data: DataArgument,
+    settings: SettingsOption = None,
+    options: ModelRecordOptions,
+    windows: WindowOptions,
+    figures: FiguresOption = None,
+    output: OutputOptions,
 ) -> None:
     """Simulate a model with a recorded input and say where it disagrees with the recorded outputs.
 
@@ -205,89 +341,33 @@ def compare(
     from robustlab.statespace import as_model
 
     system = _plant_or_model(model, settings or [])
-    first, *others = (
-        record_of(
-            file,
-            group=group,
-            dt=dt,
-            inputs=inputs or ",".join(as_model(system, model).input_names),
-            outputs=outputs,
-            clock=clock,
-            unit=unit,
-            delimiter=delimiter,
-            decimal=decimal,
-            allow_gaps=allow_gaps,
-        )
-        for file in (data, *(repeat or []))
-    )
-    found = compare_with(system, first, window=window, period=period, repeats=others)
-    files = [
-        *(_draw(found, figures) if figures else []),
-        *([_keep(found, out, (model, data, *(repeat or [])))] if out else []),
-    ]
-    for file in files:
-        note(f"wrote {file}")
-    emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), as_json)
-    if not found.status.trustworthy:
-        raise typer.Exit(NoTrustworthyNumber.exit_code)
+    repeat = windows.repeat or []
+    inputs = options.inputs or ",".join(as_model(system, model).input_names)
+    first, *others = (options.read(file, inputs) for file in (data, *repeat))
+    found = compare_with(system, first, window=windows.window, period=windows.period, repeats=others)
+    files: list[str] = []
+    if figures:
+        from robustlab.report.comparison_figures import comparison_figures
+
+        files += save_figures(comparison_figures(found), figures)
+    files += _keep(found, output.out, "data compare", (model, data, *repeat))
+    emit("data compare", {**found.to_json(series=False), "files": files}, found.summary(), output.as_json)
+    require_trust(found.status)
 
 
 @app.command()
+@grouped
 def discover(
-    model: Annotated[str, typer.Argument(help="Model file, or name of a plant (servo-axis).", metavar="MODEL")],
+    *,
+    model: ModelArgument,
     data: Annotated[
         list[str], typer.Argument(help="Records of one machine; FILE#GROUP takes that group.", metavar="DATA...")
     ],
-    *,
-    held_out: Annotated[
-        list[str] | None,
-        typer.Option("--held-out", help="Record that no fit sees; the gap is judged on it.", show_default=False),
-    ] = None,
-    tolerance: Annotated[
-        list[str] | None,
-        typer.Option("--tolerance", help="Relative tolerance of a parameter: Km=0.05 or Km=5%.", show_default=False),
-    ] = None,
-    exclude: Annotated[
-        list[str] | None, typer.Option("--exclude", help="Id of an effect not to be tried.", show_default=False)
-    ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE.", show_default=False)
-    ] = None,
-    group: GroupOption = None,
-    inputs: Annotated[
-        str | None,
-        typer.Option("--inputs", "--input", help="Names of the inputs; the model's if left out.", show_default=False),
-    ] = None,
-    outputs: Annotated[
-        str | None,
-        typer.Option("--outputs", "--output", help="Names of the outputs; all others if left out.", show_default=False),
-    ] = None,
-    dt: DtOption = None,
-    clock: ClockOption = None,
-    unit: UnitOption = None,
-    delimiter: DelimiterOption = None,
-    decimal: DecimalOption = ".",
-    allow_gaps: GapsOption = False,
-    window: Annotated[
-        float | None, typer.Option("--window", help="Length of the windows in s.", show_default=False)
-    ] = None,
-    period: Annotated[
-        float | None, typer.Option("--period", help="Period of the excitation in s.", show_default=False)
-    ] = None,
-    repeat: Annotated[
-        list[str] | None,
-        typer.Option("--repeat", help="Further record with the same input, for the noise floor.", show_default=False),
-    ] = None,
-    figures: Annotated[
-        str | None, typer.Option("--figures", help="Folder for figures (SVG and PNG).", show_default=False)
-    ] = None,
-    model_out: Annotated[
-        str | None, typer.Option("--model-out", help="HDF5 file for the updated plant.", show_default=False)
-    ] = None,
-    out: Annotated[
-        str | None,
-        typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.", show_default=False),
-    ] = None,
+    naming: NamingOptions,
+    settings: SettingsOption = None,
+    options: ModelRecordOptions,
+    windows: ExcitationOptions,
+    output: DiscoveryFiles,
     as_json: JsonOption = False,
 ) -> None:
     """Name the effect that a model lacks, from measured records, and update the model with it.
@@ -297,55 +377,101 @@ def discover(
 
     Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
     """
+    from robustlab.dynamics.effects.catalogue import effect
     from robustlab.identification.naming.discovery import discover as discover_in
 
     system = _plant_or_model(model, settings or [])
-    names = inputs or ",".join(_input_names(system))
+    inputs = options.inputs or ",".join(_input_names(system))
 
     def records(files: list[str] | None) -> list[Record]:
-        return [
-            record_of(
-                file,
-                group=part or group,
-                dt=dt,
-                inputs=names,
-                outputs=outputs,
-                clock=clock,
-                unit=unit,
-                delimiter=delimiter,
-                decimal=decimal,
-                allow_gaps=allow_gaps,
-            )
-            for file, part in map(_file_and_group, files or [])
-        ]
+        return [options.read(file, inputs, group) for file, group in map(_file_and_group, files or [])]
 
     found = discover_in(
         system,
         records(data),
-        records(held_out) or None,
-        tolerances=shares("--tolerance", tolerance),
-        window=window,
-        period=period,
-        repeats=records(repeat),
-        exclude=checked_effects(exclude or []),
+        records(naming.held_out) or None,
+        tolerances=shares("--tolerance", naming.tolerance),
+        window=windows.window,
+        period=windows.period,
+        repeats=records(windows.repeat),
+        exclude=tuple(effect(name).id for name in naming.exclude or []),
         progress=note,
     )
-    sources = [model, *(_file_and_group(text)[0] for text in (*data, *(held_out or []), *(repeat or [])))]
+    read = (*data, *(naming.held_out or []), *(windows.repeat or []))
     result = {"model": model, **found.to_json()}
-    files = write_discovery(found, result, sources, out=out, figures=figures, model_out=model_out)
+    files = output.write(found, result, [model, *(_file_and_group(text)[0] for text in read)])
     emit("data discover", {**result, "files": files}, found.summary(), as_json)
     if not found.status.trustworthy:
         note(f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)")
-        raise typer.Exit(NoTrustworthyNumber.exit_code)
+    require_trust(found.status)
 
 
-app.command()(validate)
+@app.command()
+@grouped
+def validate(
+    *,
+    uncertain: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.", metavar="UNCERTAIN")],
+    data: DataArgument,
+    asked: ExplanationOptions,
+    effort: EffortOptions,
+    options: UncertainRecordOptions,
+    figures: FiguresOption = None,
+    output: OutputOptions,
+) -> None:
+    """Find the smallest scaling of Delta with which an uncertain model could have produced a record.
+
+    Exit code 0: the bounds of gamma are within the precision, or decide whether the set explains the record; 4: they
+    decide nothing, or no Delta of any size explains the record; 1: gamma is not shown to be within --at-most.
+
+    Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
+    """
+    from robustlab.identification.validation import validate as validate_with
+    from robustlab.storage import load
+    from robustlab.uncertainty.lft import UncertainModel
+
+    model = load(uncertain)
+    if not isinstance(model, UncertainModel):
+        raise InputError(uncertain, f"a {type(model).__name__}", "an uncertain model", "robustlab uncertain build")
+    record = options.read(data, ",".join(s.name for s in model.inputs))
+    units = {s.name: s.unit for s in model.outputs}
+    words: Any = {key: getattr(asked, key) for key in ("domain", "delta", "period", "at_rest", "window", "per_block")}
+    found = validate_with(
+        model,
+        record,
+        assignments("--noise", asked.noise, units) if asked.noise else None,
+        noise_norm=asked.noise_norm or None,  # pyright: ignore[reportArgumentType]  other words are refused by name
+        precision=asked.precision,
+        progress=note,
+        **words,
+        **vars(effort),
+    )
+    members = asked.cover
+    if members is None:
+        members = 20 if all(b.kind == "constant" for b in found.blocks.values()) else 0
+    envelope = _envelope(model, record, members, found) if members else None
+    files: list[str] = []
+    if figures:
+        from robustlab.report.validation_figures import validation_figures
+
+        files += save_figures(validation_figures(found), figures, "validation-")
+    files += _keep(found, output.out, "data validate", (uncertain, data))
+    result: dict[str, Any] = {**found.to_json(series=False), "files": files}
+    text = found.summary()
+    if envelope is not None:
+        result["cover"] = envelope.to_json(series=False)
+        text = f"{text}\n{envelope.summary()}"
+    emit("data validate", result, text, output.as_json)
+    require_trust(found.status)
+    if asked.at_most is not None and not found.upper <= asked.at_most:
+        note(f"gamma is not shown to be at most {asked.at_most:g} (exit code 1)")
+        raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
 
 
 def _file_and_group(text: str) -> tuple[str, str | None]:
     """``FILE#GROUP``; a file whose own name has a # is taken as it is."""
-    from pathlib import Path
-
     file, mark, group = text.rpartition("#")
     return (file, group) if mark and not Path(text).exists() else (text, None)
 
@@ -372,42 +498,6 @@ def _input_names(system: Any) -> list[str]:
     return [s.name for s in (system if isinstance(system, Plant) else as_model(system)).inputs]
 
 
-def _draw(found: Comparison, folder: str) -> list[str]:
-    from robustlab.report.comparison_figures import comparison_figures
-    from robustlab.report.figures import save_figure
-
-    return [
-        str(path) for name, figure in comparison_figures(found).items() for path in save_figure(figure, folder, name)
-    ]
-
-
-def _keep(found: Comparison, out: str, sources: tuple[str, ...]) -> str:
-    from pathlib import Path
-
-    from robustlab.provenance import Provenance, file_sha256
-    from robustlab.storage import save
-
-    used = {source: file_sha256(source) for source in sources if Path(source).is_file()}
-    return str(save(out, found, Provenance.now("data compare", inputs=used)))
-
-
-def record_of(file: str, *, group: str | None, dt: float | None, **texts: Any) -> Record:
-    """The record that the options of a command describe; ``texts`` are those options as they were typed."""
-    from robustlab.record import Record
-
-    inputs, outputs = _names(texts.pop("inputs")), _names(texts.pop("outputs"))
-    units = _units(texts.pop("unit") or [])
-    record = Record.read(file, group, inputs, outputs, dt, units=units, **texts)
-    for name in record.units:
-        if name in units and not same_unit(units[name], record.unit(name)):
-            note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
-    return record
-
-
-def _names(text: str | None) -> list[str] | None:
-    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
-
-
 def _units(settings: list[str]) -> dict[str, str]:
     units = {}
     for text in settings:
@@ -418,62 +508,32 @@ def _units(settings: list[str]) -> dict[str, str]:
     return units
 
 
-PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
+# --- writing ---------------------------------------------------------------------------------------------------------
 
 
-def checked_effects(names: Sequence[str]) -> tuple[str, ...]:
-    """The ids; an unknown one is refused with the nearest known one."""
-    from robustlab.dynamics.effects.catalogue import effect
-
-    return tuple(effect(name).id for name in names)
-
-
-def write_discovery(
-    found: Discovery,
-    result: Mapping[str, Any],
-    sources: Sequence[str],
-    *,
-    out: str | None,
-    figures: str | None,
-    model_out: str | None,
-) -> list[str]:
-    """Write what was asked for, with a note for each file; the paths.
-
-    Parameters
-    ----------
-    result
-        What ``--json`` prints, for ``result.json``.
-    sources
-        Files that were read (names that are no files, such as a plant's, are left out of the provenance).
-    out
-        Folder for ``report.html``, ``result.json``, ``figures/``, ``updated-plant.h5``, and ``next-experiment.csv``
-        where one is proposed.
-    """
+def _provenance(command: str, sources: Sequence[str]) -> Provenance:
     from robustlab.provenance import Provenance, file_sha256
 
     used = {source: file_sha256(source) for source in sources if Path(source).is_file()}
-    provenance = Provenance.now("data discover", inputs=used)
-    files: list[str] = []
-    if figures:
-        files += _figures(found, figures)
-    if model_out:
-        files.append(_plant(found, Path(model_out), provenance))
-    if out:
-        files += _folder(found, result, Path(out), provenance)
-    for file in files:
-        note(f"wrote {file}")
-    return files
+    return Provenance.now(command, inputs=used)
 
 
-def _figures(found: Discovery, folder: str) -> list[str]:
-    from robustlab.report.discovery_figures import discovery_figures
-    from robustlab.report.figures import save_figure
+def _keep(found: Any, out: str | None, command: str, sources: Sequence[str]) -> list[str]:
+    """Write a result where a file was named; its path."""
+    from robustlab.storage import save
 
-    drawn = discovery_figures(found).items()
-    return [str(path) for name, figure in drawn for path in save_figure(figure, folder, name)]
+    return [str(save(out, found, _provenance(command, sources)))] if out else []
 
 
-def _plant(found: Discovery, path: Path, provenance: Provenance) -> str:
+def _envelope(model: Any, record: Any, n: int, found: Validation) -> Any:
+    """The cheap test, for sets of constants."""
+    from robustlab.identification.comparison.envelope import cover
+
+    peak = found.noise_bound if found.noise_norm == "peak" else {}
+    return cover(model, record, n=n, vertices="all" if len(model.blocks) <= 6 else 64, allowance=peak)
+
+
+def _save_plant(found: Discovery, path: Path, provenance: Provenance) -> str:
     from robustlab.storage import save
 
     if found.model is None:
@@ -481,7 +541,7 @@ def _plant(found: Discovery, path: Path, provenance: Provenance) -> str:
     return str(save(path, found.model, provenance))
 
 
-def _folder(found: Discovery, result: Mapping[str, Any], folder: Path, provenance: Provenance) -> list[str]:
+def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, provenance: Provenance) -> list[str]:
     from robustlab.files.atomic import atomic_write
     from robustlab.report.discovery_figures import write_page
     from robustlab.result import plain
@@ -493,7 +553,7 @@ def _folder(found: Discovery, result: Mapping[str, Any], folder: Path, provenanc
         raise EnvironmentFault(str(folder), f"cannot be made ({reason})", "a folder to write results into") from error
     files = [*map(str, write_page(found, folder, provenance))]
     if found.model is not None:
-        files.append(_plant(found, folder / PLANT_FILE, provenance))
+        files.append(_save_plant(found, folder / PLANT_FILE, provenance))
     if found.next_experiment is not None:
         files.append(str(found.next_experiment.save(folder / EXPERIMENT_FILE)))
     data = {"schema": SCHEMA, "command": "data discover", **plain(result), "provenance": plain(provenance.to_json())}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit, table
+from robustlab.cli.console import emit, table
+from robustlab.cli.options import JsonOption
 from robustlab.errors import EnvironmentFault, RobustlabError
 
 app = typer.Typer(help="Say whether this installation can work.")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import cmath
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from robustlab.cli.console import EffortOption, JsonOption, OutOption, SeedOption, TimeLimitOption, emit, note, table
+from robustlab.cli.console import emit, require_trust, table
+from robustlab.cli.members import delta_value, stands_for
+from robustlab.cli.options import EffortOptions, OutputOptions, SeedOption, grouped
 from robustlab.errors import UsageError
 
 if TYPE_CHECKING:
@@ -22,27 +26,34 @@ TransposeOption = Annotated[
 ]
 
 
-def margins(
-    plant: Annotated[str, typer.Argument(help="HDF5 or MATLAB file with the plant, or the open loop.")],
+@dataclass(frozen=True)
+class LoopOptions:
+    """The loop, and where it is judged."""
+
     controller: Annotated[
         str | None,
         typer.Option("--controller", "-k", help="File with the controller; left out: unity.", show_default=False),
-    ] = None,
-    at: Annotated[str, typer.Option(help="Where gain and phase change: input, output or both.")] = "output",
-    skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0,
+    ] = None
+    at: Annotated[str, typer.Option(help="Where gain and phase change: input, output or both.")] = "output"
+    skew: Annotated[float, typer.Option(help="0: gain up as much as down; positive: rather up.")] = 0.0
     feedback: Annotated[
         str | None,
         typer.Option(
             help="negative (u = -K y) or positive; if left out, positive for a file of kind controller, else negative.",
             show_default=False,
         ),
-    ] = None,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
+    ] = None
+
+
+@grouped
+def margins(
+    *,
+    plant: Annotated[str, typer.Argument(help="HDF5 or MATLAB file with the plant, or the open loop.")],
+    loop: LoopOptions,
+    effort: EffortOptions,
     seed: SeedOption = 0,
     transpose: TransposeOption = False,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    output: OutputOptions,
 ) -> None:
     """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
 
@@ -53,29 +64,24 @@ def margins(
     from robustlab.storage import load
     from robustlab.uncertainty.lft import UncertainModel
 
-    if at not in PLACES:
-        raise UsageError(f"--at {at}", "no such place", "input, output or both")
+    if loop.at not in PLACES:
+        raise UsageError(f"--at {loop.at}", "no such place", "input, output or both")
     thing = load(plant, transpose=transpose)
-    k = None if controller is None else load(controller, transpose=transpose)
-    sign = _sign(feedback, k)
-    place = cast(Place, at)
-    options: dict[str, Any] = {"time_limit": time_limit, "effort": effort, "seed": seed}
+    k = None if loop.controller is None else load(loop.controller, transpose=transpose)
+    sign = _sign(loop.feedback, k)
+    options: dict[str, Any] = {"at": cast(Place, loop.at), "skew": loop.skew, "sign": sign, "seed": seed}
     if isinstance(thing, UncertainModel):
-        result: Any = worst_case_disk_margin(thing, k, at=place, skew=skew, sign=sign, **options)
+        result: Any = worst_case_disk_margin(thing, k, **options, **vars(effort))
         text = _worst_text(result)
     else:
-        result = disk_margin(thing, k, at=place, skew=skew, sign=sign, **options)
+        result = disk_margin(thing, k, **options, **vars(effort))
         text = _text(result)
-    if out is not None:
-        from robustlab.storage import save
-
-        save(out, result)
-        note(f"written: {out}")
+    output.keep(result)
     word = "negative" if sign < 0 else "positive"
-    head = f"disk margins at the {'inputs and outputs' if at == 'both' else at + 's'}, {word} feedback, skew {skew:g}"
-    emit("model margins", {**result.to_json(), "feedback": word}, f"{head}\n{text}", as_json)
-    if not result.status.trustworthy:
-        raise typer.Exit(4)
+    where = "inputs and outputs" if loop.at == "both" else f"{loop.at}s"
+    head = f"disk margins at the {where}, {word} feedback, skew {loop.skew:g}"
+    emit("model margins", {**result.to_json(), "feedback": word}, f"{head}\n{text}", output.as_json)
+    require_trust(result.status)
 
 
 def _sign(feedback: str | None, controller: Any) -> Any:
@@ -103,7 +109,9 @@ def _text(margins: DiskMargins) -> str:
 
 def _worst_text(margin: WorstCaseDiskMargin) -> str:
     low, high = margin.gain_margin
-    rows = [(name, _value(value), _physical(margin.physical, name)) for name, value in margin.delta.items()]
+    rows = [
+        (name, delta_value(value, "+"), stands_for(margin.physical, name, "")) for name, value in margin.delta.items()
+    ]
     lines = [
         f"worst-case disk margin  {margin.lower:.6g} .. {margin.upper:.6g}  ({margin.status}), all loops at once",
         f"gain                    {_gain(low)} .. {_gain(high)}",
@@ -137,36 +145,22 @@ def _gain(value: float) -> str:
 
 
 def _degrees(phase: float) -> str:
-    import math
-
     return f"{math.degrees(phase):.4g} deg"
 
 
 def _polar(factor: complex) -> str:
-    import cmath
-    import math
-
     if cmath.isinf(factor):
         return "infinite"
     return f"{abs(factor):.6g} at {math.degrees(cmath.phase(factor)):+.4g} deg"
 
 
-def _value(value: Any) -> str:
-    shape = getattr(value, "shape", ())
-    return f"{shape[0]} x {shape[1]} matrix" if shape else f"{value:+.6g}"
-
-
-def _physical(physical: Mapping[str, tuple[float, str]], name: str) -> str:
-    value = physical.get(name)
-    return f"{value[0]:.6g} {value[1]}".rstrip() if value else ""
-
-
+@grouped
 def gap(
+    *,
     first: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="A")],
     second: Annotated[str, typer.Argument(help="The other file.", metavar="B")],
     transpose: TransposeOption = False,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    output: OutputOptions,
 ) -> None:
     """Distance of two models as feedback sees it, gap and nu-gap metric: 0 equal, 1 nothing in common.
 
@@ -178,14 +172,9 @@ def gap(
 
     one, two = (as_model(load(path, transpose=transpose), path) for path in (first, second))
     result = gap_metric(one, two)
-    if out is not None:
-        from robustlab.storage import save
-
-        save(out, result)
-        note(f"written: {out}")
-    emit("model gap", result.to_json(), _gap_text(result), as_json)
-    if not result.status.trustworthy:
-        raise typer.Exit(4)
+    output.keep(result)
+    emit("model gap", result.to_json(), _gap_text(result), output.as_json)
+    require_trust(result.status)
 
 
 def _gap_text(result: GapMetric) -> str:

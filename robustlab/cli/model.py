@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli.console import JsonOption, assignments, emit, note, plant_settings, table
+from robustlab.cli.console import emit, note, require_trust, table
 from robustlab.cli.margins import gap, margins
-from robustlab.cli.reduction import discretise_model, reduce_model
-from robustlab.errors import UsageError
+from robustlab.cli.members import named
+from robustlab.cli.options import (
+    DtOption,
+    JsonOption,
+    OutputOptions,
+    PrewarpOption,
+    assignments,
+    ends,
+    grouped,
+    plant_settings,
+)
+from robustlab.errors import NoTrustworthyNumber, UsageError
 
 if TYPE_CHECKING:
     from robustlab.statespace import Signal, StateSpaceModel
@@ -17,6 +28,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True)
 
+ModelArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", metavar="FILE", show_default=False)]
 FileArgument = Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")]
 GroupOption = Annotated[
     str | None, typer.Option("--group", help="Group of the file that holds the model.", show_default=False)
@@ -24,9 +36,27 @@ GroupOption = Annotated[
 TransposeOption = Annotated[
     bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D.")
 ]
-NoVerifyOption = Annotated[bool, typer.Option("--no-verify", help="Load although the content hash does not match.")]
-
 SHOWN_STATES = 12
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How a file is to be read."""
+
+    group: GroupOption = None
+    transpose: TransposeOption = False
+    no_verify: Annotated[bool, typer.Option("--no-verify", help="Load although the content hash does not match.")] = (
+        False
+    )
+
+    def read(self, file: str) -> Loaded:
+        """What the file holds; what is odd about it as notes."""
+        from robustlab.storage import read
+
+        loaded = read(file, **vars(self))
+        for text in loaded.warnings:
+            note(f"warning: {file}: {text}")
+        return loaded
 
 
 @app.command()
@@ -99,18 +129,13 @@ def _pose(text: str) -> list[float]:
 
 
 @app.command()
-def show(
-    file: FileArgument,
-    group: GroupOption = None,
-    transpose: TransposeOption = False,
-    no_verify: NoVerifyOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@grouped
+def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
     """Print what a file holds.
 
     Example: robustlab model show motor.h5
     """
-    loaded = _read(file, group, transpose, no_verify)
+    loaded = options.read(file)
     parts = [line for name, thing in _objects(loaded) for line in _describe(name, thing)]
     origin = loaded.provenance
     if origin is not None and (origin.created_by or origin.created):
@@ -129,20 +154,15 @@ def show(
 
 
 @app.command()
-def check(
-    file: FileArgument,
-    group: GroupOption = None,
-    transpose: TransposeOption = False,
-    no_verify: NoVerifyOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@grouped
+def check(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
     """Check a file and the model in it: poles, stability, controllability, observability.
 
     Example: robustlab model check motor.h5
     """
     from robustlab.structural import controllability, observability
 
-    loaded = _read(file, group, transpose, no_verify)
+    loaded = options.read(file)
     lines, result, doubtful = [f"{file}: {_kind_line(loaded)}"], {}, False
     for name, model in _models(loaded):
         tests = [controllability(model), observability(model)]
@@ -160,7 +180,7 @@ def check(
     head = {"file": file, "kind": loaded.kind, "verified": loaded.verified, "warnings": loaded.warnings}
     emit("model check", {**head, **result}, "\n".join(lines), as_json)
     if doubtful:
-        raise typer.Exit(4)
+        raise typer.Exit(NoTrustworthyNumber.exit_code)
 
 
 @app.command()
@@ -219,12 +239,11 @@ def convert(
 
     Example: robustlab model convert plant.mat plant.h5
     """
-    from robustlab.cli.console import ends
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
     from robustlab.storage.controller_code import export_controller
 
-    loaded = _read(source, group, transpose, False)
+    loaded = ReadOptions(group, transpose).read(source)
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
@@ -238,20 +257,72 @@ def convert(
 
 app.command()(margins)
 app.command()(gap)
-app.command("reduce")(reduce_model)
-app.command("discretise")(discretise_model)
+
+
+@app.command()
+@grouped
+def reduce(
+    *,
+    file: ModelArgument,
+    order: Annotated[int | None, typer.Option("--order", help="States of the result.")] = None,
+    tolerance: Annotated[
+        float | None, typer.Option("--tolerance", help="In place of --order: largest error, H-infinity norm.")
+    ] = None,
+    method: Annotated[str, typer.Option("--method", help="truncation, residualisation or coprime.")] = "truncation",
+    output: OutputOptions,
+) -> None:
+    """A model of lower order, with its certified H-infinity error beside what theory promises.
+
+    Modes that are not stable are kept, or reduced too with --method coprime.
+    Exit code 4: the error cannot be vouched for.
+
+    Example: robustlab model reduce plant.h5 --tolerance 0.01 --out small.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.reduction.model_reduction import reduce_model
+
+    method_given: Any = method
+    found = reduce_model(as_model(load(file), file), order, tolerance=tolerance, method=method_given)
+    rows = [*found.summary(), *output.keep_made("model reduce", found.model, [file])]
+    emit("model reduce", found.to_json(), table(rows), output.as_json)
+    require_trust(found.status)
+
+
+@app.command()
+@grouped
+def discretise(
+    *,
+    file: ModelArgument,
+    dt: DtOption,
+    method: Annotated[
+        str, typer.Option("--method", help="tustin, tustin-prewarp, zoh, foh, impulse or matched.")
+    ] = "tustin",
+    prewarp: PrewarpOption = None,
+    output: OutputOptions,
+) -> None:
+    """A discrete model of a continuous one, by formula.
+
+    What a loop loses by it is what "synth discretise" computes.
+
+    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.sampled.discretisation import discretise as discretised
+    from robustlab.synthesis.sampled.discretisation import merged_modes
+
+    model = as_model(load(file), file)
+    method_given: Any = method
+    found = discretised(model, dt, method_given, prewarp=prewarp)
+    merged = merged_modes(model, dt)
+    for pair in merged:
+        note(f"warning: {file}: {pair}")
+    rows = [("method", method), ("model", repr(found)), *output.keep_made("model discretise", found, [file])]
+    emit("model discretise", {"method": method, "model": found, "pathological": merged}, table(rows), output.as_json)
 
 
 # --- reading and printing --------------------------------------------------------------------------------------------
-
-
-def _read(file: str, group: str | None, transpose: bool, no_verify: bool) -> Loaded:
-    from robustlab.storage import read
-
-    loaded = read(file, group=group, transpose=transpose, no_verify=no_verify)
-    for text in loaded.warnings:
-        note(f"warning: {file}: {text}")
-    return loaded
 
 
 def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
@@ -341,7 +412,7 @@ def _range(block: Any) -> str:
 
 def _signal_lines(model: StateSpaceModel | Any) -> list[str]:
     def line(word: str, signals: tuple[Signal, ...]) -> str:
-        return f"  {word}: " + ", ".join(f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals)
+        return f"  {word}: " + ", ".join(named(signals))
 
     return [line("inputs", model.inputs), line("outputs", model.outputs), line("states", model.states)]
 

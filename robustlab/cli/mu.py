@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from robustlab.cli.console import EffortOption, JsonOption, OutOption, SeedOption, TimeLimitOption, emit, note, table
+from robustlab.cli.console import emit, note, require_trust, save_drawing, table
+from robustlab.cli.members import SHOWN_BLOCKS, delta_value, stands_for
+from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped
 from robustlab.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -15,72 +18,94 @@ if TYPE_CHECKING:
 
 app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_completion=False)
 
-SHOWN_BLOCKS = 40
 PERFORMANCE = "performance"  # the block that robust_performance adds; no range of the user's
 
 
-@app.command()
-def mu(
-    file: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.")],
-    gain: Annotated[bool, typer.Option("--gain", help="Worst-case gain from inputs to outputs instead.")] = False,
+@dataclass(frozen=True)
+class QuestionOptions:
+    """What is asked of the model, and of which part of it."""
+
+    gain: Annotated[bool, typer.Option("--gain", help="Worst-case gain from inputs to outputs instead.")] = False
     performance: Annotated[
         bool, typer.Option("--performance", help="Robust performance margin of weighted inputs and outputs instead.")
-    ] = False,
-    inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None,
-    outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None,
+    ] = False
+    inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None
+    outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None
+
+    def check(self, certify: bool) -> None:
+        """Refuse what does not belong together."""
+        if certify and (self.gain or self.performance):
+            raise UsageError("mu", "--certify with --gain or --performance", "the stability margin")
+        if self.gain and self.performance:
+            raise UsageError("mu", "--gain and --performance", "one of them")
+        if (self.inputs or self.outputs) and not (self.gain or self.performance):
+            raise UsageError("mu", "--inputs or --outputs without --gain or --performance", "one of these, too")
+
+
+@dataclass(frozen=True)
+class ProofOptions:
+    """How close the bounds are to come, and at what expense."""
+
     tolerance: Annotated[
         float, typer.Option(help="Relative gap of the bounds that branch and bound aims at; inf: none.")
-    ] = 0.01,
-    accuracy: Annotated[float, typer.Option(help="Relative distance to the best margin that D, G can prove.")] = 3e-5,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
-    intervals: Annotated[bool, typer.Option("--intervals", help="Print the proved frequency intervals.")] = False,
+    ] = 0.01
+    accuracy: Annotated[float, typer.Option(help="Relative distance to the best margin that D, G can prove.")] = 3e-5
+    effort: EffortOption = 1.0
+    time_limit: TimeLimitOption = None
+
+
+@dataclass(frozen=True)
+class ShownOptions:
+    """What is shown beside the numbers."""
+
+    intervals: Annotated[bool, typer.Option("--intervals", help="Print the proved frequency intervals.")] = False
     figure: Annotated[
         str | None,
         typer.Option(
             help="Figures to write: NAME (bounds), NAME-shares, NAME-replay, SVG and PNG.", show_default=False
         ),
-    ] = None,
+    ] = None
+
+
+@app.command()
+@grouped
+def mu(
+    *,
+    file: Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.")],
+    question: QuestionOptions,
+    proof: ProofOptions,
+    shown: ShownOptions,
     certify: Annotated[
         bool, typer.Option("--certify", help="Confirm the scalings in ball arithmetic (needs robustlab[certify]).")
     ] = False,
     seed: SeedOption = 0,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    output: OutputOptions,
 ) -> None:
     """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
 
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
-    if certify and (gain or performance):
-        raise UsageError("mu", "--certify with --gain or --performance", "the stability margin")
-    if gain and performance:
-        raise UsageError("mu", "--gain and --performance", "one of them")
-    if (inputs or outputs) and not (gain or performance):
-        raise UsageError("mu", "--inputs or --outputs without --gain or --performance", "one of these, too")
-    if not 0 < accuracy < 1 or not tolerance > 0:
-        raise InputError("mu", f"accuracy {accuracy}, tolerance {tolerance}", "0 < accuracy < 1, a positive tolerance")
-    options: dict[str, Any] = {"tolerance": tolerance, "effort": effort, "time_limit": time_limit, "seed": seed}
-    uncertain = _uncertain(file, inputs, outputs)
-    if gain:
-        result, text = _worst_gain(uncertain, options, intervals, figure)
+    question.check(certify)
+    if not 0 < proof.accuracy < 1 or not proof.tolerance > 0:
+        found = f"accuracy {proof.accuracy}, tolerance {proof.tolerance}"
+        raise InputError("mu", found, "0 < accuracy < 1, a positive tolerance")
+    options: dict[str, Any] = {**vars(proof), "seed": seed}
+    uncertain = _uncertain(file, question.inputs, question.outputs)
+    if question.gain:
+        del options["accuracy"]
+        result, text = _worst_gain(uncertain, options, shown)
     else:
-        result, text = _margin(
-            uncertain, performance, {**options, "accuracy": accuracy}, with_intervals=intervals, figure=figure
-        )
+        result, text = _margin(uncertain, question.performance, options, shown)
     balls = None
     if certify:
         from robustlab.mu_analysis.axis.margin import margin_in_balls
 
         balls = margin_in_balls(uncertain, cast("Margin", result))
         text += f"\nball arithmetic: {balls.proved} of {balls.tried} inequalities of the proved intervals confirmed"
-    if out is not None:
-        from robustlab.storage import save
-
-        save(out, result)
-        note(f"written: {out}")
-    emit("mu", {**result.to_json(), **({} if balls is None else {"balls": balls})}, text, as_json)
-    if not result.status.trustworthy or (balls is not None and balls.proved < balls.tried):
+    output.keep(result)
+    emit("mu", {**result.to_json(), **({} if balls is None else {"balls": balls})}, text, output.as_json)
+    require_trust(result.status)
+    if balls is not None and balls.proved < balls.tried:
         raise typer.Exit(4)
 
 
@@ -106,19 +131,14 @@ def _grid(uncertain: UncertainModel, figure: str | None) -> Any:
 
 
 def _margin(
-    uncertain: UncertainModel,
-    performance: bool,
-    options: dict[str, Any],
-    *,
-    with_intervals: bool,
-    figure: str | None,
+    uncertain: UncertainModel, performance: bool, options: dict[str, Any], shown: ShownOptions
 ) -> tuple[Margin, str]:
     from robustlab.mu_analysis import robust_performance, robust_stability
 
     analyse = robust_performance if performance else robust_stability
-    margin = analyse(uncertain, omega=_grid(uncertain, figure), **options)
-    if figure is not None:
-        _draw(uncertain, margin, figure, performance)
+    margin = analyse(uncertain, omega=_grid(uncertain, shown.figure), **options)
+    if shown.figure is not None:
+        _draw(uncertain, margin, shown.figure, performance)
     what = "robust performance margin" if performance else "robust stability margin"
     lines = [
         f"{what}  {margin.lower:.6g} .. {margin.upper:.6g}  ({margin.status})",
@@ -127,20 +147,18 @@ def _margin(
     if margin.frequency is not None:
         lines += [f"critical frequency       {margin.frequency:.6g} rad/s", "", "critical Delta (smallest found):"]
         lines += _delta_lines(margin.delta, margin.physical, margin.shares)
-    lines += _tail(margin, "mu at most", with_intervals)
+    lines += _tail(margin, "mu at most", shown.intervals)
     return margin, "\n".join(lines)
 
 
-def _worst_gain(
-    uncertain: UncertainModel, options: dict[str, Any], with_intervals: bool, figure: str | None
-) -> tuple[WorstCaseGain, str]:
+def _worst_gain(uncertain: UncertainModel, options: dict[str, Any], shown: ShownOptions) -> tuple[WorstCaseGain, str]:
     from robustlab.mu_analysis import worst_case_gain
 
-    worst = worst_case_gain(uncertain, omega=_grid(uncertain, figure), **options)
-    if figure is not None:
+    worst = worst_case_gain(uncertain, omega=_grid(uncertain, shown.figure), **options)
+    if shown.figure is not None:
         from robustlab.report.mu_figures import gain_figure
 
-        _save(gain_figure(worst), figure)
+        save_drawing(gain_figure(worst), shown.figure)
     lines = [
         f"worst-case gain  {worst.lower:.6g} .. {worst.upper:.6g}  ({worst.status})",
         f"nominal gain     {worst.nominal:.6g}",
@@ -149,7 +167,7 @@ def _worst_gain(
         lines += [f"at               {worst.frequency:.6g} rad/s"]
     if worst.delta:
         lines += ["", "worst Delta found:", *_delta_lines(worst.delta, worst.physical, {})]
-    lines += _tail(worst, "gain at most", with_intervals)
+    lines += _tail(worst, "gain at most", shown.intervals)
     return worst, "\n".join(lines)
 
 
@@ -158,10 +176,8 @@ def _delta_lines(delta: Any, physical: Any, shares: Any) -> list[str]:
     order = sorted(delta, key=lambda name: -abs(shares.get(name, 0.0))) if shares else list(delta)
     rows = []
     for name in order[:SHOWN_BLOCKS]:
-        value, unit = physical.get(name, (None, ""))
-        parameter = "" if value is None else f"{value:.6g} {unit}".rstrip()
         share = f"{100 * shares[name]:.1f} %" if name in shares else ""
-        rows.append((name, _number(delta[name]), parameter, share)[: 4 if shares else 3])
+        rows.append((name, delta_value(delta[name], "+"), stands_for(physical, name, ""), share)[: 4 if shares else 3])
     lines = table(rows, ("block", "delta", "parameter", "share")[: 4 if shares else 3]).splitlines()
     if len(order) > SHOWN_BLOCKS:
         lines.append(f"... and {len(order) - SHOWN_BLOCKS} more blocks")
@@ -184,21 +200,14 @@ def _inverse(value: float) -> float:
     return 1 / value if value else float("inf")
 
 
-def _number(value: Any) -> str:
-    shape = getattr(value, "shape", ())
-    if shape:
-        return f"{shape[0]} x {shape[1]} matrix"
-    return f"{value:+.6g}"
-
-
 def _draw(uncertain: UncertainModel, margin: Margin, figure: str, performance: bool) -> None:
     from robustlab.errors import RobustlabError
     from robustlab.mu_analysis.axis.critical_delta import replay
     from robustlab.report.mu_figures import mu_figure, replay_figure, shares_figure
 
-    _save(mu_figure(margin), figure)
+    save_drawing(mu_figure(margin), figure)
     if margin.shares:
-        _save(shares_figure(margin.shares), figure, "-shares")
+        save_drawing(shares_figure(margin.shares), figure, "-shares")
     if performance or not margin.delta or not uncertain.outputs:
         return
     try:
@@ -206,14 +215,4 @@ def _draw(uncertain: UncertainModel, margin: Margin, figure: str, performance: b
     except RobustlabError as error:
         note(f"no replay: {error}")
         return
-    _save(replay_figure(shown), figure, "-replay")
-
-
-def _save(drawing: Any, path: str, suffix: str = "") -> None:
-    from pathlib import Path
-
-    from robustlab.report.figures import save_figure
-
-    target = Path(path)
-    for made in save_figure(drawing, target.parent, target.stem + suffix):
-        note(f"written: {made}")
+    save_drawing(replay_figure(shown), figure, "-replay")

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit, table
+from robustlab.cli.console import emit, table
+from robustlab.cli.options import JsonOption
 
 app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_args_is_help=True)
 

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit
+from robustlab.cli.console import emit
+from robustlab.cli.options import JsonOption
 
 app = typer.Typer(help="Write the report of a finished run again.")
 

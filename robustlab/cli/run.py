@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from robustlab.cli.console import JsonOption, emit, note, progress, table
+from robustlab.cli.console import emit, note, progress, table
+from robustlab.cli.options import JsonOption
 
 app = typer.Typer(help="Run a recipe: steps, requirements, report.")
 

@@ -2,56 +2,55 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robustlab.cli import reduction
-from robustlab.cli.console import EffortOption, JsonOption, OutOption, SeedOption, TimeLimitOption, note, status_line
-from robustlab.cli.design_output import (
-    Channels,
-    ControlsOption,
-    DisturbancesOption,
-    FigureOption,
-    FileArgument,
-    GammaRelOption,
-    MeasurementsOption,
-    NConOption,
-    NMeasOption,
-    NominalOption,
-    PerformanceOption,
-    VerboseOption,
-    check_target,
-    finish,
-    names,
-    rows_of_blocks,
-    weight,
+from robustlab.cli.console import emit, note, require_trust, status_line, table
+from robustlab.cli.design_options import (
+    ChannelOptions,
+    DesignOutput,
+    LoopChannelOptions,
+    QuietDesignOutput,
+    SignalOptions,
 )
-from robustlab.errors import UsageError
+from robustlab.cli.options import DtOption, EffortOptions, OutputOptions, PrewarpOption, SeedOption, grouped, names
+from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
 
 if TYPE_CHECKING:
     from robustlab.statespace import StateSpaceModel
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 app = typer.Typer(help="Design a controller and verify it in the loop rebuilt from it.", no_args_is_help=True)
 
+FileArgument = Annotated[str, typer.Argument(help="HDF5 or .mat file.", show_default=False)]
+NominalOption = Annotated[
+    bool, typer.Option("--nominal", help="Of an uncertain file: without its perturbation channels, at Delta = 0.")
+]
+GammaRelOption = Annotated[
+    float,
+    typer.Option("--gamma-rel", help="Allowed ratio to the smallest gamma; within it the slowest controller wins."),
+]
+PlantArgument = Annotated[
+    str, typer.Argument(help="Generalised plant: HDF5 or .mat file.", metavar="PLANT", show_default=False)
+]
+ControllerArgument = Annotated[
+    str, typer.Argument(help="Its controller: HDF5 or .mat file.", metavar="CONTROLLER", show_default=False)
+]
+
 
 @app.command()
+@grouped
 def hinf(
+    *,
     file: FileArgument,
-    n_meas: NMeasOption = None,
-    n_con: NConOption = None,
-    measurements: MeasurementsOption = None,
-    controls: ControlsOption = None,
-    disturbances: DisturbancesOption = None,
-    performance: PerformanceOption = None,
+    channels: ChannelOptions,
     nominal: NominalOption = False,
     gamma_rel: GammaRelOption = 1.05,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
-    out: OutOption = None,
-    figure: FigureOption = None,
-    verbose: VerboseOption = False,
-    as_json: JsonOption = False,
+    effort: EffortOptions,
+    output: DesignOutput,
 ) -> None:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
 
@@ -60,32 +59,25 @@ def hinf(
 
     Example: robustlab synth hinf plant.h5 --n-meas 1 --n-con 1 --out controller.h5
     """
-    channels = Channels("synth hinf", n_meas, n_con, measurements, controls, disturbances, performance)
-    check_target(out)
+    channels.check("synth hinf")
+    output.check()
     from robustlab.synthesis.hinf.hinf_synthesis import hinf as design
 
-    plant = channels.plant(file, nominal)
-    with status_line("H-infinity", verbose) as report:
-        found = design(plant, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=report)
-    finish("synth hinf", found, file, out, figure, as_json)
+    plant = channels.plant("synth hinf", file, nominal)
+    with status_line("H-infinity", output.verbose) as report:
+        found = design(plant, gamma_rel=gamma_rel, **vars(effort), progress=report)
+    output.finish("synth hinf", found, file)
 
 
 @app.command()
+@grouped
 def h2(
+    *,
     file: FileArgument,
-    n_meas: NMeasOption = None,
-    n_con: NConOption = None,
-    measurements: MeasurementsOption = None,
-    controls: ControlsOption = None,
-    disturbances: DisturbancesOption = None,
-    performance: PerformanceOption = None,
+    channels: ChannelOptions,
     nominal: NominalOption = False,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
-    out: OutOption = None,
-    figure: FigureOption = None,
-    verbose: VerboseOption = False,
-    as_json: JsonOption = False,
+    effort: EffortOptions,
+    output: DesignOutput,
 ) -> None:
     """H2 (LQG) controller u = K y (positive feedback) of a generalised plant; gamma is the verified H2 norm.
 
@@ -93,27 +85,26 @@ def h2(
 
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
-    channels = Channels("synth h2", n_meas, n_con, measurements, controls, disturbances, performance)
-    check_target(out)
+    channels.check("synth h2")
+    output.check()
     from robustlab.synthesis.h2.h2_synthesis import h2 as design
 
-    plant = channels.plant(file, nominal)
-    with status_line("H2", verbose) as report:
-        found = design(plant, effort=effort, time_limit=time_limit, progress=report)
-    finish("synth h2", found, file, out, figure, as_json)
+    plant = channels.plant("synth h2", file, nominal)
+    with status_line("H2", output.verbose) as report:
+        found = design(plant, **vars(effort), progress=report)
+    output.finish("synth h2", found, file)
 
 
 @app.command()
+@grouped
 def ncf(
+    *,
     file: FileArgument,
     w1: Annotated[str | None, typer.Option("--w1", help="Before the plant: a number or a model file.")] = None,
     w2: Annotated[str | None, typer.Option("--w2", help="Behind the plant: a number or a model file.")] = None,
-    inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None,
-    outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None,
+    signals: SignalOptions,
     factor: Annotated[float, typer.Option("--factor", help="Back-off from the smallest gamma, above 1.")] = 1.1,
-    out: OutOption = None,
-    figure: FigureOption = None,
-    as_json: JsonOption = False,
+    output: QuietDesignOutput,
 ) -> None:
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
 
@@ -122,25 +113,20 @@ def ncf(
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
     from robustlab.synthesis.hinf.loop_shaping import ncf as design
 
-    check_target(out)
-    model = _selected(as_model(load(file), file), inputs, outputs)
+    output.check()
+    model = signals.model(file)
     weights = [None if text is None else _number_or_model(text) for text in (w1, w2)]
-    finish("synth ncf", design(model, *weights, factor=factor), file, out, figure, as_json)
+    output.finish("synth ncf", design(model, *weights, factor=factor), file)
 
 
 @app.command()
+@grouped
 def dk(
+    *,
     file: FileArgument,
-    n_meas: NMeasOption = None,
-    n_con: NConOption = None,
-    measurements: MeasurementsOption = None,
-    controls: ControlsOption = None,
-    disturbances: DisturbancesOption = None,
-    performance: PerformanceOption = None,
+    channels: ChannelOptions,
     blocks: Annotated[
         str | None,
         typer.Option(
@@ -153,12 +139,8 @@ def dk(
     direct: Annotated[bool, typer.Option(help="Go on with direct minimisation after D-K iteration.")] = True,
     mixed: Annotated[bool, typer.Option(help="Use that real blocks are real.")] = True,
     max_order: Annotated[int | None, typer.Option(help="Largest order of the controller.", show_default=False)] = None,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
-    out: OutOption = None,
-    figure: FigureOption = None,
-    verbose: VerboseOption = False,
-    as_json: JsonOption = False,
+    effort: EffortOptions,
+    output: DesignOutput,
 ) -> None:
     """Robust controller u = K y (positive feedback): makes the peak of mu small, by D-K iteration and directly.
 
@@ -167,22 +149,24 @@ def dk(
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
-    channels = Channels("synth dk", n_meas, n_con, measurements, controls, disturbances, performance)
-    check_target(out)
-    rows = None if blocks is None else rows_of_blocks(blocks)
+    channels.check("synth dk")
+    output.check()
+    rows = None if blocks is None else _rows_of_blocks(blocks)
     from robustlab.synthesis.dk.dk_iteration import dk as design
 
-    plant = channels.plant(file)
-    with status_line("D-K", verbose) as report:
+    plant = channels.plant("synth dk", file)
+    with status_line("D-K", output.verbose) as report:
         found = design(
-            plant, rows, direct=direct, mixed=mixed, max_order=max_order, effort=effort, time_limit=time_limit,
+            plant, rows, direct=direct, mixed=mixed, max_order=max_order, **vars(effort),
             progress=report,
         )  # fmt: skip
-    finish("synth dk", found, file, out, figure, as_json)
+    output.finish("synth dk", found, file)
 
 
 @app.command()
+@grouped
 def fixed(
+    *,
     file: FileArgument,
     structure: Annotated[
         str,
@@ -192,22 +176,13 @@ def fixed(
             ":diagonal, :scalar), decentralised:WORD.",
         ),
     ] = "static",
-    n_meas: NMeasOption = None,
-    n_con: NConOption = None,
-    measurements: MeasurementsOption = None,
-    controls: ControlsOption = None,
-    disturbances: DisturbancesOption = None,
-    performance: PerformanceOption = None,
+    channels: ChannelOptions,
     nominal: NominalOption = False,
     objective: Annotated[str, typer.Option("--objective", help="hinf or h2.")] = "hinf",
     starts: Annotated[int, typer.Option("--starts", help="Number of random starts.")] = 3,
     seed: SeedOption = 0,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
-    out: OutOption = None,
-    figure: FigureOption = None,
-    verbose: VerboseOption = False,
-    as_json: JsonOption = False,
+    effort: EffortOptions,
+    output: DesignOutput,
 ) -> None:
     """Controller u = K y (positive feedback) of a given structure: the smallest norm found, verified; a local optimum.
 
@@ -216,22 +191,23 @@ def fixed(
 
     Example: robustlab synth fixed plant.h5 --structure order:2 --n-meas 1 --n-con 1 --out controller.h5
     """
-    channels = Channels("synth fixed", n_meas, n_con, measurements, controls, disturbances, performance)
-    check_target(out)
+    channels.check("synth fixed")
+    output.check()
     from robustlab.synthesis.fixed import fixed_structure as design
     from robustlab.synthesis.laws.controller_structures import structure_in_words
 
-    plant = channels.plant(file, nominal)
+    plant = channels.plant("synth fixed", file, nominal)
     words = structure_in_words(structure, plant)
-    options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed}
-    options |= {"effort": effort, "time_limit": time_limit}
-    with status_line("fixed structure", verbose) as report:
+    options: dict[str, Any] = {"objective": objective, "starts": starts, "seed": seed, **vars(effort)}
+    with status_line("fixed structure", output.verbose) as report:
         found = design(plant, words, progress=report, **options)
-    finish("synth fixed", found, file, out, figure, as_json)
+    output.finish("synth fixed", found, file)
 
 
 @app.command()
+@grouped
 def mixsyn(
+    *,
     file: FileArgument,
     w1: Annotated[
         str | None, typer.Option("--w1", help='On the error: a number, or "bandwidth=10,error=0.01,peak=2".')
@@ -242,15 +218,10 @@ def mixsyn(
     w3: Annotated[
         str | None, typer.Option("--w3", help='On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".')
     ] = None,
-    inputs: Annotated[str | None, typer.Option("--inputs", help="Control inputs of the model to use: a,b.")] = None,
-    outputs: Annotated[str | None, typer.Option("--outputs", help="Outputs of the model to control: a,b.")] = None,
+    signals: SignalOptions,
     gamma_rel: GammaRelOption = 1.05,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
-    out: OutOption = None,
-    figure: FigureOption = None,
-    verbose: VerboseOption = False,
-    as_json: JsonOption = False,
+    effort: EffortOptions,
+    output: DesignOutput,
 ) -> None:
     """Mixed-sensitivity controller u = K (r - y) of a plant, verified in the loop rebuilt from K.
 
@@ -259,8 +230,6 @@ def mixsyn(
 
     Example: robustlab synth mixsyn motor.h5 --outputs omega --w1 bandwidth=100,error=0.01 --w2 limit=2 --out k.h5
     """
-    from robustlab.statespace import as_model
-    from robustlab.storage import load
     from robustlab.structural import drop_unconnected
     from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as design
     from robustlab.synthesis.specifications.weight_design import (
@@ -270,31 +239,125 @@ def mixsyn(
     )
 
     weights = (
-        weight("--w1", w1, performance_weight),
-        weight("--w2", w2, control_weight),
-        weight("--w3", w3, complementary_weight),
+        _weight("--w1", w1, performance_weight),
+        _weight("--w2", w2, control_weight),
+        _weight("--w3", w3, complementary_weight),
     )
     if all(weight is None for weight in weights):
         raise UsageError("synth mixsyn", "no weight", "at least one of --w1, --w2, --w3")
-    check_target(out)
-    model = _selected(as_model(load(file), file), inputs, outputs)
+    output.check()
+    model = signals.model(file)
     kept = drop_unconnected(model)
     left_out = [name for name in model.state_names if name not in kept.state_names]
     if left_out:
         note(f"left out, for no chosen input or output touches them: states {', '.join(left_out)}")
-    with status_line("mixed sensitivity", verbose) as report:
-        found = design(kept, *weights, gamma_rel=gamma_rel, effort=effort, time_limit=time_limit, progress=report)
-    finish("synth mixsyn", found, file, out, figure, as_json)
+    with status_line("mixed sensitivity", output.verbose) as report:
+        found = design(kept, *weights, gamma_rel=gamma_rel, **vars(effort), progress=report)
+    output.finish("synth mixsyn", found, file)
 
 
-app.command("reduce")(reduction.reduce_controller)
-app.command("discretise")(reduction.discretise_controller)
+@app.command()
+@grouped
+def reduce(
+    *,
+    plant: PlantArgument,
+    controller: ControllerArgument,
+    loss: Annotated[float, typer.Option("--loss", help="Largest loss allowed, as a share.")] = 0.01,
+    order: Annotated[int | None, typer.Option("--order", help="States of the result, whatever it loses.")] = None,
+    measure: Annotated[
+        str, typer.Option("--measure", help="hinf, h2, or mu (robust performance of an uncertain plant).")
+    ] = "hinf",
+    channels: LoopChannelOptions,
+    effort: EffortOptions,
+    output: OutputOptions,
+) -> None:
+    """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than --loss.
+
+    Exit code 4: no controller of the order wanted could be vouched for.
+
+    Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.reduction.controller_reduction import reduce_controller
+
+    K = as_model(load(controller), controller)
+    measure_given: Any = measure
+    found = reduce_controller(
+        channels.plant(plant, K), K, loss=loss, order=order, measure=measure_given,
+        **vars(effort), progress=_progress(),
+    )  # fmt: skip
+    rows = [*found.summary(), *output.keep_made("synth reduce", found.controller, (plant, controller))]
+    emit("synth reduce", found.to_json(), table(rows), output.as_json)
+    require_trust(found.status)
 
 
-def _selected(model: StateSpaceModel, inputs: str | None, outputs: str | None) -> StateSpaceModel:
-    if not inputs and not outputs:
-        return model
-    return model.select(names(inputs) if inputs else None, names(outputs) if outputs else None)
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How a controller is made digital."""
+
+    dt: DtOption
+    method: Annotated[
+        str,
+        typer.Option("--method", help="auto, direct, tustin, tustin-prewarp, zoh, foh, impulse or matched."),
+    ] = "auto"
+    loss: Annotated[float, typer.Option("--loss", help="Loss from which on auto tries a direct design.")] = 0.1
+    delay: Annotated[float, typer.Option("--delay", help="Computational delay in s.")] = 0.0
+    antialiasing: Annotated[
+        float | None, typer.Option("--antialiasing", help="Corner of a filter before the sampler in rad/s.")
+    ] = None
+    prewarp: PrewarpOption = None
+
+
+@app.command()
+@grouped
+def discretise(
+    *,
+    plant: PlantArgument,
+    controller: ControllerArgument,
+    sampling: SamplingOptions,
+    channels: LoopChannelOptions,
+    effort: EffortOptions,
+    output: OutputOptions,
+) -> None:
+    """Digital controller, with the proved norm of the sampled loop, between samples too, and what it loses.
+
+    Of an uncertain plant the norm is that of the nominal loop, and mu of robust performance is proved for the sampled
+    loop as well.
+
+    Exit code 1: it loses more than --loss. Exit code 4: no method left the sampled loop stable.
+
+    Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.storage import load
+    from robustlab.synthesis.sampled.sampled_controller import discretise_controller
+
+    K = as_model(load(controller), controller)
+    given = channels.plant(plant, K)
+    found = discretise_controller(
+        _nominal(given), K=K, **vars(sampling), **vars(effort), progress=_progress(),
+    )  # fmt: skip
+    robust = None
+    if given.blocks:
+        from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness
+
+        robust = sampled_robustness(
+            given, found.K, delay=sampling.delay, antialiasing=sampling.antialiasing, **vars(effort),
+            progress=_progress(),
+        )  # fmt: skip
+    proved = [(f"sampled: {label}", text) for label, text in robust.summary()] if robust else []
+    rows = [*found.summary(), *proved, *output.keep_made("synth discretise", found.controller, (plant, controller))]
+    data = found.to_json() | ({"robustness": robust.to_json()} if robust else {})
+    emit("synth discretise", data, table(rows), output.as_json)
+    require_trust(found.status)
+    if robust is not None:
+        require_trust(robust.status)
+    if found.loss > sampling.loss:
+        raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
 
 
 def _number_or_model(text: str) -> StateSpaceModel | float:
@@ -306,3 +369,65 @@ def _number_or_model(text: str) -> StateSpaceModel | float:
         return float(text)
     except ValueError:
         return as_model(load(text), text)
+
+
+def _rows_of_blocks(text: str) -> list[list[int]]:
+    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
+    rows: list[list[int]] = []
+    for part in text.split(";"):
+        try:
+            row = [int(number) for number in part.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != 2:
+            expected = 'rows "r,c" separated by ";": -r,0 real repeated r times, r,0 complex repeated, r,c a full block'
+            raise UsageError("--blocks", repr(part.strip()), expected)
+        rows.append(row)
+    return rows
+
+
+def _number(where: str, text: str) -> float:
+    """A number, or a usage error."""
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(where, f"{text.strip()!r}", "a number") from None
+
+
+def _weight(option: str, text: str | None, make: Any) -> Any:
+    """A number, or the weight that ``key=value,...`` specifies; None where left out."""
+    import inspect
+
+    from robustlab.errors import did_you_mean
+
+    if text is None:
+        return None
+    if "=" not in text:
+        return _number(option, text)
+    known = list(inspect.signature(make).parameters)
+    specification: dict[str, float] = {}
+    for part in names(text):
+        key, _, value = part.partition("=")
+        key = key.strip().replace("-", "_")
+        if key not in known:
+            raise UsageError(option, f"unknown word {key!r}", f"one of {', '.join(known)}", did_you_mean(key, known))
+        specification[key] = _number(f"{option}: {key}", value)
+    if "order" in specification and specification["order"].is_integer():
+        specification["order"] = int(specification["order"])
+    required = known[0]
+    if required not in specification:
+        raise UsageError(option, f"{required} is missing", f"at least {required}=NUMBER")
+    return make(**specification)
+
+
+def _nominal(plant: GeneralizedPlant) -> GeneralizedPlant:
+    """The plant at Delta = 0."""
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
+    from robustlab.uncertainty.lft import UncertainModel
+
+    return GeneralizedPlant(UncertainModel(plant.model, plant.blocks).nominal, plant.n_meas, plant.n_con)
+
+
+def _progress() -> Any:
+    """Lines on stderr, on a terminal only."""
+    return note if sys.stderr.isatty() else None

@@ -2,40 +2,53 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
 
-from robustlab.cli.console import (
-    EffortOption,
-    JsonOption,
-    OutOption,
-    SeedOption,
-    TimeLimitOption,
-    assignments,
-    emit,
-    note,
-    table,
-)
-from robustlab.cli.uncertain import (
-    EndOption,
-    InputOption,
-    PointsOption,
-    UncertainArgument,
-    load_uncertain,
-    times,
-    unit_of,
-)
+from robustlab.cli.console import emit, note, require_trust, save_figures, table
+from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
+from robustlab.cli.options import EffortOption, OutputOptions, SeedOption, TimeLimitOption, grouped
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, UsageError
 
 app = typer.Typer(help="Search the worst member of an uncertain model.")
 
-SHOWN_BLOCKS = 40
 SHOWN_INFLUENCES = 12
 
 
+@dataclass(frozen=True)
+class SearchOptions:
+    """How much is tried."""
+
+    n: Annotated[
+        int | None,
+        typer.Option("-n", "--samples", help="Points that the search starts from (256); with --limit: samples."),
+    ] = None
+    seed: SeedOption = 0
+    effort: EffortOption = 1.0
+    time_limit: TimeLimitOption = None
+
+
+@dataclass(frozen=True)
+class LimitOptions:
+    """The limit whose violation is judged in the place of a search."""
+
+    limit: Annotated[
+        str | None,
+        typer.Option("--limit", help="Do not search: how probable is it that samples violate this? '0.5 rad'."),
+    ] = None
+    probability: Annotated[
+        float | None,
+        typer.Option("--probability", help="With --limit: show P(violation) at most so large; else exit code 1."),
+    ] = None
+    confidence: Annotated[float, typer.Option("--confidence", help="With --limit: confidence of all bounds.")] = 0.95
+
+
 @app.command()
+@grouped
 def worst_case(
+    *,
     file: UncertainArgument,
     metric: Annotated[
         str,
@@ -45,37 +58,15 @@ def worst_case(
             "controllability or hankel.",
         ),
     ] = "peak-deviation",
-    output: Annotated[str | None, typer.Option("--output", help="Output to look at.", show_default=False)] = None,
-    from_input: Annotated[
-        str | None, typer.Option("--from", help="For norms and controllability: input to look from; all if left out.")
-    ] = None,
-    inputs: InputOption = None,
-    t_end: EndOption = None,
-    points: PointsOption = 401,
-    band: Annotated[float, typer.Option("--band", help="Share of the final value that counts as settled.")] = 0.02,
-    n: Annotated[
-        int | None,
-        typer.Option("-n", "--samples", help="Points that the search starts from (256); with --limit: samples."),
-    ] = None,
-    seed: SeedOption = 0,
-    effort: EffortOption = 1.0,
-    time_limit: TimeLimitOption = None,
-    limit: Annotated[
-        str | None,
-        typer.Option("--limit", help="Do not search: how probable is it that samples violate this? '0.5 rad'."),
-    ] = None,
-    probability: Annotated[
-        float | None,
-        typer.Option("--probability", help="With --limit: show P(violation) at most so large; else exit code 1."),
-    ] = None,
-    confidence: Annotated[float, typer.Option("--confidence", help="With --limit: confidence of all bounds.")] = 0.95,
+    of: MetricOptions,
+    search: SearchOptions,
+    judged: LimitOptions,
     workers: Annotated[int, typer.Option("--workers", help="Threads; the answer does not depend on them.")] = 1,
     figure: Annotated[
         str | None,
         typer.Option("--figure", help="With --limit: folder for figures.", show_default=False),
     ] = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    output: OutputOptions,
 ) -> None:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
 
@@ -85,30 +76,29 @@ def worst_case(
     """
     from robustlab import worst_case_analysis
 
-    if limit is None and (probability is not None or figure is not None):
+    if judged.limit is None and (judged.probability is not None or figure is not None):
         raise UsageError("worst-case", "--probability or --figure without --limit", "--limit with its value and unit")
     model = load_uncertain(file)
     options: dict[str, Any] = {
-        "output": output,
-        "input": from_input,
-        "t": None if t_end is None else times(model.dt, t_end, points),
-        "u": assignments("--input", inputs, unit_of(model.inputs)) or None,
-        "band": band,
-        "seed": seed,
+        "output": of.output,
+        "input": of.from_input,
+        "t": of.response.times(model),
+        "u": of.response.driven(model),
+        "band": of.band,
+        "seed": search.seed,
         "workers": workers,
     }
-    if limit is not None:
-        options |= {"probability": probability, "confidence": confidence}
-        found = worst_case_analysis.violation_probability(model, metric, limit, n=n, **options)
-        _keep(out, found, file, seed)
-        _report_violation(file, found, figure, as_json)
+    if judged.limit is not None:
+        options |= {"n": search.n, "probability": judged.probability, "confidence": judged.confidence}
+        found = worst_case_analysis.violation_probability(model, metric, judged.limit, **options)
+        _keep(output.out, found, file, search.seed)
+        _report_violation(file, found, figure, output.as_json)
         return
-    options |= {"effort": effort, "time_limit": time_limit}
-    found = worst_case_analysis.worst_case(model, metric, n=256 if n is None else n, **options)
-    _keep(out, found, file, seed)
-    emit("worst-case", {"file": file, **found.to_json()}, _text(found), as_json)
-    if not found.status.trustworthy:
-        raise typer.Exit(4)
+    options |= {"n": 256 if search.n is None else search.n, "effort": search.effort, "time_limit": search.time_limit}
+    found = worst_case_analysis.worst_case(model, metric, **options)
+    _keep(output.out, found, file, search.seed)
+    emit("worst-case", {"file": file, **found.to_json()}, _text(found), output.as_json)
+    require_trust(found.status)
 
 
 def _keep(out: str | None, found: Any, file: str, seed: int) -> None:
@@ -123,18 +113,16 @@ def _report_violation(file: str, found: Any, folder: str | None, as_json: bool) 
     """Print the probability, draw it, and end with the exit code that says whether it was shown."""
     result: dict[str, Any] = {"file": file, **found.to_json()}
     if folder is not None:
-        from robustlab.report.figures import save_figure
         from robustlab.report.worst_case_figures import distribution_figure, influence_figure
 
-        paths = [*save_figure(distribution_figure(found), folder, "distribution")]
+        figures = {"distribution": distribution_figure(found)}
         if found.influence is not None:
-            paths += save_figure(influence_figure(found.influence, found.metric), folder, "influence")
-        result["figures"] = [str(path) for path in paths]
+            figures["influence"] = influence_figure(found.influence, found.metric)
+        result["figures"] = save_figures(figures, folder)
     for remark in found.notes:
         note(remark)
     emit("worst-case", result, _violation_text(found), as_json)
-    if not found.status.trustworthy:
-        raise typer.Exit(4)
+    require_trust(found.status)
     if found.shown is False:
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
 
@@ -176,30 +164,11 @@ def _violation_text(found: Any) -> str:
 
 def _text(found: Any) -> str:
     unit = f" {found.unit}" if found.unit else ""
-    what, _, at_unit = found.location.partition(" ")
-    at = f" at {what} = {found.at:.6g} {at_unit.strip('[]')}" if found.at == found.at else ""  # not NaN
-    names = list(found.delta)[:SHOWN_BLOCKS]
-    rows = [(name, _number(found.delta[name]), _physical(found, name)) for name in names]
-    lines = [
-        f"{found.metric}: {found.value:.9g}{unit}{at} ({found.label})",
-        f"nominal: {found.nominal_value:.9g}{unit}",
-        f"status: {found.status}, {found.evaluations} members evaluated",
-    ]
-    if rows:
-        lines.append(table(rows, ("block", "delta", "stands for")))
-    if len(found.delta) > len(names):
-        lines.append(f"... and {len(found.delta) - len(names)} more blocks (all with --json)")
-    return "\n".join(lines)
-
-
-def _number(value: Any) -> str:
-    if getattr(value, "ndim", 0):
-        return f"{value.shape[0]} x {value.shape[1]} matrix"
-    return f"{value:.6g}"
-
-
-def _physical(found: Any, name: str) -> str:
-    if name not in found.physical:
-        return "-"
-    value, unit = found.physical[name]
-    return f"{value:.6g} {unit}".rstrip()
+    return "\n".join(
+        [
+            f"{found.metric}: {found.value:.9g}{unit}{place(found.at, found.location)} ({found.label})",
+            f"nominal: {found.nominal_value:.9g}{unit}",
+            f"status: {found.status}, {found.evaluations} members evaluated",
+            *delta_lines(found.delta, found.physical),
+        ]
+    )

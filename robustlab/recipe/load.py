@@ -10,14 +10,15 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import ValidationError
 
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.files.document import parse_document, read_document
-from robustlab.recipe.schema import Recipe, Requirement, Step
-from robustlab.recipe.vocabulary import RefersTo, StepBase
+from robustlab.recipe.schema import Recipe, Requirement, recipe_model
+from robustlab.recipe.step import KINDS, Step
+from robustlab.recipe.vocabulary import RefersTo
 
 __all__ = ["LoadedRecipe", "load_recipe", "parse_recipe", "references"]
 
@@ -105,7 +106,7 @@ def _checked(data: dict[str, Any], where: str, overrides: dict[str, str] | None)
         _override(data, key, value)
     more = 0
     try:
-        recipe = Recipe.model_validate(data)
+        recipe = recipe_model().model_validate(data)
     except ValidationError as error:
         # Only those that are shown are put into words: a file of faults must not cost a comparison of names for each.
         errors = error.errors(include_url=False)
@@ -129,8 +130,7 @@ def _checked(data: dict[str, Any], where: str, overrides: dict[str, str] | None)
 def _fault(error: Any, data: dict[str, Any]) -> str:
     """One fault as ``dotted.key: what is wrong``."""
     loc = [str(part) for part in error["loc"]]
-    kinds = _kinds()
-    is_step = len(loc) >= 3 and loc[0] == "step" and loc[2] in kinds
+    is_step = len(loc) >= 3 and loc[0] == "step" and loc[2] in KINDS
     if is_step:
         del loc[2]  # the tag of the union, which the user did not write
     if loc and loc[-1] == "[key]":
@@ -138,16 +138,16 @@ def _fault(error: Any, data: dict[str, Any]) -> str:
     key = ".".join(loc) or "recipe"
     match error["type"]:
         case "extra_forbidden":
-            known = _known_keys(error["loc"], kinds)
+            known = _known_keys(error["loc"])
             return f"{key}: unknown key{_suggestion(loc[-1], known)}"
         case "missing":
             return f"{key}: missing"
         case "union_tag_not_found":
-            return f"{key}.do: missing, expected one of {', '.join(kinds)}"
+            return f"{key}.do: missing, expected one of {', '.join(KINDS)}"
         case "union_tag_invalid":
             given = str(data["step"][error["loc"][1]]["do"])
             return (
-                f"{key}.do: no such kind of step {given!r}{_suggestion(given, list(kinds))}; one of {', '.join(kinds)}"
+                f"{key}.do: no such kind of step {given!r}{_suggestion(given, list(KINDS))}; one of {', '.join(KINDS)}"
             )
         case "string_pattern_mismatch":
             return f"{key}: {error['input']!r} has characters that are not allowed here"
@@ -165,16 +165,10 @@ def _suggestion(name: str, known: list[str]) -> str:
     return f" ({hint})" if hint else ""
 
 
-def _kinds() -> dict[str, type[StepBase]]:
-    """Kind of step -> its model, in the order of the schema."""
-    union, _ = get_args(Step)
-    return {get_args(cls.model_fields["do"].annotation)[0]: cls for cls in get_args(union)}
-
-
-def _known_keys(loc: tuple[Any, ...], kinds: dict[str, type[StepBase]]) -> list[str]:
+def _known_keys(loc: tuple[Any, ...]) -> list[str]:
     """Keys that are allowed beside the unknown one."""
     if loc[0] == "step" and len(loc) == 4:
-        return list(kinds[loc[2]].model_fields)
+        return list(KINDS[loc[2]].model_fields)
     if loc[0] == "require":
         return list(Requirement.model_fields)
     return [field.alias or name for name, field in Recipe.model_fields.items()] if len(loc) == 1 else []
@@ -186,7 +180,7 @@ def _known_keys(loc: tuple[Any, ...], kinds: dict[str, type[StepBase]]) -> list[
 def _reference_faults(recipe: Recipe) -> list[str]:
     """A step may refer to steps before it, and only to such as give what it needs; so may requirements."""
     faults: list[str] = []
-    earlier: dict[str, StepBase] = {}
+    earlier: dict[str, Step] = {}
     for name, step in recipe.step.items():
         for field, target, wanted in references(step):
             key = f"step.{name}.{field}"
@@ -213,7 +207,7 @@ def _reference_faults(recipe: Recipe) -> list[str]:
     return faults
 
 
-def references(step: StepBase) -> list[tuple[str, str, tuple[str, ...]]]:
+def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
     """Key in the step, name of another step that stands there, and what that one must give."""
     found: list[tuple[str, str, tuple[str, ...]]] = []
     for name, field in type(step).model_fields.items():

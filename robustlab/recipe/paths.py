@@ -14,7 +14,8 @@ import robustlab
 from robustlab.errors import EnvironmentFault, InputError, UsageError, did_you_mean
 from robustlab.files.atomic import atomic_write
 from robustlab.recipe.load import LoadedRecipe
-from robustlab.recipe.schema import LoadStep, RecordStep
+from robustlab.recipe.steps.models import LoadStep
+from robustlab.recipe.steps.records import RecordStep
 
 __all__ = [
     "find_files",

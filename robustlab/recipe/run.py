@@ -41,11 +41,10 @@ from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.load import LoadedRecipe, references
-from robustlab.recipe.outcome import Outcome, Workspace
 from robustlab.recipe.paths import find_files
 from robustlab.recipe.requirements import judge, look_up
 from robustlab.recipe.schema import Recipe
-from robustlab.recipe.vocabulary import StepBase
+from robustlab.recipe.step import Outcome, Step, Workspace
 from robustlab.report.html import junit_xml, render
 from robustlab.result import Status, plain
 
@@ -185,8 +184,6 @@ def write_report(data: Mapping[str, Any], folder: Path) -> None:
 
 
 def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str, str], None]) -> list[dict[str, Any]]:
-    from robustlab.recipe.steps import EXECUTORS
-
     done: list[dict[str, Any]] = []
     for name, step in loaded.recipe.step.items():
         report(name, step.kind)
@@ -197,7 +194,7 @@ def _run_steps(loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str
         workspace.step = name
         begun = time.monotonic()
         try:
-            outcome = EXECUTORS[step.kind](step, workspace)
+            outcome = step.run(workspace)
         except NoTrustworthyNumber as error:
             entry = _entry(name, step, str(Status.FAILED), str(error))
         except RobustlabError as error:
@@ -222,7 +219,7 @@ def _at_step(error: RobustlabError, recipe: str, name: str) -> RobustlabError:
     return kind(f"{recipe}: step.{name}: {error.where}", error.found, error.expected, error.hint, error.more)
 
 
-def _done(name: str, step: StepBase, outcome: Outcome, figures: list[tuple[str, str]]) -> dict[str, Any]:
+def _done(name: str, step: Step, outcome: Outcome, figures: list[tuple[str, str]]) -> dict[str, Any]:
     """The entry of a step that is done."""
     status = outcome.status
     return {
@@ -238,7 +235,7 @@ def _done(name: str, step: StepBase, outcome: Outcome, figures: list[tuple[str, 
     }
 
 
-def _entry(name: str, step: StepBase, status: str = NOT_RUN, error: str = "") -> dict[str, Any]:
+def _entry(name: str, step: Step, status: str = NOT_RUN, error: str = "") -> dict[str, Any]:
     """The entry of a step that gave nothing."""
     return {
         "name": name,

@@ -1,9 +1,9 @@
-"""The words of a recipe that its steps share: kinds of numbers, names and references, and what every step has."""
+"""The words of a recipe that its steps share: kinds of numbers, names, references and weights."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, WrapValidator
 from pydantic_core import PydanticCustomError, ValidationError
@@ -28,19 +28,21 @@ __all__ = [
     "ReferenceLine",
     "RefersTo",
     "RelativeTolerance",
-    "StepBase",
     "StepName",
     "Strict",
     "Text",
     "TimeLimit",
     "ToAnything",
     "ToController",
+    "ToDesignable",
     "ToModel",
     "ToOneModel",
     "ToPlant",
+    "ToPlantOrFile",
     "ToRecord",
     "ToSaved",
     "ToUncertain",
+    "ToUncertainOrProblem",
     "Tolerance",
 ]
 
@@ -66,6 +68,9 @@ ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
 ToController = Annotated[str, RefersTo(("controller", "any"))]
 ToRecord = Annotated[str, RefersTo(("record", "any"))]
 ToSaved = Annotated[str, RefersTo(("saved",))]
+ToPlantOrFile = Annotated[str, RefersTo(("plant", "any"))]
+ToDesignable = Annotated[str, RefersTo(("problem", "plant", "model", "uncertain", "any"))]
+ToUncertainOrProblem = Annotated[str, RefersTo(("problem", "uncertain", "any"))]
 ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "problem", "controller", "record", "any"))]
 
 StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
@@ -121,19 +126,6 @@ def _share_schema(less_than_one: bool) -> WithJsonSchema:
 # Tolerances of parameters, 0.05 or "5%"; that of a prior may be larger than the value itself.
 RelativeTolerance = Annotated[float, Field(gt=0, lt=1), WrapValidator(_share), _share_schema(True)]
 PriorTolerance = Annotated[float, Field(gt=0), WrapValidator(_share), _share_schema(False)]
-
-
-class StepBase(Strict):
-    """What every step has."""
-
-    gives: ClassVar[str] = "nothing"
-
-    title: Text = Field("", description="What the report calls this step; the step's name where left out.")
-
-    @property
-    def kind(self) -> str:
-        """What the step does, as the recipe says with ``do``."""
-        return str(vars(self)["do"])
 
 
 class PerformanceWeight(Strict):

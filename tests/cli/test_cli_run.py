@@ -11,6 +11,7 @@ import pytest
 import robustlab as rl
 from robustlab.cli.console import main_guard
 from robustlab.cli.main import run
+from robustlab.recipe.step import KINDS, Outcome
 
 RECIPE = """\
 schema = "robustlab.recipe/1"
@@ -180,7 +181,7 @@ def test_ctrl_c_is_130_and_keeps_the_previous_run(recipe, capsys, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(__import__("robustlab.recipe.steps", fromlist=["x"]).EXECUTORS, "sample", interrupt)
+    monkeypatch.setattr(KINDS["sample"], "run", interrupt)
     assert robustlab("run", "small.toml") == 130
     assert "interrupted" in capsys.readouterr().err
     assert (recipe / "out/small/result.json").read_bytes() == before
@@ -205,11 +206,9 @@ def test_no_trustworthy_number_is_exit_code_4_and_the_rest_is_reported(tmp_path,
 
 
 def test_a_status_that_is_not_trustworthy_is_exit_code_4(recipe, monkeypatch):
-    from robustlab.recipe.outcome import Outcome
-    from robustlab.recipe.steps import EXECUTORS
-
     numbers = {"outputs": {"omega": {"covers": [True]}}}
-    monkeypatch.setitem(EXECUTORS, "sample", lambda *_: Outcome(None, "done", numbers, status=rl.Status.INACCURATE))
+    outcome = Outcome(None, "done", numbers, status=rl.Status.INACCURATE)
+    monkeypatch.setattr(KINDS["sample"], "run", lambda *_: outcome)
     assert robustlab("run", "small.toml") == 4
     assert result(recipe / "out/small")["requirements"][0]["met"]
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.result import Evidence, Status
 
 if TYPE_CHECKING:

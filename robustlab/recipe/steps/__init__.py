@@ -1,74 +1,20 @@
-"""What each kind of step does: one function per kind, from the checked step to its `Outcome`.
+"""The kinds of steps, one file a field: each class says what a recipe may write and what is then done.
 
-These functions call the public functions of the rooms below, choose the numbers that requirements may address, and
-draw. No mathematics lives here.
+These classes call the public functions of the rooms below, choose the numbers that requirements may address, and draw.
+No mathematics lives here. A new kind is a class with `robustlab.recipe.step.step` in one of these files or in a new
+one; nothing else lists it.
 """
 
-from __future__ import annotations
+from importlib import import_module
+from pathlib import Path
 
-from collections.abc import Callable
-from typing import Any
+# The order of the kinds in the schema, and so a file imports only from those before it at its top; files that are not
+# named here come last.
+ORDER = (
+    "models", "story", "covers", "worst_case", "campaign", "robustness", "design", "digital", "control", "records",
+    "discovery", "validation", "published",
+)  # fmt: skip
 
-from robustlab.recipe.outcome import Outcome, Workspace
-from robustlab.recipe.steps import (
-    analysis,
-    campaign,
-    control,
-    covers,
-    design,
-    digital,
-    discovery,
-    measurement,
-    models,
-    published,
-    story,
-    validation,
-)
-
-__all__ = ["EXECUTORS"]
-
-EXECUTORS: dict[str, Callable[[Any, Workspace], Outcome]] = {
-    "plant": models.plant,
-    "linearise": models.linearise,
-    "load": models.load,
-    "save": models.save,
-    "structural": models.structural,
-    "steady-state": models.steady_state,
-    "uncertain": models.uncertain,
-    "elementwise": models.elementwise,
-    "cover-models": covers.cover_models,
-    "uncertain-from": covers.uncertain_from,
-    "with-loads": covers.with_loads,
-    "sample": analysis.sample,
-    "worst-case": analysis.worst_case,
-    "violation-probability": analysis.violation_probability,
-    "campaign": campaign.campaign,
-    "hinf-norm": analysis.hinf_norm,
-    "robust-stability": analysis.robust_stability,
-    "mixsyn": design.mixsyn,
-    "hinf": design.hinf,
-    "h2": design.h2,
-    "ncf": design.ncf,
-    "dk": design.dk,
-    "fixed": design.fixed,
-    "reduce-controller": design.reduce_controller,
-    "discretise": digital.discretise,
-    "export": digital.export,
-    "close-loop": design.close_loop,
-    "tracking-problem": control.tracking_problem,
-    "cascade": control.cascade,
-    "robust-performance": control.robust_performance,
-    "simulate-control": control.simulate_control,
-    "follow-trajectory": control.follow_trajectory,
-    "record": measurement.record,
-    "join": measurement.join,
-    "compare": measurement.compare,
-    "discover": discovery.discover,
-    "data-sheet": measurement.data_sheet,
-    "cover": measurement.cover,
-    "data-cover": story.data_cover,
-    "story": story.story,
-    "validate": validation.validate,
-    "published-numbers": published.published_numbers,
-    "thesis-case": published.thesis_case,
-}
+_found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
+for _name in sorted(_found, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER)):
+    import_module(f"{__name__}.{_name}")

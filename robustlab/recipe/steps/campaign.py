@@ -5,55 +5,68 @@ from __future__ import annotations
 import contextlib
 import math
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import CampaignStep
-from robustlab.recipe.steps.analysis import metric_options
+from pydantic import Field
 
-__all__ = ["campaign"]
+from robustlab.recipe.step import Fact, Outcome, Workspace, quantity, step
+from robustlab.recipe.steps.worst_case import MetricStep
+from robustlab.recipe.vocabulary import Positive
 
 
-def campaign(step: CampaignStep, work: Workspace) -> Outcome:
-    """A metric of many members, each stored as it comes; a recipe that was interrupted goes on where it was."""
-    from robustlab.campaign import CampaignSettings, run_campaign
-    from robustlab.campaign.settings import Identity
+@step
+class CampaignStep(MetricStep):
+    """A metric of many members, computed in worker processes and stored one by one; an interrupted run goes on."""
 
-    model = work.uncertain(step.of)
-    seed = work.seed if step.seed is None else step.seed
-    options = metric_options(step, work)
-    u = dict(step.input) or None
-    if step.sine:  # not a constant: sample by sample
-        u = {name: column.tolist() for (name, _), column in zip(model.inputs, options["u"].T, strict=True)}
-    settings = CampaignSettings(
-        step.metric,
-        step.n,
-        step.draw,
-        seed,
-        step.output,
-        step.from_input,
-        u,
-        step.t_end,
-        step.points,
-        options.get("hold", "zoh"),
-        band=step.band,
+    do: Literal["campaign"]
+    draw: Literal["samples", "vertices", "search"] = Field(
+        "samples", description="Random members, vertices of Delta, or whole worst-case searches from own starts."
     )
-    # The name holds the campaign's hash: what was begun with another recipe is neither used nor spoilt.
-    store = work.unfinished / f"{work.step}-{Identity.of(model, settings).hash[:12]}.sqlite"
-    store.parent.mkdir(parents=True, exist_ok=True)
-    result = run_campaign(
-        model, settings, store, workers=step.workers, time_limit=step.time_limit_per_sample, limit=step.limit
-    )
-    _draw(store, step, work, result)
-    _publish(store, work)
-    return Outcome(
-        None,
-        f"{step.metric} of {result.done} {_members(step)} of {step.of}, seed {seed}; {result.label}.",
-        _numbers(result),
-        _facts(result),
-        result.status,
-        _notes(result),
-    )
+    n: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
+    limit: float | None = Field(None, description="Count how often the metric is worse than it.")
+    workers: Annotated[int, Field(ge=1, le=1024)] | None = Field(None, description="One per processor where left out.")
+    time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """A metric of many members, each stored as it comes; a recipe that was interrupted goes on where it was."""
+        from robustlab.campaign import CampaignSettings, run_campaign
+        from robustlab.campaign.settings import Identity
+
+        model = work.uncertain(self.of)
+        seed = work.seed if self.seed is None else self.seed
+        options = self.options(work)
+        u = dict(self.input) or None
+        if self.sine:  # not a constant: sample by sample
+            u = {name: column.tolist() for (name, _), column in zip(model.inputs, options["u"].T, strict=True)}
+        settings = CampaignSettings(
+            self.metric,
+            self.n,
+            self.draw,
+            seed,
+            self.output,
+            self.from_input,
+            u,
+            self.t_end,
+            self.points,
+            options.get("hold", "zoh"),
+            band=self.band,
+        )
+        # The name holds the campaign's hash: what was begun with another recipe is neither used nor spoilt.
+        store = work.unfinished / f"{work.step}-{Identity.of(model, settings).hash[:12]}.sqlite"
+        store.parent.mkdir(parents=True, exist_ok=True)
+        result = run_campaign(
+            model, settings, store, workers=self.workers, time_limit=self.time_limit_per_sample, limit=self.limit
+        )
+        _draw(store, self, work, result)
+        _publish(store, work)
+        return Outcome(
+            None,
+            f"{self.metric} of {result.done} {_members(self)} of {self.of}, seed {seed}; {result.label}.",
+            _numbers(result),
+            _facts(result),
+            result.status,
+            _notes(result),
+        )
 
 
 def _members(step: CampaignStep) -> str:

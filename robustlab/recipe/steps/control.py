@@ -6,29 +6,34 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal, Self
 
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.control_schema import (
-    CascadeStep,
-    FollowTrajectoryStep,
-    RobustPerformanceStep,
-    SimulateControlStep,
-    TrackingProblemStep,
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.vocabulary import (
+    GUARD,
+    ComplementaryWeight,
+    ControlWeight,
+    Effort,
+    ErrorWeight,
+    PerformanceWeight,
+    Positive,
+    RefersTo,
+    TimeLimit,
+    ToController,
+    ToPlant,
+    ToUncertainOrProblem,
 )
-from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.vocabulary import ErrorWeight
-from robustlab.result import Status
 
-__all__ = [
-    "Runs",
-    "cascade",
-    "follow_trajectory",
-    "inverse",
-    "robust_performance",
-    "simulate_control",
-    "tracking_problem",
-]
+Sizes = Positive | dict[str, Positive]
+
+Controllers = Annotated[list[ToController], Field(min_length=1, max_length=12)]
+
+Names = Annotated[list[str], Field(min_length=1, max_length=100)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,264 +46,387 @@ class Runs:
     after: float
 
 
-def tracking_problem(step: TrackingProblemStep, work: Workspace) -> Outcome:
-    """A weighted tracking problem, and what its weights allow."""
-    from robustlab.synthesis.specifications.tracking_problem import tracking_problem as pose
-    from robustlab.synthesis.specifications.weight_design import (
-        complementary_weight,
-        control_weight,
-        error_weight,
-        performance_weight,
+@step
+class TrackingProblemStep(Step):
+    """What a loop is asked for: references that outputs follow, disturbances, noise, and weights on error and control.
+
+    The controller sees the references of `controlled` and the outputs `measured`. The gain of the weighted loop is at
+    most 1 where every requirement holds.
+    """
+
+    gives: ClassVar[str] = "problem"
+    do: Literal["tracking-problem"]
+    of: Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
+    controlled: Names = Field(description='Names of outputs; "phi_*" stands for all that begin so.')
+    measured: Names = Field(description="The same.")
+    W1: Positive | ErrorWeight | PerformanceWeight | None = Field(
+        None, description="On the error, as a share of the reference."
+    )
+    W2: Positive | ControlWeight | None = Field(None, description="On the control, in its own unit.")
+    W3: Positive | ComplementaryWeight | None = Field(None, description="On the output, as a share of the reference.")
+    reference: Sizes = Field(1.0, description="Size of the references in the outputs' units.")
+    reference_bandwidth: Positive | None = Field(None, description="rad/s, above which references get smaller.")
+    disturbance: Sizes | None = Field(None, description="Size of what is added to the controls, in their units.")
+    loads: dict[str, Positive] = Field(
+        {}, description='Inputs of the model that are no controls, with their sizes: { "load *" = 1.0 }.'
+    )
+    noise: Sizes | None = Field(
+        None, description='Size of the noise on what is seen, in its units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
     )
 
-    given = work.values[step.of]
-    G = given.uncertain() if hasattr(given, "uncertain") and hasattr(given, "with_parameters") else given
-    first = error_weight if isinstance(step.W1, ErrorWeight) else performance_weight
-    makers = {"W1": first, "W2": control_weight, "W3": complementary_weight}
-    weights = {name: _weight(getattr(step, name), make) for name, make in makers.items()}
-    inputs, outputs = _signals(G)
-    controlled, measured = _matching(step.controlled, outputs), _matching(step.measured, outputs)
-    loads = {k: v for k, v in _sizes_of(step.loads, inputs).items() if "*" not in k}
-    controls = [name for name in inputs if name not in loads]
-    problem = pose(
-        G,
-        controlled,
-        measured,
-        **weights,
-        reference=_sizes_of(step.reference, controlled),
-        reference_bandwidth=step.reference_bandwidth,
-        disturbance=_sizes_of(step.disturbance, controls),
-        loads=loads,
-        noise=_sizes_of(step.noise, [*(f"{name}_ref" for name in controlled), *measured]),
-    )
-    blocks = problem.uncertain.blocks
-    numbers = {
-        "states": problem.uncertain.M.n_states,
-        "blocks": [b.name for b in blocks],
-        "channels": problem.uncertain.delta_shape[0],
-        "measurements": problem.n_meas,
-        "controls": problem.n_con,
-    }
-    seen = [s.name for s in problem.plant.measurements]
-    facts = (
-        Fact("The controller sees", ", ".join(seen)),
-        Fact("It drives", ", ".join(f"{s.name} [{s.unit}]" for s in problem.plant.controls)),
-        Fact("Size of the references", _sizes(problem.reference, problem.controlled)),
-        Fact("of the disturbances", _sizes(problem.disturbance, problem.plant.controls)),
-        *([Fact("of the loads", ", ".join(f"{n} {s:g}" for n, s in problem.loads.items()))] if problem.loads else []),
-        Fact("of the noise", _sizes(problem.noise, problem.plant.measurements)),
-        Fact("Uncertain", f"{len(blocks)} blocks, {problem.uncertain.delta_shape[0]} channels"),
-        Fact("States, weights included", str(problem.uncertain.M.n_states)),
-    )
-    return Outcome(problem, f"Tracking problem of {step.of}: a gain of at most 1 is asked for.", numbers, facts)
+    @model_validator(mode="after")
+    def _some_weight(self) -> Self:
+        if self.W1 is None and self.W2 is None and self.W3 is None:
+            raise PydanticCustomError("some_weight", "expected at least one of W1, W2, W3")
+        return self
 
+    def run(self, work: Workspace) -> Outcome:
+        """A weighted tracking problem, and what its weights allow."""
+        from robustlab.synthesis.specifications.tracking_problem import tracking_problem as pose
+        from robustlab.synthesis.specifications.weight_design import (
+            complementary_weight,
+            control_weight,
+            error_weight,
+            performance_weight,
+        )
 
-def cascade(step: CascadeStep, work: Workspace) -> Outcome:
-    """The thesis' layers as a controller of the same signals as any other."""
-    from robustlab.dynamics.control.controlled_plant import actuator_cascade
-    from robustlab.dynamics.control.controllers import two_layer
-    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-    from robustlab.synthesis.problem.design import Controller
-
-    plant = work.values[step.of]
-    if isinstance(plant, StewartPlatform):
-        K = two_layer(plant, step.p_up, step.p_low).upper_layer()
-        what = "upper layer of the thesis, angles and rates to torques"
-    else:
-        K = actuator_cascade(plant, step.p_up, step.p_low)
-        what = "two layers of the thesis, angle, speed and current to volts"
-    numbers = {"order": K.n_states, "p_up": step.p_up, "p_low": step.p_low}
-    poles = f"{step.p_up:g} and {step.p_low:g} 1/s, triple"
-    facts = (Fact("Order", str(K.n_states)), Fact("Poles of the layers", poles))
-    return Outcome(Controller(K, method="cascade"), f"{what[:1].upper()}{what[1:]}.", numbers, facts)
-
-
-def robust_performance(step: RobustPerformanceStep, work: Workspace) -> Outcome:
-    """Certified mu and worst-case gain of one problem under each controller."""
-    import robustlab as rl
-    from robustlab.report.design_figures import mu_comparison_figure
-    from robustlab.synthesis.specifications.loop_functions import frequencies
-
-    margins: dict[str, Any] = {}
-    rows: dict[str, dict[str, Any]] = {}
-    statuses: list[Status] = []
-    remarks: list[str] = []
-    for name in step.controllers:
-        loop, K = _closed(step, work, name)
-        row: dict[str, Any] = {"order": K.n_states, "nominal_gain": rl.hinf_norm(loop.nominal).upper}
-        if not loop.nominal.is_stable():
-            raise InputError(f"controller {name!r}", f"does not stabilise {step.of}", "a stable nominal loop")
-        grid = frequencies(loop.M, step.points)
-        options: dict[str, Any] = {"effort": step.effort, "time_limit": step.time_limit, "seed": work.seed}
-        margin = rl.robust_performance(loop, omega=grid, accuracy=step.accuracy, tolerance=math.inf, **options)
-        row |= {"mu_lower": inverse(margin.upper), "mu_upper": inverse(margin.lower), "frequency": margin.frequency}
-        margins[name] = margin
-        statuses.append(margin.status)
-        remarks += [f"{name}, μ: {text}." for text in margin.notes]
-        if step.gain:
-            worst = rl.worst_case_gain(loop, tolerance=0.01, **options)
-            row |= {"gain_lower": worst.lower, "gain_upper": worst.upper}
-            statuses.append(worst.status)
-            remarks += [f"{name}, gain: {text}." for text in worst.notes]
-        rows[name] = row
-        work.keep(margin, name)
-    caption = (
-        "μ of robust performance; thin lines: proved at all frequencies. Below 1 every member meets the requirement."
-    )
-    work.draw(mu_comparison_figure(margins), "mu", caption)
-    header = ["controller", "order", "nominal gain", "μ, attained .. proved"] + ["worst-case gain"] * step.gain
-    table = [
-        [name, str(row["order"]), f"{row['nominal_gain']:.4g}", f"{row['mu_lower']:.4g} .. {row['mu_upper']:.4g}"]
-        + ([f"{row['gain_lower']:.4g} .. {row['gain_upper']:.4g}"] if step.gain else [])
-        for name, row in rows.items()
-    ]
-    met = [name for name, row in rows.items() if row["mu_upper"] <= 1]
-    facts = (Fact("Requirement met by every member, proved", ", ".join(met) or "by none of them"),)
-    status = max(statuses, key=list(Status).index)
-    where = step.of if step.set is None else f"{step.of} on {step.set}"
-    summary = f"Robust performance of {where} under {len(rows)} controllers, the same requirement for all."
-    note = "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
-    return Outcome(margins, summary, {"controllers": rows}, facts, status, (note, *remarks), text_table(header, table))
-
-
-def simulate_control(step: SimulateControlStep, work: Workspace) -> Outcome:
-    """A sine followed under each controller: nominal with effects, and further members of the set."""
-    import numpy as np
-
-    import robustlab as rl
-    from robustlab.dynamics import LinearPlant
-    from robustlab.dynamics.control.controlled_plant import controlled_plant
-    from robustlab.report.design_figures import TimePanel, runs_figure
-
-    plant = work.values[step.of]
-    if not isinstance(plant, LinearPlant):
-        raise InputError(f"step {step.of!r}", f"gave a {type(plant).__name__}", "a linear plant")
-    _known_limits(step.limits, plant)
-    fine = max(1, math.ceil(step.t_end / (step.points - 1) / step.step))
-    t = np.linspace(0.0, step.t_end, fine * (step.points - 1) + 1)
-    share = np.clip(t / step.rise_time, 0.0, 1.0)
-    wave = step.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(step.omega * t)
-    reference = np.tile(wave[:, None], len(step.controlled))
-    rows: dict[str, dict[str, Any]] = {}
-    errors: dict[str, Any] = {}
-    efforts: dict[str, dict[str, Any]] = {name: {} for name in step.limits}
-    for name in step.controllers:
-        loop = controlled_plant(plant, work.values[name], step.controlled, step.measured)
-        runs = []
-        for member in ({}, *step.members):
-            runs.append(rl.simulate(_rough(loop, plant, step.effects, member), t, reference))
-        error = [np.column_stack([wave - run[c] for c in step.controlled]) * step.scale for run in runs]
-        late = t >= step.after
-        row: dict[str, Any] = {
-            "order": len(loop.states) - len(plant.states),
-            "largest_error": float(np.abs(error[0][late]).max()),
-            "worst_error": float(max(np.abs(e[late]).max() for e in error)),
-            "largest": {n: float(max(np.abs(run[n]).max() for run in runs)) for n in step.limits},
+        given = work.values[self.of]
+        G = given.uncertain() if hasattr(given, "uncertain") and hasattr(given, "with_parameters") else given
+        first = error_weight if isinstance(self.W1, ErrorWeight) else performance_weight
+        makers = {"W1": first, "W2": control_weight, "W3": complementary_weight}
+        weights = {name: _weight(getattr(self, name), make) for name, make in makers.items()}
+        inputs, outputs = _signals(G)
+        controlled, measured = _matching(self.controlled, outputs), _matching(self.measured, outputs)
+        loads = {k: v for k, v in _sizes_of(self.loads, inputs).items() if "*" not in k}
+        controls = [name for name in inputs if name not in loads]
+        problem = pose(
+            G,
+            controlled,
+            measured,
+            **weights,
+            reference=_sizes_of(self.reference, controlled),
+            reference_bandwidth=self.reference_bandwidth,
+            disturbance=_sizes_of(self.disturbance, controls),
+            loads=loads,
+            noise=_sizes_of(self.noise, [*(f"{name}_ref" for name in controlled), *measured]),
+        )
+        blocks = problem.uncertain.blocks
+        numbers = {
+            "states": problem.uncertain.M.n_states,
+            "blocks": [b.name for b in blocks],
+            "channels": problem.uncertain.delta_shape[0],
+            "measurements": problem.n_meas,
+            "controls": problem.n_con,
         }
-        row["within_limits"] = all(row["largest"][n] <= limit for n, limit in step.limits.items())
-        rows[name] = row
-        errors[name] = error[0][::fine, 0]
-        for signal in step.limits:
-            efforts[signal][name] = runs[0][signal][::fine]
-    units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
-    unit = step.unit or units[step.controlled[0]]
-    panels = [TimePanel(f"error of {step.controlled[0]} [{unit}]", errors)]
-    panels += [TimePanel(f"{n} [{units[n]}]", efforts[n], limit) for n, limit in step.limits.items()]
-    words = ", ".join(step.effects) or "no further effect"
-    work.draw(runs_figure(t[::fine], panels), "runs", f"A sine is followed; nominal parameters, with {words}.")
-    header = ["controller", "order", f"error [{unit}]", f"of the worst member [{unit}]"]
-    header += [f"largest {n} [{units[n]}]" for n in step.limits]
-    table = [
-        [name, str(row["order"]), f"{row['largest_error']:.4g}", f"{row['worst_error']:.4g}"]
-        + [f"{row['largest'][n]:.4g}" for n in step.limits]
-        for name, row in rows.items()
-    ]
-    facts = (
-        Fact("Reference", f"{quantity(step.amplitude, units[step.controlled[0]])} at {quantity(step.omega, 'rad/s')}"),
-        Fact("Effects that no design knew", words),
-        Fact("Further members simulated", str(len(step.members))),
-        Fact("Errors count from", quantity(step.after, "s")),
+        seen = [s.name for s in problem.plant.measurements]
+        facts = (
+            Fact("The controller sees", ", ".join(seen)),
+            Fact("It drives", ", ".join(f"{s.name} [{s.unit}]" for s in problem.plant.controls)),
+            Fact("Size of the references", _sizes(problem.reference, problem.controlled)),
+            Fact("of the disturbances", _sizes(problem.disturbance, problem.plant.controls)),
+            *(
+                [Fact("of the loads", ", ".join(f"{n} {s:g}" for n, s in problem.loads.items()))]
+                if problem.loads
+                else []
+            ),
+            Fact("of the noise", _sizes(problem.noise, problem.plant.measurements)),
+            Fact("Uncertain", f"{len(blocks)} blocks, {problem.uncertain.delta_shape[0]} channels"),
+            Fact("States, weights included", str(problem.uncertain.M.n_states)),
+        )
+        return Outcome(problem, f"Tracking problem of {self.of}: a gain of at most 1 is asked for.", numbers, facts)
+
+
+@step
+class CascadeStep(Step):
+    """The two layers of L. Březina's thesis (eqs 9.1-9.4) for the linear actuator or the Stewart platform with motors.
+
+    Of the platform it is the upper layer, which asks for torques; its torque loops stay where they are.
+    """
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["cascade"]
+    of: ToPlant
+    p_up: Positive = 236.0
+    p_low: Positive = 3000.0
+
+    def run(self, work: Workspace) -> Outcome:
+        """The thesis' layers as a controller of the same signals as any other."""
+        from robustlab.dynamics.control.controlled_plant import actuator_cascade
+        from robustlab.dynamics.control.controllers import two_layer
+        from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+        from robustlab.synthesis.problem.design import Controller
+
+        plant = work.values[self.of]
+        if isinstance(plant, StewartPlatform):
+            K = two_layer(plant, self.p_up, self.p_low).upper_layer()
+            what = "upper layer of the thesis, angles and rates to torques"
+        else:
+            K = actuator_cascade(plant, self.p_up, self.p_low)
+            what = "two layers of the thesis, angle, speed and current to volts"
+        numbers = {"order": K.n_states, "p_up": self.p_up, "p_low": self.p_low}
+        poles = f"{self.p_up:g} and {self.p_low:g} 1/s, triple"
+        facts = (Fact("Order", str(K.n_states)), Fact("Poles of the layers", poles))
+        return Outcome(Controller(K, method="cascade"), f"{what[:1].upper()}{what[1:]}.", numbers, facts)
+
+
+@step
+class RobustPerformanceStep(Step):
+    """Robust performance of one problem under several controllers: certified mu, worst-case gain, order."""
+
+    gives: ClassVar[str] = "performance"
+    do: Literal["robust-performance"]
+    of: ToUncertainOrProblem
+    controllers: Controllers
+    accuracy: Annotated[float, Field(gt=0, lt=1)] = Field(1e-3, description="Relative distance to the best proof.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work, for mu and for the gain of each controller.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+    set: Annotated[str, RefersTo(("uncertain", "any"))] | None = Field(
+        None, description="Of a tracking problem: another set of models to judge it on."
     )
-    summary = f"{step.of} under {len(rows)} controllers, simulated with {words}."
-    note = "Limits are compared with, not applied: nothing is clipped."
-    kept = Runs(t[::fine], errors, unit, step.after)
-    return Outcome(kept, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
+    gain: bool = Field(True, description="The worst-case gain, too.")
+    points: Annotated[int, Field(ge=2, le=10_000)] = Field(120, description="Frequencies of the curves in the figure.")
 
+    def run(self, work: Workspace) -> Outcome:
+        """Certified mu and worst-case gain of one problem under each controller."""
+        from robustlab.report.design_figures import mu_comparison_figure
+        from robustlab.synthesis.specifications.loop_functions import frequencies
 
-def follow_trajectory(step: FollowTrajectoryStep, work: Workspace) -> Outcome:
-    """The nonlinear platform under each upper layer, its motors' torque loops below."""
-    import numpy as np
-
-    from robustlab.dynamics import trim
-    from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
-    from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
-    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-    from robustlab.report.design_figures import TimePanel, runs_figure
-    from robustlab.statespace import as_model
-
-    plant = work.values[step.of]
-    if not (isinstance(plant, StewartPlatform) and plant.motors):
-        raise InputError(f"step {step.of!r}", "gave no Stewart platform with motors", "choices = { motors = true }")
-    point = trim(plant) if step.at is None else trim(plant, pose=step.at)
-    lower = two_layer(plant, p_low=step.p_low).lower
-    start = plant.geometry.home if step.at is None else step.at
-    path = SineTrajectory(start, rise_time=step.rise_time)
-    t = np.linspace(0.0, step.t_end, step.points)
-    rows: dict[str, dict[str, Any]] = {}
-    curves: dict[str, dict[str, Any]] = {key: {} for key in ("position", "torque", "voltage")}
-    limits = None
-    for name in step.controllers:
-        controller = LayeredController(as_model(work.values[name], name), lower, point)
-        run = follow(plant, controller, path, t)
-        error = run.largest_error(step.after)
-        rows[name] = {
-            "order": controller.upper.n_states,
-            "worst_error": float(1e3 * np.linalg.norm(run.error[t >= step.after, :3], axis=1).max()),
-            "position_error": float(error[:3].max()),
-            "orientation_error": float(error[3:].max()),
-            "largest_torque": float(run.largest_torque().max()),
-            "largest_voltage": float(run.largest_voltage().max()),
-            "within_limits": run.within_limits,
-            "spectral_abscissa": closed_loop(plant, controller).spectral_abscissa(),
-        }
-        curves["position"][name] = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
-        curves["torque"][name] = 1e3 * np.abs(run.torque).max(axis=1)
-        curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
-        limits = run.limits
-    assert limits is not None
-    panels = [
-        TimePanel("distance to path [mm]", curves["position"]),
-        TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * limits.torque),
-        TimePanel("largest |voltage| [V]", curves["voltage"], limits.voltage),
-    ]
-    caption = "The nonlinear machine on the path of section 9.1.3: a lift of 5 mm, then sines of 5 mm and 20 mrad."
-    work.draw(runs_figure(t, panels), "runs", caption)
-    header = ["upper layer", "order", "position [mm]", "angle [mrad]", "torque [mN m]", "voltage [V]", "in limits"]
-    columns = (("position_error", 1e3), ("orientation_error", 1e3), ("largest_torque", 1e3), ("largest_voltage", 1.0))
-    table = [
-        [
-            name,
-            str(row["order"]),
-            *(f"{factor * row[key]:.4g}" for key, factor in columns),
-            "yes" if row["within_limits"] else "no",
+        margins: dict[str, Any] = {}
+        rows: dict[str, dict[str, Any]] = {}
+        statuses: list[rl.Status] = []
+        remarks: list[str] = []
+        for name in self.controllers:
+            loop, K = _closed(self, work, name)
+            row: dict[str, Any] = {"order": K.n_states, "nominal_gain": rl.hinf_norm(loop.nominal).upper}
+            if not loop.nominal.is_stable():
+                raise InputError(f"controller {name!r}", f"does not stabilise {self.of}", "a stable nominal loop")
+            grid = frequencies(loop.M, self.points)
+            options: dict[str, Any] = {"effort": self.effort, "time_limit": self.time_limit, "seed": work.seed}
+            margin = rl.robust_performance(loop, omega=grid, accuracy=self.accuracy, tolerance=math.inf, **options)
+            row |= {"mu_lower": inverse(margin.upper), "mu_upper": inverse(margin.lower), "frequency": margin.frequency}
+            margins[name] = margin
+            statuses.append(margin.status)
+            remarks += [f"{name}, μ: {text}." for text in margin.notes]
+            if self.gain:
+                worst = rl.worst_case_gain(loop, tolerance=0.01, **options)
+                row |= {"gain_lower": worst.lower, "gain_upper": worst.upper}
+                statuses.append(worst.status)
+                remarks += [f"{name}, gain: {text}." for text in worst.notes]
+            rows[name] = row
+            work.keep(margin, name)
+        caption = (
+            "μ of robust performance; thin lines: proved at all frequencies. "
+            "Below 1 every member meets the requirement."
+        )
+        work.draw(mu_comparison_figure(margins), "mu", caption)
+        header = ["controller", "order", "nominal gain", "μ, attained .. proved"] + ["worst-case gain"] * self.gain
+        table = [
+            [name, str(row["order"]), f"{row['nominal_gain']:.4g}", f"{row['mu_lower']:.4g} .. {row['mu_upper']:.4g}"]
+            + ([f"{row['gain_lower']:.4g} .. {row['gain_upper']:.4g}"] if self.gain else [])
+            for name, row in rows.items()
         ]
-        for name, row in rows.items()
-    ]
-    pose = "home" if step.at is None else ", ".join(f"{v:g}" for v in step.at)
-    facts = (
-        Fact("Path begins at", pose),
-        Fact("Torque loops below", f"triple pole at {step.p_low:g} 1/s"),
-        Fact("Errors count from", quantity(step.after, "s")),
+        met = [name for name, row in rows.items() if row["mu_upper"] <= 1]
+        facts = (Fact("Requirement met by every member, proved", ", ".join(met) or "by none of them"),)
+        status = worst(statuses)
+        where = self.of if self.set is None else f"{self.of} on {self.set}"
+        summary = f"Robust performance of {where} under {len(rows)} controllers, the same requirement for all."
+        note = (
+            "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
+        )
+        return Outcome(
+            margins, summary, {"controllers": rows}, facts, status, (note, *remarks), text_table(header, table)
+        )
+
+
+@step
+class SimulateControlStep(Step):
+    """A linear plant with effects under several controllers: a sine is followed, members of the set included."""
+
+    gives: ClassVar[str] = "runs"
+    do: Literal["simulate-control"]
+    of: ToPlant
+    controllers: Controllers
+    controlled: Names
+    measured: Names
+    amplitude: Positive = Field(description="Of the reference, in the controlled output's unit.")
+    omega: Positive = Field(description="Of the reference in rad/s.")
+    rise_time: Positive = Field(description="s, in which the sine grows to its amplitude.")
+    t_end: Positive
+    after: Annotated[float, Field(ge=0)] = Field(0.0, description="s from which on the error counts.")
+    points: Annotated[int, Field(ge=2, le=100_000)] = 2001
+    step: Positive = Field(1e-4, description="s between samples of the reference; it is held between them.")
+    effects: dict[str, dict[str, float]] = Field(
+        {}, description='As "coulomb-friction@omega" = { Fc = 3e-3 }, "input-dead-zone@u" = { d = 0.6 }.'
     )
-    summary = f"Nonlinear simulation of {step.of} under {len(rows)} upper layers."
-    note = "Nothing is clipped: 'in limits' says whether the motors' torque and voltage would have been enough."
-    kept = Runs(t, curves["position"], "mm", step.after)
-    return Outcome(kept, summary, {"controllers": rows}, facts, Status.CONVERGED, (note,), text_table(header, table))
+    members: list[dict[str, float]] = Field([], description="Parameters of further members of the set to simulate.")
+    scale: Positive = Field(1.0, description="Factor from the controlled output to `unit`.")
+    unit: str = ""
+    limits: dict[str, Positive] = Field({}, description="Largest magnitude of a signal; compared, not clipped.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """A sine followed under each controller: nominal with effects, and further members of the set."""
+        import numpy as np
+
+        from robustlab.dynamics import LinearPlant
+        from robustlab.dynamics.control.controlled_plant import controlled_plant
+        from robustlab.report.design_figures import TimePanel, runs_figure
+
+        plant = work.values[self.of]
+        if not isinstance(plant, LinearPlant):
+            raise InputError(f"step {self.of!r}", f"gave a {type(plant).__name__}", "a linear plant")
+        _known_limits(self.limits, plant)
+        fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.step))
+        t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
+        share = np.clip(t / self.rise_time, 0.0, 1.0)
+        wave = self.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(self.omega * t)
+        reference = np.tile(wave[:, None], len(self.controlled))
+        rows: dict[str, dict[str, Any]] = {}
+        errors: dict[str, Any] = {}
+        efforts: dict[str, dict[str, Any]] = {name: {} for name in self.limits}
+        for name in self.controllers:
+            loop = controlled_plant(plant, work.values[name], self.controlled, self.measured)
+            runs = []
+            for member in ({}, *self.members):
+                runs.append(rl.simulate(_rough(loop, plant, self.effects, member), t, reference))
+            error = [np.column_stack([wave - run[c] for c in self.controlled]) * self.scale for run in runs]
+            late = t >= self.after
+            row: dict[str, Any] = {
+                "order": len(loop.states) - len(plant.states),
+                "largest_error": float(np.abs(error[0][late]).max()),
+                "worst_error": float(max(np.abs(e[late]).max() for e in error)),
+                "largest": {n: float(max(np.abs(run[n]).max() for run in runs)) for n in self.limits},
+            }
+            row["within_limits"] = all(row["largest"][n] <= limit for n, limit in self.limits.items())
+            rows[name] = row
+            errors[name] = error[0][::fine, 0]
+            for signal in self.limits:
+                efforts[signal][name] = runs[0][signal][::fine]
+        units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
+        unit = self.unit or units[self.controlled[0]]
+        panels = [TimePanel(f"error of {self.controlled[0]} [{unit}]", errors)]
+        panels += [TimePanel(f"{n} [{units[n]}]", efforts[n], limit) for n, limit in self.limits.items()]
+        words = ", ".join(self.effects) or "no further effect"
+        work.draw(runs_figure(t[::fine], panels), "runs", f"A sine is followed; nominal parameters, with {words}.")
+        header = ["controller", "order", f"error [{unit}]", f"of the worst member [{unit}]"]
+        header += [f"largest {n} [{units[n]}]" for n in self.limits]
+        table = [
+            [name, str(row["order"]), f"{row['largest_error']:.4g}", f"{row['worst_error']:.4g}"]
+            + [f"{row['largest'][n]:.4g}" for n in self.limits]
+            for name, row in rows.items()
+        ]
+        facts = (
+            Fact(
+                "Reference", f"{quantity(self.amplitude, units[self.controlled[0]])} at {quantity(self.omega, 'rad/s')}"
+            ),
+            Fact("Effects that no design knew", words),
+            Fact("Further members simulated", str(len(self.members))),
+            Fact("Errors count from", quantity(self.after, "s")),
+        )
+        summary = f"{self.of} under {len(rows)} controllers, simulated with {words}."
+        note = "Limits are compared with, not applied: nothing is clipped."
+        kept = Runs(t[::fine], errors, unit, self.after)
+        return Outcome(
+            kept, summary, {"controllers": rows}, facts, rl.Status.CONVERGED, (note,), text_table(header, table)
+        )
+
+
+@step
+class FollowTrajectoryStep(Step):
+    """The nonlinear Stewart platform with motors under several upper layers, following the path of section 9.1.3."""
+
+    gives: ClassVar[str] = "runs"
+    do: Literal["follow-trajectory"]
+    of: ToPlant
+    controllers: Controllers
+    p_low: Positive = Field(3000.0, description="Triple pole of the motors' torque loops in 1/s.")
+    at: Annotated[list[float], Field(min_length=6, max_length=6)] | None = Field(
+        None, description="Pose at which the path begins; home, where the controllers are trimmed, where left out."
+    )
+    rise_time: Annotated[float, Field(ge=0)] = 0.0
+    t_end: Positive = 5.0
+    after: Annotated[float, Field(ge=0)] = Field(3.0, description="s from which on the errors count.")
+    points: Annotated[int, Field(ge=2, le=100_000)] = 2501
+
+    def run(self, work: Workspace) -> Outcome:
+        """The nonlinear platform under each upper layer, its motors' torque loops below."""
+        import numpy as np
+
+        from robustlab.dynamics import trim
+        from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
+        from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
+        from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+        from robustlab.report.design_figures import TimePanel, runs_figure
+        from robustlab.statespace import as_model
+
+        plant = work.values[self.of]
+        if not (isinstance(plant, StewartPlatform) and plant.motors):
+            raise InputError(f"step {self.of!r}", "gave no Stewart platform with motors", "choices = { motors = true }")
+        point = trim(plant) if self.at is None else trim(plant, pose=self.at)
+        lower = two_layer(plant, p_low=self.p_low).lower
+        start = plant.geometry.home if self.at is None else self.at
+        path = SineTrajectory(start, rise_time=self.rise_time)
+        t = np.linspace(0.0, self.t_end, self.points)
+        rows: dict[str, dict[str, Any]] = {}
+        curves: dict[str, dict[str, Any]] = {key: {} for key in ("position", "torque", "voltage")}
+        limits = None
+        for name in self.controllers:
+            controller = LayeredController(as_model(work.values[name], name), lower, point)
+            run = follow(plant, controller, path, t)
+            error = run.largest_error(self.after)
+            rows[name] = {
+                "order": controller.upper.n_states,
+                "worst_error": float(1e3 * np.linalg.norm(run.error[t >= self.after, :3], axis=1).max()),
+                "position_error": float(error[:3].max()),
+                "orientation_error": float(error[3:].max()),
+                "largest_torque": float(run.largest_torque().max()),
+                "largest_voltage": float(run.largest_voltage().max()),
+                "within_limits": run.within_limits,
+                "spectral_abscissa": closed_loop(plant, controller).spectral_abscissa(),
+            }
+            curves["position"][name] = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
+            curves["torque"][name] = 1e3 * np.abs(run.torque).max(axis=1)
+            curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
+            limits = run.limits
+        assert limits is not None
+        panels = [
+            TimePanel("distance to path [mm]", curves["position"]),
+            TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * limits.torque),
+            TimePanel("largest |voltage| [V]", curves["voltage"], limits.voltage),
+        ]
+        caption = "The nonlinear machine on the path of section 9.1.3: a lift of 5 mm, then sines of 5 mm and 20 mrad."
+        work.draw(runs_figure(t, panels), "runs", caption)
+        header = ["upper layer", "order", "position [mm]", "angle [mrad]", "torque [mN m]", "voltage [V]", "in limits"]
+        columns = (
+            ("position_error", 1e3),
+            ("orientation_error", 1e3),
+            ("largest_torque", 1e3),
+            ("largest_voltage", 1.0),
+        )
+        table = [
+            [
+                name,
+                str(row["order"]),
+                *(f"{factor * row[key]:.4g}" for key, factor in columns.items()),
+                "yes" if row["within_limits"] else "no",
+            ]
+            for name, row in rows.items()
+        ]
+        pose = "home" if self.at is None else ", ".join(f"{v:g}" for v in self.at)
+        facts = (
+            Fact("Path begins at", pose),
+            Fact("Torque loops below", f"triple pole at {self.p_low:g} 1/s"),
+            Fact("Errors count from", quantity(self.after, "s")),
+        )
+        summary = f"Nonlinear simulation of {self.of} under {len(rows)} upper layers."
+        note = "Nothing is clipped: 'in limits' says whether the motors' torque and voltage would have been enough."
+        kept = Runs(t, curves["position"], "mm", self.after)
+        return Outcome(
+            kept, summary, {"controllers": rows}, facts, rl.Status.CONVERGED, (note,), text_table(header, table)
+        )
 
 
 def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
     """A member's loop with effects; one at a control acts on what the controller commands."""
-    import robustlab as rl
     from robustlab.dynamics.extended.driver_in_loop import driver_in_loop
 
     made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
@@ -310,9 +438,6 @@ def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], me
             drop = driver_in_loop(made, own, key.partition("@")[2], effects[key])
             moved = rl.with_effects(moved, drop)
     return moved
-
-
-# --- what the steps share ---------------------------------------------------------------------------------------------
 
 
 def text_table(header: list[str], rows: list[list[str]]) -> str:

@@ -3,58 +3,220 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.steps.design import tracking_loop
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.models import uncertain_numbers
-from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromStep, WithLoadsStep
+from robustlab.recipe.vocabulary import (
+    GUARD,
+    Effort,
+    Positive,
+    TimeLimit,
+    ToController,
+    Tolerance,
+    ToOneModel,
+    ToPlantOrFile,
+    ToRecord,
+)
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
     from robustlab.mu_analysis.covering import Cover
     from robustlab.statespace import StateSpaceModel
 
-__all__ = ["cover_models", "uncertain_from", "with_loads"]
+AmplitudePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+
+Pose = Annotated[list[float], Field(min_length=6, max_length=6)]
 
 MOST_FACTS = 40
 
 
-def cover_models(step: CoverModelsStep, work: Workspace) -> Outcome:
-    """The smallest uncertain model of a form around a set of models, with its conservatism.
+@step
+class CoverModelsStep(Step):
+    """The smallest uncertain model of a chosen form that holds every one of a set of models.
 
-    Numbers: ``blocks``, ``channels``, ``members``, ``missed`` (largest miss of a model), ``size`` (largest delta);
-    ``order``, ``excess``, ``least_excess`` and ``radius`` of an unstructured form; ``conservatism`` and
-    ``conservatism_at_least``.
+    The set: the models of earlier steps, or one plant linearised at several poses, or both.
     """
-    import robustlab as rl
-    from robustlab.report.cover_figures import cover_figures
 
-    models = _models(step, work)
-    controller = None if step.controller is None else work.values[step.controller]
-    loop = None if controller is None else lambda g: tracking_loop(g, controller)
-    nominal = None if step.nominal is None else _selected(rl.linearise, work.values[step.nominal], step.outputs)
-    found = rl.cover(
-        models, step.form, nominal=nominal, tolerance=step.tolerance, directions=step.directions, order=step.order,
-        excess=step.excess, loop=loop, gain=step.conservatism,
-        effort=step.effort, time_limit=step.time_limit,
-    )  # fmt: skip
-    work.keep(found)
-    for name, (figure, caption) in cover_figures(found, models).items():
-        work.draw(figure, name, caption)
-    numbers, facts = _cover_numbers(found)
-    notes = [found.reason] if found.reason else []
-    if found.conservatism is not None and found.conservatism.reason:
-        missing = math.isnan(found.conservatism.ratio)
-        notes.append(f"{'No conservatism' if missing else 'Conservatism'}: {found.conservatism.reason}.")
-    summary = f"{step.form} cover of {len(models)} models: {len(found.model.blocks)} blocks."
-    return Outcome(found.model, summary, numbers, facts, found.status, tuple(notes), found.summary())
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["cover-models"]
+    models: Annotated[list[ToOneModel], Field(max_length=100)] = Field([])
+    of: ToPlantOrFile | None = Field(None, description="A mechanism, linearised at each of `poses`.")
+    poses: Annotated[list[Pose], Field(max_length=100)] = Field(
+        [], description="Operating points: tx, ty, tz in m, ax, ay, az in rad."
+    )
+    form: Literal[
+        "elements",
+        "pca",
+        "ellipsoid",
+        "additive",
+        "input-multiplicative",
+        "output-multiplicative",
+        "inverse-additive",
+        "inverse-input-multiplicative",
+        "inverse-output-multiplicative",
+    ] = "elements"
+    nominal: ToOneModel | None = Field(None, description="Where left out, the middle, or what makes the set smallest.")
+    outputs: list[str] | None = None
+    tolerance: Annotated[float, Field(ge=0, lt=1)] = Field(
+        1e-9, description="Share of its matrix' largest that an entry may be off: pca, ellipsoid need fewer directions."
+    )
+    directions: Annotated[int, Field(ge=1, le=100)] | None = Field(None, description="Of pca and ellipsoid.")
+    order: Annotated[int, Field(ge=0, le=12)] = Field(4, description="Largest order of the weight of a full block.")
+    excess: Tolerance = Field(0.1, description="How far above the bound a weight of lower order may be.")
+    controller: ToController | None = Field(
+        None, description="Closed around the models and the cover, u = K (r - y), before their gains are compared."
+    )
+    conservatism: bool = Field(True, description="Compare the worst gain of the cover with that of the set.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the proof of the worst gain.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    @model_validator(mode="after")
+    def _is_a_set(self) -> Self:
+        if (self.of is None) != (not self.poses):
+            raise PydanticCustomError("poses", "of and poses belong together")
+        if len(self.models) + len(self.poses) < 2:
+            raise PydanticCustomError("set", "expected at least two models, or of with at least two poses")
+        return self
+
+    def run(self, work: Workspace) -> Outcome:
+        """The smallest uncertain model of a form around a set of models, with its conservatism.
+
+        Numbers: ``blocks``, ``channels``, ``members``, ``missed`` (largest miss of a model), ``size`` (largest delta);
+        ``order``, ``excess``, ``least_excess`` and ``radius`` of an unstructured form; ``conservatism`` and
+        ``conservatism_at_least``.
+        """
+        from robustlab.recipe.steps.design import tracking_loop
+        from robustlab.report.cover_figures import cover_figures
+
+        models = _models(self, work)
+        controller = None if self.controller is None else work.values[self.controller]
+        loop = None if controller is None else lambda g: tracking_loop(g, controller)
+        nominal = None if self.nominal is None else _selected(rl.linearise, work.values[self.nominal], self.outputs)
+        found = rl.cover(
+            models, self.form, nominal=nominal, tolerance=self.tolerance, directions=self.directions, order=self.order,
+            excess=self.excess, loop=loop, gain=self.conservatism,
+            effort=self.effort, time_limit=self.time_limit,
+        )  # fmt: skip
+        work.keep(found)
+        for name, (figure, caption) in cover_figures(found, models).items():
+            work.draw(figure, name, caption)
+        numbers, facts = _cover_numbers(found)
+        notes = [found.reason] if found.reason else []
+        if found.conservatism is not None and found.conservatism.reason:
+            missing = math.isnan(found.conservatism.ratio)
+            notes.append(f"{'No conservatism' if missing else 'Conservatism'}: {found.conservatism.reason}.")
+        summary = f"{self.form} cover of {len(models)} models: {len(found.model.blocks)} blocks."
+        return Outcome(found.model, summary, numbers, facts, found.status, tuple(notes), found.summary())
+
+
+@step
+class UncertainFromStep(Step):
+    """An uncertain model of what a `discover` step found and left unexplained; each block says where it comes from."""
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["uncertain-from"]
+    of: ToPlantOrFile = Field(description="A discover step, a plant, or the file of an updated plant.")
+    outputs: list[str] | None = None
+    amplitude: dict[str, Positive | AmplitudePair] = Field(
+        {}, description="Of the signal of a joint, position, input or output: at which the effects are described there."
+    )
+    dry: Literal["load", "gain", "both"] | None = Field(
+        None,
+        description="Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the "
+        "describing function; where left out, a gain where an amplitude is given, else a load.",
+    )
+    sigmas: Annotated[float, Field(ge=0, le=10)] = Field(
+        2.0, description="Half width of the range of a fitted value in its standard deviations."
+    )
+    pade: Annotated[int, Field(ge=1, le=8)] = Field(2, description="Order of the Padé approximation of delays.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """What was named and what remains as blocks, each with its origin.
+
+        Numbers: ``blocks``, ``count``, ``channels``, ``inputs`` (for bounded errors), ``left_out`` (how many),
+        ``range.BLOCK.low`` and ``.high``, ``bound.INPUT``.
+        """
+        from robustlab.dynamics import Plant
+        from robustlab.report.cover_figures import blocks_figure
+
+        given = work.discoveries.get(self.of, work.values[self.of])
+        if self.of not in work.discoveries and not isinstance(given, Plant):
+            raise InputError(f"of = {self.of!r}", f"a {type(given).__name__}", "a discover self, or a plant")
+        amplitude = {n: (a[0], a[1]) if isinstance(a, list) else a for n, a in self.amplitude.items()}
+        made = rl.uncertain_from(
+            given, self.outputs, sigmas=self.sigmas, amplitude=amplitude or None, dry=self.dry, pade=self.pade
+        )
+        work.keep(made)
+        figure = blocks_figure(made)
+        if figure is not None:
+            work.draw(
+                figure, "blocks", "How much each block alone changes the response of the nominal model, of its size."
+            )
+        ranges = {b.name: b.parameter for b in made.model.blocks if b.parameter}
+        numbers = {
+            **uncertain_numbers(made.model),
+            "count": len(made.model.blocks),
+            "inputs": len(made.noise),
+            "left_out": len(made.left_out),
+            "range": {name: {"low": p.low, "high": p.high} for name, p in ranges.items()},
+            "bound": {n.name: n.bound for n in made.noise},
+        }
+        facts = [
+            *_block_facts(made.model),
+            *(Fact(f"input {n.name}", f"at most {quantity(n.bound, n.unit)}", n.origin) for n in made.noise),
+            *(Fact(f"not in it: {name}", reason) for name, reason in made.left_out.items()),
+        ]
+        summary = (
+            f"Uncertain model of {self.of}: blocks {len(made.model.blocks)}, "
+            f"inputs for bounded errors {len(made.noise)}, effects left out {len(made.left_out)}."
+        )
+        return Outcome(made.model, summary, numbers, tuple(facts), made.status, _notes(made))
+
+
+@step
+class WithLoadsStep(Step):
+    """A record with the bounded forces of a plant's effects as further inputs, as the plant itself makes them.
+
+    A set that takes such forces as inputs (`uncertain-from` without amplitudes) needs them for `validate` or `cover`.
+    """
+
+    gives: ClassVar[str] = "record"
+    do: Literal["with-loads"]
+    of: ToPlantOrFile = Field(description="A discover step, or a plant with effects.")
+    record: ToRecord
+    sigmas: Annotated[float, Field(ge=0, le=10)] = Field(2.0, description="As in the step that made the set.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """The record with the loads of a plant's effects: known signals, at most one.
+
+        Numbers: ``largest.INPUT`` along the record, ``bound.INPUT`` in its unit.
+        """
+        from robustlab.dynamics.extended.effect_loads import effect_loads
+
+        record = work.record(self.record)
+        made = effect_loads(work.values[self.of], self.sigmas, [record])
+        shown = made.along(record)
+        largest = {load.name: float(abs(shown[load.name]).max()) for load in made.loads}
+        facts = tuple(
+            Fact(
+                load.name,
+                f"at most {quantity(load.bound, load.unit)}; along the record {largest[load.name]:.3g} of it",
+                load.origin,
+            )
+            for load in made.loads
+        )
+        numbers = {"largest": largest, "bound": {load.name: load.bound for load in made.loads}}
+        summary = f"{self.record} with {len(made.loads)} loads of {self.of} as known inputs."
+        return Outcome(shown, summary, numbers, facts)
 
 
 def _models(step: CoverModelsStep, work: Workspace) -> list[StateSpaceModel]:
-    import robustlab as rl
-
     made = [_selected(rl.linearise, work.values[name], step.outputs) for name in step.models]
     if step.of is not None:
         plant = work.values[step.of]
@@ -100,69 +262,6 @@ def _cover_numbers(found: Cover) -> tuple[dict[str, Any], tuple[Fact, ...]]:
         text = f"at most {c.ratio:.4g}, attained {c.least:.4g}"
         facts.append(Fact("Worst gain of the cover over that of the set", text, f"largest in model {c.set_model}"))
     return numbers, (*facts, *_block_facts(found.model))
-
-
-def uncertain_from(step: UncertainFromStep, work: Workspace) -> Outcome:
-    """What was named and what remains as blocks, each with its origin.
-
-    Numbers: ``blocks``, ``count``, ``channels``, ``inputs`` (for bounded errors), ``left_out`` (how many),
-    ``range.BLOCK.low`` and ``.high``, ``bound.INPUT``.
-    """
-    import robustlab as rl
-    from robustlab.dynamics import Plant
-    from robustlab.report.cover_figures import blocks_figure
-
-    given = work.discoveries.get(step.of, work.values[step.of])
-    if step.of not in work.discoveries and not isinstance(given, Plant):
-        raise InputError(f"of = {step.of!r}", f"a {type(given).__name__}", "a discover step, or a plant")
-    amplitude = {n: (a[0], a[1]) if isinstance(a, list) else a for n, a in step.amplitude.items()}
-    made = rl.uncertain_from(
-        given, step.outputs, sigmas=step.sigmas, amplitude=amplitude or None, dry=step.dry, pade=step.pade
-    )
-    work.keep(made)
-    figure = blocks_figure(made)
-    if figure is not None:
-        work.draw(figure, "blocks", "How much each block alone changes the response of the nominal model, of its size.")
-    ranges = {b.name: b.parameter for b in made.model.blocks if b.parameter}
-    numbers = {
-        **uncertain_numbers(made.model),
-        "count": len(made.model.blocks),
-        "inputs": len(made.noise),
-        "left_out": len(made.left_out),
-        "range": {name: {"low": p.low, "high": p.high} for name, p in ranges.items()},
-        "bound": {n.name: n.bound for n in made.noise},
-    }
-    facts = [
-        *_block_facts(made.model),
-        *(Fact(f"input {n.name}", f"at most {quantity(n.bound, n.unit)}", n.origin) for n in made.noise),
-        *(Fact(f"not in it: {name}", reason) for name, reason in made.left_out.items()),
-    ]
-    summary = (
-        f"Uncertain model of {step.of}: blocks {len(made.model.blocks)}, inputs for bounded errors {len(made.noise)},"
-        f" effects left out {len(made.left_out)}."
-    )
-    return Outcome(made.model, summary, numbers, tuple(facts), made.status, _notes(made))
-
-
-def with_loads(step: WithLoadsStep, work: Workspace) -> Outcome:
-    """The record with the loads of a plant's effects: known signals, at most one.
-
-    Numbers: ``largest.INPUT`` along the record, ``bound.INPUT`` in its unit.
-    """
-    from robustlab.dynamics.extended.effect_loads import effect_loads
-
-    record = work.record(step.record)
-    made = effect_loads(work.values[step.of], step.sigmas, [record])
-    shown = made.along(record)
-    largest = {load.name: float(abs(shown[load.name]).max()) for load in made.loads}
-    facts = tuple(
-        Fact(load.name, f"at most {quantity(load.bound, load.unit)}; along the record {largest[load.name]:.3g} of it",
-             load.origin)
-        for load in made.loads
-    )  # fmt: skip
-    numbers = {"largest": largest, "bound": {load.name: load.bound for load in made.loads}}
-    summary = f"{step.record} with {len(made.loads)} loads of {step.of} as known inputs."
-    return Outcome(shown, summary, numbers, facts)
 
 
 def _notes(made: EffectBlocks) -> tuple[str, ...]:

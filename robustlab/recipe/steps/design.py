@@ -2,145 +2,249 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal, Self
 
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.control_schema import (
-    DesignStep,
-    DkStep,
-    FixedStep,
-    H2Step,
-    HinfStep,
-    NcfStep,
-    ReduceControllerStep,
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.models import uncertain_numbers
+from robustlab.recipe.vocabulary import (
+    GUARD,
+    ComplementaryWeight,
+    ControlWeight,
+    Effort,
+    PerformanceWeight,
+    Positive,
+    TimeLimit,
+    ToController,
+    ToDesignable,
+    ToModel,
 )
-from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import CloseLoopStep, MixsynStep
 
-__all__ = ["close_loop", "designed", "dk", "fixed", "h2", "hinf", "mixsyn", "ncf", "reduce_controller", "tracking_loop"]
+GammaRel = Annotated[float, Field(ge=1, le=10)]
 
 
-def mixsyn(step: MixsynStep, work: Workspace) -> Outcome:
-    """A mixed-sensitivity controller, verified in the loop rebuilt from it."""
-    import robustlab as rl
-    from robustlab.synthesis.specifications.weight_design import (
-        complementary_weight,
-        control_weight,
-        performance_weight,
+@step
+class MixsynStep(Step):
+    """Mixed-sensitivity H-infinity controller: makes the norm of [W1 S; W2 K S; W3 T] small."""
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["mixsyn"]
+    of: ToModel
+    W1: PerformanceWeight | None = None
+    W2: ControlWeight | None = None
+    W3: ComplementaryWeight | None = None
+
+    @model_validator(mode="after")
+    def _some_weight(self) -> Self:
+        if self.W1 is None and self.W2 is None and self.W3 is None:
+            raise PydanticCustomError("some_weight", "expected at least one of W1, W2, W3")
+        return self
+
+    def run(self, work: Workspace) -> Outcome:
+        """A mixed-sensitivity controller, verified in the loop rebuilt from it."""
+        from robustlab.synthesis.specifications.weight_design import (
+            complementary_weight,
+            control_weight,
+            performance_weight,
+        )
+
+        model = work.values[self.of]
+        makers = ((self.W1, performance_weight), (self.W2, control_weight), (self.W3, complementary_weight))
+        weights = [None if given is None else make(**given.model_dump()) for given, make in makers]
+        found = rl.mixsyn(model, *weights)
+        _draw_sensitivities(found, model, work)
+        return designed(found, f"Mixed-sensitivity controller for {self.of}.", work)
+
+
+class DesignStep(Step):
+    """What the steps share that design a controller of a generalised plant.
+
+    Of a tracking problem the channels are known; of any other model the controls are its last inputs, the measurements
+    its last outputs.
+    """
+
+    gives: ClassVar[str] = "controller"
+    of: ToDesignable
+    measurements: Annotated[int, Field(ge=1)] | None = Field(None, description="Only where `of` is no problem.")
+    controls: Annotated[int, Field(ge=1)] | None = Field(None, description="Only where `of` is no problem.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the search.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def generalised(self, work: Workspace, nominal: bool = False) -> tuple[Any, int | None, int | None]:
+        """The generalised plant of a design step with its numbers of measurements and controls."""
+        from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+
+        given = work.values[self.of]
+        if isinstance(given, TrackingProblem):
+            if self.measurements is not None or self.controls is not None:
+                raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
+            return given.nominal if nominal else given.plant, None, None
+        if self.measurements is None or self.controls is None:
+            found = "measurements or controls is missing"
+            raise InputError(
+                self.kind, found, "how many of the last outputs are measured, of the last inputs are controls"
+            )
+        return given, self.measurements, self.controls
+
+
+@step
+class HinfStep(DesignStep):
+    """H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
+
+    do: Literal["hinf"]
+    gamma_rel: GammaRel = Field(1.05, description="Allowed ratio to the smallest gamma; the slowest controller wins.")
+    nominal: bool = Field(
+        True, description="Of a tracking problem: the nominal plant; else all of Delta counts as one full block."
     )
 
-    model = work.values[step.of]
-    makers = ((step.W1, performance_weight), (step.W2, control_weight), (step.W3, complementary_weight))
-    weights = [None if given is None else make(**given.model_dump()) for given, make in makers]
-    found = rl.mixsyn(model, *weights)
-    _draw_sensitivities(found, model, work)
-    return designed(found, f"Mixed-sensitivity controller for {step.of}.", work)
+    def run(self, work: Workspace) -> Outcome:
+        """An H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
+        P, *channels = self.generalised(work, nominal=self.nominal)
+        found = rl.hinf(P, *channels, gamma_rel=self.gamma_rel, effort=self.effort, time_limit=self.time_limit)
+        _draw_loop(found, work)
+        _draw_functions(found, self.of, work)
+        return designed(found, f"H-infinity controller for {self.of}.", work)
 
 
-def hinf(step: HinfStep, work: Workspace) -> Outcome:
-    """An H-infinity controller of a generalised plant, verified in the loop rebuilt from it."""
-    import robustlab as rl
+@step
+class CloseLoopStep(Step):
+    """The tracking loop of a controller around a model: reference in, the controlled outputs out."""
 
-    P, *channels = generalised(step, work, nominal=step.nominal)
-    found = rl.hinf(P, *channels, gamma_rel=step.gamma_rel, effort=step.effort, time_limit=step.time_limit)
-    _draw_loop(found, work)
-    _draw_functions(found, step.of, work)
-    return designed(found, f"H-infinity controller for {step.of}.", work)
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["close-loop"]
+    of: ToModel
+    controller: ToController
 
-
-def h2(step: H2Step, work: Workspace) -> Outcome:
-    """An H2 controller of the nominal plant, verified in the loop rebuilt from it."""
-    import robustlab as rl
-
-    P, *channels = generalised(step, work, nominal=True)
-    found = rl.h2(P, *channels, effort=step.effort, time_limit=step.time_limit)
-    _draw_loop(found, work)
-    _draw_functions(found, step.of, work)
-    return designed(found, f"H2 controller for {step.of}.", work)
-
-
-def ncf(step: NcfStep, work: Workspace) -> Outcome:
-    """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
-    import robustlab as rl
-    from robustlab.report.design_pictures import functions_picture
-
-    found = rl.ncf(work.values[step.of], step.W1, step.W2, factor=step.factor)
-    _draw_loop(found, work)
-    work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
-    return designed(found, f"Loop-shaping controller for {step.of}.", work)
+    def run(self, work: Workspace) -> Outcome:
+        """The uncertain tracking loop: reference in; controlled outputs and control signals out."""
+        loop = tracking_loop(work.values[self.of], work.values[self.controller])
+        abscissa = loop.nominal.spectral_abscissa()
+        numbers = {**uncertain_numbers(loop), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
+        facts = (
+            Fact("Inputs", ", ".join(s.name for s in loop.inputs)),
+            Fact("Outputs", ", ".join(s.name for s in loop.outputs)),
+            Fact("Rightmost pole of the nominal loop", quantity(abscissa, "1/s")),
+        )
+        word = "stable" if abscissa < 0 else "unstable"
+        return Outcome(loop, f"Loop of {self.controller} around {self.of}: nominally {word}.", numbers, facts)
 
 
-def dk(step: DkStep, work: Workspace) -> Outcome:
-    """A robust controller; mu proved at all frequencies."""
-    import robustlab as rl
-    from robustlab.report.design_pictures import history_picture
+@step
+class H2Step(DesignStep):
+    """H2 (LQG) controller of a generalised plant; of a tracking problem, of the nominal one."""
 
-    P, *channels = generalised(step, work)
-    start = None if step.start is None else work.values[step.start]
-    taken = {"direct", "mixed", "max_order", "order_rel", "effort", "time_limit"}
-    options: dict[str, Any] = step.model_dump(include=taken)
-    found = rl.dk(P, None, *channels, K0=start, **options)
-    _draw_loop(found, work)
-    work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
-    _draw_functions(found, step.of, work, proved=False)
-    return designed(found, f"Robust controller for {step.of}.", work)
+    do: Literal["h2"]
 
-
-def fixed(step: FixedStep, work: Workspace) -> Outcome:
-    """A controller of a given structure, verified in the loop rebuilt from it."""
-    import robustlab as rl
-    from robustlab.synthesis.laws.controller_structures import structure_in_words
-    from robustlab.synthesis.problem.partition import as_generalized_plant
-
-    plant = as_generalized_plant(*generalised(step, work, nominal=step.nominal), "fixed")
-    options: dict[str, Any] = step.model_dump(include={"objective", "starts", "effort", "time_limit"})
-    found = rl.fixed_structure(plant, structure_in_words(step.structure, plant), seed=work.seed, **options)
-    _draw_loop(found, work)
-    _draw_functions(found, step.of, work, proved=step.nominal and step.objective == "hinf")
-    return designed(found, f"Controller of structure {step.structure} for {step.of}.", work)
+    def run(self, work: Workspace) -> Outcome:
+        """An H2 controller of the nominal plant, verified in the loop rebuilt from it."""
+        P, *channels = self.generalised(work, nominal=True)
+        found = rl.h2(P, *channels, effort=self.effort, time_limit=self.time_limit)
+        _draw_loop(found, work)
+        _draw_functions(found, self.of, work)
+        return designed(found, f"H2 controller for {self.of}.", work)
 
 
-def reduce_controller(step: ReduceControllerStep, work: Workspace) -> Outcome:
-    """A controller of lower order whose loop was verified anew."""
-    from robustlab.statespace import as_model
-    from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce
+@step
+class NcfStep(Step):
+    """Loop shaping with normalised coprime factors (u = K y, positive feedback); gamma_min is exact."""
 
-    P, n_meas, n_con = generalised(step, work, nominal=step.measure != "mu")
-    K = as_model(work.values[step.controller], step.controller)
-    options: dict[str, Any] = step.model_dump(include={"loss", "order", "measure", "effort", "time_limit"})
-    found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
-    return designed(found, f"{step.controller} with fewer states.", work)
+    gives: ClassVar[str] = "controller"
+    do: Literal["ncf"]
+    of: ToModel
+    W1: Positive | None = Field(None, description="Gain before the plant.")
+    W2: Positive | None = Field(None, description="Gain behind the plant.")
+    factor: Annotated[float, Field(gt=1, le=100)] = 1.1
 
+    def run(self, work: Workspace) -> Outcome:
+        """A loop-shaping controller, verified in the shaped loop and in that of the plant as given."""
+        from robustlab.report.design_pictures import functions_picture
 
-def generalised(step: DesignStep, work: Workspace, nominal: bool = False) -> tuple[Any, int | None, int | None]:
-    """The generalised plant of a design step with its numbers of measurements and controls."""
-    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
-
-    given = work.values[step.of]
-    if isinstance(given, TrackingProblem):
-        if step.measurements is not None or step.controls is not None:
-            raise InputError("measurements or controls", "given", "neither: a tracking problem has its own")
-        return given.nominal if nominal else given.plant, None, None
-    if step.measurements is None or step.controls is None:
-        found = "measurements or controls is missing"
-        raise InputError(step.kind, found, "how many of the last outputs are measured, of the last inputs are controls")
-    return given, step.measurements, step.controls
+        found = rl.ncf(work.values[self.of], self.W1, self.W2, factor=self.factor)
+        _draw_loop(found, work)
+        work.draw(functions_picture(found), "functions", "S, K S, T and S G of the loop.")
+        return designed(found, f"Loop-shaping controller for {self.of}.", work)
 
 
-def close_loop(step: CloseLoopStep, work: Workspace) -> Outcome:
-    """The uncertain tracking loop: reference in; controlled outputs and control signals out."""
-    from robustlab.recipe.steps.models import uncertain_numbers
+@step
+class DkStep(DesignStep):
+    """Robust controller by D-K iteration and direct minimisation; gamma bounds mu at all frequencies."""
 
-    loop = tracking_loop(work.values[step.of], work.values[step.controller])
-    abscissa = loop.nominal.spectral_abscissa()
-    numbers = {**uncertain_numbers(loop), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
-    facts = (
-        Fact("Inputs", ", ".join(s.name for s in loop.inputs)),
-        Fact("Outputs", ", ".join(s.name for s in loop.outputs)),
-        Fact("Rightmost pole of the nominal loop", quantity(abscissa, "1/s")),
+    do: Literal["dk"]
+    start: ToController | None = Field(None, description="Stabilising controller to start from.")
+    direct: bool = Field(True, description="Go on with direct minimisation.")
+    mixed: bool = Field(True, description="Use that real blocks are real.")
+    max_order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="Largest order of the controller.")
+    order_rel: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.01, description="Loss of level allowed for a controller of lower order, then for one with slower poles."
     )
-    word = "stable" if abscissa < 0 else "unstable"
-    return Outcome(loop, f"Loop of {step.controller} around {step.of}: nominally {word}.", numbers, facts)
+
+    def run(self, work: Workspace) -> Outcome:
+        """A robust controller; mu proved at all frequencies."""
+        from robustlab.report.design_pictures import history_picture
+
+        P, *channels = self.generalised(work)
+        start = None if self.start is None else work.values[self.start]
+        taken = {"direct", "mixed", "max_order", "order_rel", "effort", "time_limit"}
+        options: dict[str, Any] = self.model_dump(include=taken)
+        found = rl.dk(P, None, *channels, K0=start, **options)
+        _draw_loop(found, work)
+        work.draw(history_picture(found), "history", "The search: what each iterate proves of μ, and its order.")
+        _draw_functions(found, self.of, work, proved=False)
+        return designed(found, f"Robust controller for {self.of}.", work)
+
+
+@step
+class FixedStep(DesignStep):
+    """Controller of a given structure with the smallest norm found; a local optimum, verified.
+
+    Of a tracking problem or an uncertain model the worst member counts, unless `nominal`.
+    """
+
+    do: Literal["fixed"]
+    structure: Annotated[str, Field(max_length=200)] = Field(
+        "static", description='static, p, i, pi, pd, pid, "order:N", "poles:-1,-20", "ipd:full", "decentralised:WORD".'
+    )
+    nominal: bool = Field(False, description="Of a tracking problem: the nominal plant alone.")
+    objective: Literal["hinf", "h2"] = "hinf"
+    starts: Annotated[int, Field(ge=0, le=1000)] = Field(3, description="Number of random starts.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """A controller of a given structure, verified in the loop rebuilt from it."""
+        from robustlab.synthesis.laws.controller_structures import structure_in_words
+        from robustlab.synthesis.problem.partition import as_generalized_plant
+
+        plant = as_generalized_plant(*self.generalised(work, nominal=self.nominal), "fixed")
+        options: dict[str, Any] = self.model_dump(include={"objective", "starts", "effort", "time_limit"})
+        found = rl.fixed_structure(plant, structure_in_words(self.structure, plant), seed=work.seed, **options)
+        _draw_loop(found, work)
+        _draw_functions(found, self.of, work, proved=self.nominal and self.objective == "hinf")
+        return designed(found, f"Controller of structure {self.structure} for {self.of}.", work)
+
+
+@step
+class ReduceControllerStep(DesignStep):
+    """The controller of lowest order whose verified loop is at most a stated share worse than the full one's."""
+
+    do: Literal["reduce-controller"]
+    controller: ToController
+    loss: Annotated[float, Field(ge=0, le=10)] = 0.01
+    order: Annotated[int, Field(ge=0, le=1000)] | None = Field(None, description="The order wanted, whatever the loss.")
+    measure: Literal["hinf", "h2", "mu"] = Field("hinf", description="mu: robust performance, with the plant's Delta.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """A controller of lower order whose loop was verified anew."""
+        from robustlab.statespace import as_model
+        from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce
+
+        P, n_meas, n_con = self.generalised(work, nominal=self.measure != "mu")
+        K = as_model(work.values[self.controller], self.controller)
+        options: dict[str, Any] = self.model_dump(include={"loss", "order", "measure", "effort", "time_limit"})
+        found = reduce(P, K, n_meas=n_meas, n_con=n_con, **options)
+        return designed(found, f"{self.controller} with fewer states.", work)
 
 
 def tracking_loop(system: Any, controller: Any) -> Any:
@@ -222,7 +326,6 @@ def _draw_functions(found: Any, of: str, work: Workspace, proved: bool = True) -
 def _draw_sensitivities(found: Any, model: Any, work: Workspace) -> None:
     import numpy as np
 
-    import robustlab as rl
     from robustlab.frequency import default_grid
     from robustlab.report.design_figures import WeightedResponse, sensitivity_figure
     from robustlab.statespace import as_model

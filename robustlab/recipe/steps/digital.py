@@ -4,44 +4,118 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+from pydantic import Field
+
+import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.control_schema import DiscretiseStep, ExportStep
-from robustlab.recipe.outcome import Fact, Outcome, Workspace
-from robustlab.recipe.steps.control import inverse
-from robustlab.result import Status
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, step, worst
+from robustlab.recipe.steps.design import designed
+from robustlab.recipe.vocabulary import (
+    GUARD,
+    Effort,
+    Positive,
+    TimeLimit,
+    ToController,
+    ToDesignable,
+)
 
 if TYPE_CHECKING:
     from robustlab.statespace import StateSpaceModel
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["discretise", "export"]
 
 FORMATS = (".c", ".json", ".mat", ".h5")
 
 
-def discretise(step: DiscretiseStep, work: Workspace) -> Outcome:
-    """The digital controller with the proved norm of the sampled loop, and mu of its uncertain one."""
-    import robustlab as rl
-    from robustlab.recipe.steps.design import designed
-    from robustlab.statespace import as_model
+@step
+class DiscretiseStep(Step):
+    """The digital form of a controller, with what the sampled loop loses; robust performance is proved for it anew.
 
-    K = as_model(work.values[step.of], step.of)
-    plant = _uncertain(work.values[step.plant])
-    found = rl.discretise_controller(
-        plant.nominal, step.dt, K, method=step.method, loss=step.loss, delay=step.delay, antialiasing=step.antialiasing,
-        prewarp=step.prewarp, effort=step.effort, time_limit=step.time_limit,
-    )  # fmt: skip
-    outcome = designed(found, f"{step.of} with a sample time of {step.dt:g} s.", work)
-    return _with_robustness(outcome, step, plant, K, found.K, work) if plant.blocks else outcome
+    The norm and mu are those of the continuous plant with sampler, computation delay and hold, between the samples too.
+    """
+
+    gives: ClassVar[str] = "controller"
+    do: Literal["discretise"]
+    of: ToController
+    plant: ToDesignable = Field(description="The problem or generalised plant that the controller was designed for.")
+    dt: Positive = Field(description="Sample time in s.")
+    method: Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"] = "auto"
+    delay: Annotated[float, Field(ge=0)] = Field(0.0, description="Computation delay in s.")
+    prewarp: Positive | None = Field(None, description="rad/s; the peak of the continuous loop where left out.")
+    loss: Annotated[float, Field(ge=0, le=100)] = Field(
+        0.1, description="Share of the norm from which on auto designs for the sampled plant."
+    )
+    antialiasing: Positive | None = Field(None, description="Corner of a filter before the sampler in rad/s.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the search and of each proof.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def run(self, work: Workspace) -> Outcome:
+        """The digital controller with the proved norm of the sampled loop, and mu of its uncertain one."""
+        from robustlab.statespace import as_model
+
+        K = as_model(work.values[self.of], self.of)
+        plant = _uncertain(work.values[self.plant])
+        found = rl.discretise_controller(
+            plant.nominal, self.dt, K, method=self.method, loss=self.loss, delay=self.delay,
+            antialiasing=self.antialiasing, prewarp=self.prewarp, effort=self.effort, time_limit=self.time_limit,
+        )  # fmt: skip
+        outcome = designed(found, f"{self.of} with a sample time of {self.dt:g} s.", work)
+        return _with_robustness(outcome, self, plant, K, found.K, work) if plant.blocks else outcome
+
+
+@step
+class ExportStep(Step):
+    """A controller for other programs: STEP.c (C99), STEP.json, STEP.mat and STEP.h5 in the output folder."""
+
+    gives: ClassVar[str] = "saved"
+    do: Literal["export"]
+    of: ToController
+    prefix: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")] = Field(
+        "controller", description="Of every name in the C code."
+    )
+    saturation: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
+        {}, description="Limits [low, high] of each control signal in the C code."
+    )
+
+    def run(self, work: Workspace) -> Outcome:
+        """The files of a controller, with its provenance."""
+        from robustlab.provenance import Provenance, file_sha256
+        from robustlab.statespace import as_model
+
+        given = work.values[self.of]
+        K = as_model(given, self.of)
+        if not K.is_discrete:
+            found = "gave a continuous controller"
+            raise InputError(
+                f"step {self.of!r}", found, "a digital one", "a step discretise with its sample time before"
+            )
+        origin = Provenance.now(f"recipe step {work.step}", work.inputs, work.seed)
+        limits = {name: tuple(pair) for name, pair in self.saturation.items()} or None
+        digests: dict[str, str] = {}
+        for suffix in FORMATS:
+            path = work.folder / f"{work.step}{suffix}"
+            options: dict[str, Any] = {"prefix": self.prefix, "saturation": limits} if suffix in (".c", ".json") else {}
+            rl.export_controller(path, given, provenance=origin, **options)
+            work.files.append(path.name)
+            digests[suffix[1:]] = file_sha256(path)
+        facts = (
+            Fact("Sample time", f"{K.dt:g} s"),
+            Fact("Measurements", ", ".join(f"{s.name} [{s.unit}]" for s in K.inputs)),
+            Fact("Control signals", ", ".join(f"{s.name} [{s.unit}]" for s in K.outputs)),
+            *(Fact(f"SHA-256 of {work.step}.{kind}", digest) for kind, digest in digests.items()),
+        )
+        numbers = {"order": K.n_states, "dt": K.dt, "sha256": digests}
+        names = ", ".join(f"{work.step}{suffix}" for suffix in FORMATS)
+        return Outcome(work.folder / f"{work.step}.h5", f"{self.of} written to {names}.", numbers, facts)
 
 
 def _with_robustness(
     outcome: Outcome, step: DiscretiseStep, plant: UncertainModel, K: StateSpaceModel, digital: Any, work: Workspace
 ) -> Outcome:
     """The same with mu and margin of the uncertain loop, continuous before and sampled after."""
-    import robustlab as rl
+    from robustlab.recipe.steps.control import inverse
 
     options: dict[str, Any] = {"effort": step.effort, "time_limit": step.time_limit, "seed": work.seed}
     before = rl.robust_performance(plant.close(K), accuracy=1e-3, tolerance=math.inf, **options)
@@ -68,7 +142,7 @@ def _with_robustness(
     )
     return replace(
         outcome, summary=sentence, numbers={**outcome.numbers, **numbers}, facts=(*outcome.facts, *facts),
-        status=max(statuses, key=list(Status).index), notes=(*outcome.notes, note),
+        status=worst(statuses), notes=(*outcome.notes, note),
     )  # fmt: skip
 
 
@@ -79,34 +153,3 @@ def _uncertain(given: Any) -> UncertainModel:
 
     uncertain = given.to_uncertain() if hasattr(given, "to_uncertain") else given
     return uncertain if isinstance(uncertain, UncertainModel) else UncertainModel(as_model(uncertain, "plant"), [])
-
-
-def export(step: ExportStep, work: Workspace) -> Outcome:
-    """The files of a controller, with its provenance."""
-    import robustlab as rl
-    from robustlab.provenance import Provenance, file_sha256
-    from robustlab.statespace import as_model
-
-    given = work.values[step.of]
-    K = as_model(given, step.of)
-    if not K.is_discrete:
-        found = "gave a continuous controller"
-        raise InputError(f"step {step.of!r}", found, "a digital one", "a step discretise with its sample time before")
-    origin = Provenance.now(f"recipe step {work.step}", work.inputs, work.seed)
-    limits = {name: tuple(pair) for name, pair in step.saturation.items()} or None
-    digests: dict[str, str] = {}
-    for suffix in FORMATS:
-        path = work.folder / f"{work.step}{suffix}"
-        options: dict[str, Any] = {"prefix": step.prefix, "saturation": limits} if suffix in (".c", ".json") else {}
-        rl.export_controller(path, given, provenance=origin, **options)
-        work.files.append(path.name)
-        digests[suffix[1:]] = file_sha256(path)
-    facts = (
-        Fact("Sample time", f"{K.dt:g} s"),
-        Fact("Measurements", ", ".join(f"{s.name} [{s.unit}]" for s in K.inputs)),
-        Fact("Control signals", ", ".join(f"{s.name} [{s.unit}]" for s in K.outputs)),
-        *(Fact(f"SHA-256 of {work.step}.{kind}", digest) for kind, digest in digests.items()),
-    )
-    numbers = {"order": K.n_states, "dt": K.dt, "sha256": digests}
-    names = ", ".join(f"{work.step}{suffix}" for suffix in FORMATS)
-    return Outcome(work.folder / f"{work.step}.h5", f"{step.of} written to {names}.", numbers, facts)

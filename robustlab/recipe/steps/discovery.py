@@ -3,60 +3,86 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from robustlab.recipe.outcome import Fact, Outcome, Workspace
-from robustlab.recipe.schema import DiscoverStep
-from robustlab.result import Status
+from pydantic import Field
+
+import robustlab as rl
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, step
+from robustlab.recipe.vocabulary import (
+    Positive,
+    PriorTolerance,
+    ToOneModel,
+    ToRecord,
+)
 
 if TYPE_CHECKING:
     from robustlab.identification.naming.discovery_result import Discovery
 
-__all__ = ["discover", "numbers"]
 
+@step
+class DiscoverStep(Step):
+    """Name the effect that a model lacks; gives the updated plant, which is kept as STEP-plant.h5, too."""
 
-def discover(step: DiscoverStep, work: Workspace) -> Outcome:
-    """The effects that the records show beyond the model, with their evidence; gives the updated plant."""
-    import robustlab as rl
-    from robustlab.dynamics.effects.catalogue import effect
-    from robustlab.identification.naming.discovery_result import headline
-    from robustlab.report.discovery_figures import caption, discovery_figures, facts
-
-    found = rl.discover(
-        work.values[step.of],
-        [work.record(name) for name in step.records],
-        [work.record(name) for name in step.held_out] or None,
-        tolerances=step.tolerances,
-        window=step.window,
-        period=step.period,
-        repeats=[work.record(name) for name in step.repeats],
-        exclude=[effect(name).id for name in step.exclude],
+    gives: ClassVar[str] = "plant"
+    do: Literal["discover"]
+    of: ToOneModel
+    records: Annotated[list[ToRecord], Field(min_length=1, max_length=50, description="Records of one machine.")]
+    held_out: list[ToRecord] = Field(
+        [], description="Records that no fit sees; every fourth window of the others where left out."
     )
-    work.keep(found)
-    work.discoveries[work.step] = found
-    for name, figure in discovery_figures(found).items():
-        work.draw(figure, name, caption(name))
-    notes = [f.message for f in found.findings]
-    notes += [f"Record {name} is simulated, not measured." for name in step.records if name in work.simulated]
-    status = found.status
-    if not status.trustworthy and found.verdict in step.accept:
-        status = Status.CONVERGED
-        notes.append(f"The verdict {found.verdict!r} is one that this recipe takes for an answer.")
-    if found.model is not None:
-        file = f"{work.step}-plant.h5"
-        _save(found, work, file)
-        notes.append(f"The updated plant is in {file}.")
-    if found.next_experiment is not None:
-        file = f"{work.step}-next-experiment.csv"
-        found.next_experiment.save(work.folder / file)
-        work.files.append(file)
-        notes.append(f"The signal of the next experiment is in {file}.")
-    lines = tuple(Fact(*line) for line in facts(found))
-    return Outcome(found.model, headline(found), numbers(found), lines, status, tuple(notes), found.summary())
+    repeats: list[ToRecord] = Field([], description="Further records with the same input, for the noise floor.")
+    tolerances: dict[str, PriorTolerance] = Field(
+        {}, description="Relative tolerance of a parameter, over the one that the plant states."
+    )
+    exclude: list[str] = Field([], description="Ids of effects that are not tried.")
+    window: Positive | None = Field(None, description="Length of the windows in s.")
+    period: Positive | None = Field(None, description="Period of the excitation in s.")
+    accept: Annotated[list[Literal["no missing effect", "named", "ambiguous", "unknown"]], Field(min_length=1)] = Field(
+        ["no missing effect", "named"],
+        description="Verdicts that this recipe takes for an answer; any other is no trustworthy number (exit code 4).",
+    )
+
+    def run(self, work: Workspace) -> Outcome:
+        """The effects that the records show beyond the model, with their evidence; gives the updated plant."""
+        from robustlab.dynamics.effects.catalogue import effect
+        from robustlab.identification.naming.discovery_result import headline
+        from robustlab.report.discovery_figures import caption, discovery_figures, facts
+
+        found = rl.discover(
+            work.values[self.of],
+            [work.record(name) for name in self.records],
+            [work.record(name) for name in self.held_out] or None,
+            tolerances=self.tolerances,
+            window=self.window,
+            period=self.period,
+            repeats=[work.record(name) for name in self.repeats],
+            exclude=[effect(name).id for name in self.exclude],
+        )
+        work.keep(found)
+        work.discoveries[work.step] = found
+        for name, figure in discovery_figures(found).items():
+            work.draw(figure, name, caption(name))
+        notes = [f.message for f in found.findings]
+        notes += [f"Record {name} is simulated, not measured." for name in self.records if name in work.simulated]
+        status = found.status
+        if not status.trustworthy and found.verdict in self.accept:
+            status = rl.Status.CONVERGED
+            notes.append(f"The verdict {found.verdict!r} is one that this recipe takes for an answer.")
+        if found.model is not None:
+            file = f"{work.step}-plant.h5"
+            _save(found, work, file)
+            notes.append(f"The updated plant is in {file}.")
+        if found.next_experiment is not None:
+            file = f"{work.step}-next-experiment.csv"
+            found.next_experiment.save(work.folder / file)
+            work.files.append(file)
+            notes.append(f"The signal of the next experiment is in {file}.")
+        lines = tuple(Fact(*line) for line in facts(found))
+        return Outcome(found.model, headline(found), numbers(found), lines, status, tuple(notes), found.summary())
 
 
 def _save(found: Discovery, work: Workspace, file: str) -> None:
-    import robustlab as rl
     from robustlab.provenance import Provenance
 
     rl.save(work.folder / file, found.model, Provenance.now(f"recipe step {work.step}", work.inputs, work.seed))

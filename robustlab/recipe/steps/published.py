@@ -1,16 +1,18 @@
-"""Step on published numbers: the thesis beside ours, row by row, and its figures."""
+"""Steps on published numbers: the thesis beside ours, row by row, and its figures."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from robustlab.recipe.outcome import Fact, Outcome, Workspace, quantity
-from robustlab.recipe.schema import PublishedNumbersStep, ThesisCaseStep
+from pydantic import Field
+
+import robustlab as rl
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.vocabulary import Count
 
 if TYPE_CHECKING:
     from robustlab.thesis.thesis_runs import Case
 
-__all__ = ["published_numbers", "thesis_case"]
 
 _MEANING = {
     "R": "reproduced within the fair tolerance",
@@ -20,29 +22,79 @@ _MEANING = {
 }
 
 
-def published_numbers(step: PublishedNumbersStep, work: Workspace) -> Outcome:
-    """All rows of the thesis, computed from parameters; figures of chapters 8, 9 and 10."""
-    from robustlab.thesis.thesis_numbers import published_numbers as compute
+@step
+class PublishedNumbersStep(Step):
+    """Every number that L. Březina's thesis prints about its Stewart platform beside ours, with its figures redrawn."""
 
-    found = compute()
-    work.keep(found)
-    _draw_conditions(work)
-    _draw_sines(found, work)
-    _draw_tracking(found, work)
-    bands = {case.name: _draw_case(case, step.n, work) for case in found.cases}
-    rows = {key: row.to_json() for key, row in found.rows.items()}
-    counts = {status: len(found.with_status(status)) for status in _MEANING}
-    off = found.disagreeing
-    facts = tuple(Fact(f"Rows {status}: {meaning}", str(counts[status])) for status, meaning in _MEANING.items())
-    facts += (Fact("Rows R and F that do not agree", ", ".join(off) or "none"),)
-    facts += tuple(_fact(row) for row in found.rows.values())
-    reproduced = sum(row.agrees is True for row in found.with_status("R"))
-    summary = (
-        f"{len(rows)} rows: {reproduced} of {counts['R']} said to be reproduced are; {counts['F']} more are fits, "
-        "which are not counted."
-    )
-    numbers = {"rows": rows, "counts": counts, "disagreeing": len(off), "bands": bands}
-    return Outcome(None, summary, numbers, facts, found.status)
+    do: Literal["published-numbers"]
+    n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
+
+    def run(self, work: Workspace) -> Outcome:
+        """All rows of the thesis, computed from parameters; figures of chapters 8, 9 and 10."""
+        from robustlab.thesis.thesis_numbers import published_numbers as compute
+
+        found = compute()
+        work.keep(found)
+        _draw_conditions(work)
+        _draw_sines(found, work)
+        _draw_tracking(found, work)
+        bands = {case.name: _draw_case(case, self.n, work) for case in found.cases}
+        rows = {key: row.to_json() for key, row in found.rows.items()}
+        counts = {status: len(found.with_status(status)) for status in _MEANING}
+        off = found.disagreeing
+        facts = tuple(Fact(f"Rows {status}: {meaning}", str(counts[status])) for status, meaning in _MEANING.items())
+        facts += (Fact("Rows R and F that do not agree", ", ".join(off) or "none"),)
+        facts += tuple(_fact(row) for row in found.rows.values())
+        reproduced = sum(row.agrees is True for row in found.with_status("R"))
+        summary = (
+            f"{len(rows)} rows: {reproduced} of {counts['R']} said to be reproduced are; {counts['F']} more are fits, "
+            "which are not counted."
+        )
+        numbers = {"rows": rows, "counts": counts, "disagreeing": len(off), "bands": bands}
+        return Outcome(None, summary, numbers, facts, found.status)
+
+
+@step
+class ThesisCaseStep(Step):
+    """The platform of L. Březina's thesis, uncertain as in a case of its section 10.3.1.
+
+    Inputs: the six torques, and `gravity`: 1 where the holding torque stays that of the nominal machine while gravity
+    acts on the perturbed one, 0 where each member is trimmed anew.
+    """
+
+    gives: ClassVar[str] = "uncertain"
+    do: Literal["thesis-case"]
+    case: Literal["1", "2a", "2b", "2c"]
+    structure: Literal["elements", "columns", "rows", "matrices", "single"] = "single"
+    n: Count = Field(0, description="Random members in the picture with nominal and worst Δ; no picture where 0.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """The uncertain platform of one case, with gravity as an input of its own (figure 10.5), and its picture."""
+        from robustlab.dynamics.stewart.stewart_platform import stewart_platform
+        from robustlab.thesis.thesis_runs import cases
+
+        (case,) = [c for c in cases(stewart_platform()) if c.name == self.case]
+        model = rl.elementwise(*case.with_gravity(), self.structure)
+        numbers: dict[str, Any] = {
+            "blocks": len(model.blocks),
+            "channels": model.delta_shape[0],
+            "published": case.published,
+            "gain_percent": case.gain_percent,
+            "released": case.released,
+            "worst": case.worst,
+        }
+        if self.n:
+            numbers["changes"] = _draw_case(case, self.n, work)
+        facts = (
+            Fact(
+                "Uncertain", f"{len(model.blocks)} real parameters ({self.structure}), {model.delta_shape[0]} channels"
+            ),
+            Fact("The thesis prints", f"±{quantity(case.published, '%')}", "figures 10.6-10.21"),
+            Fact("Change of the torques' gain B alone", quantity(case.gain_percent, "%")),
+            Fact("Holding torque, nominal minus perturbed", quantity(case.released, "N m")),
+            Fact("Worst end of the set with one parameter", case.worst_in_words),
+        )
+        return Outcome(model, f"Case {case.name}: {case.words}.", numbers, facts)
 
 
 def _fact(row: Any) -> Fact:
@@ -109,7 +161,6 @@ def _draw_case(case: Case, n: int, work: Workspace) -> dict[str, float]:
     """Nominal, worst and random members of a case in one picture; largest change of each output at the worst Delta."""
     import numpy as np
 
-    import robustlab as rl
     from robustlab.thesis.stewart_figures import case_figure
     from robustlab.thesis.thesis_runs import UP_TO
 
@@ -129,31 +180,3 @@ def _draw_case(case: Case, n: int, work: Workspace) -> dict[str, float]:
     sizes = np.abs(responses.nominal).max(axis=0)
     changes = 100 * np.abs(worst - responses.nominal).max(axis=0) / sizes
     return {name: float(change) for (name, _), change in zip(responses.outputs, changes, strict=True)}
-
-
-def thesis_case(step: ThesisCaseStep, work: Workspace) -> Outcome:
-    """The uncertain platform of one case, with gravity as an input of its own (figure 10.5), and its picture."""
-    import robustlab as rl
-    from robustlab.dynamics.stewart.stewart_platform import stewart_platform
-    from robustlab.thesis.thesis_runs import cases
-
-    (case,) = [c for c in cases(stewart_platform()) if c.name == step.case]
-    model = rl.elementwise(*case.with_gravity(), step.structure)
-    numbers: dict[str, Any] = {
-        "blocks": len(model.blocks),
-        "channels": model.delta_shape[0],
-        "published": case.published,
-        "gain_percent": case.gain_percent,
-        "released": case.released,
-        "worst": case.worst,
-    }
-    if step.n:
-        numbers["changes"] = _draw_case(case, step.n, work)
-    facts = (
-        Fact("Uncertain", f"{len(model.blocks)} real parameters ({step.structure}), {model.delta_shape[0]} channels"),
-        Fact("The thesis prints", f"±{quantity(case.published, '%')}", "figures 10.6-10.21"),
-        Fact("Change of the torques' gain B alone", quantity(case.gain_percent, "%")),
-        Fact("Holding torque, nominal minus perturbed", quantity(case.released, "N m")),
-        Fact("Worst end of the set with one parameter", case.worst_in_words),
-    )
-    return Outcome(model, f"Case {case.name}: {case.words}.", numbers, facts)

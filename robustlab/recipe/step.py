@@ -1,30 +1,65 @@
-"""What a step leaves behind, and what it may use while it runs."""
+"""The contract of a step: what it says in a recipe, what it may use while it runs, and what it leaves behind."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
+
+from pydantic import Field
 
 from robustlab.errors import InputError
-from robustlab.result import Status
+from robustlab.recipe.vocabulary import Strict, Text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from robustlab.identification.naming.discovery_result import Discovery
     from robustlab.record import Record
+    from robustlab.result import Status
     from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["Fact", "Outcome", "Workspace", "quantity"]
+__all__ = ["KINDS", "Fact", "Outcome", "Step", "Workspace", "quantity", "step", "worst"]
+
+# What a recipe says with ``do`` -> the class of such steps; filled by `step`.
+KINDS: dict[str, type[Step]] = {}
+Kind = TypeVar("Kind", bound="type[Step]")
+
+
+class Step(Strict):
+    """What every step has; a kind of step adds its keys, ``do`` with its word among them, and `run`."""
+
+    gives: ClassVar[str] = "nothing"
+
+    title: Text = Field("", description="What the report calls this step; the step's name where left out.")
+
+    @property
+    def kind(self) -> str:
+        """What the step does, as the recipe says with ``do``."""
+        return str(vars(self)["do"])
+
+    def run(self, work: Workspace) -> Outcome:
+        """Do what the step says."""
+        raise NotImplementedError(self.kind)
+
+
+def step(cls: Kind) -> Kind:
+    """Class decorator: recipes know this kind of step from now on."""
+    KINDS[get_args(cls.model_fields["do"].annotation)[0]] = cls
+    return cls
 
 
 def quantity(value: float, unit: str = "", digits: int = 5) -> str:
     """A number with its unit for reading, for example ``779.07 rad/s``."""
     text = f"{value:.{digits}g}"
     return f"{text} {unit}" if unit and unit != "1" else text
+
+
+def worst(statuses: Sequence[Status]) -> Status:
+    """The status that says least; it is that of a step with several results."""
+    return max(statuses, key=list(type(statuses[0])).index)
 
 
 @dataclass(frozen=True)

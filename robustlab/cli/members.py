@@ -1,0 +1,133 @@
+"""What the commands on the members of an uncertain model share: the file, the metric, a Delta in print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import isnan
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robustlab.cli.console import table
+from robustlab.cli.options import assignments
+from robustlab.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from robustlab.statespace import Signal
+    from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = [
+    "SHOWN_BLOCKS",
+    "MetricOptions",
+    "ResponseOptions",
+    "UncertainArgument",
+    "delta_lines",
+    "delta_value",
+    "load_uncertain",
+    "named",
+    "place",
+    "stands_for",
+]
+
+SHOWN_BLOCKS = 40
+
+UncertainArgument = Annotated[str, typer.Argument(help="HDF5 file with an uncertain model.", metavar="FILE")]
+InputOption = Annotated[
+    list[str] | None,
+    typer.Option("--input", help="Constant input, u=42 or u=42V; may be repeated. A unit step where left out."),
+]
+EndOption = Annotated[float | None, typer.Option("--t-end", help="End time in s; from the nominal poles if left out.")]
+PointsOption = Annotated[int, typer.Option("--points", help="Number of times, where --t-end is given.")]
+
+
+@dataclass(frozen=True)
+class ResponseOptions:
+    """What drives a response, and its times."""
+
+    inputs: InputOption = None
+    t_end: EndOption = None
+    points: PointsOption = 401
+
+    def driven(self, model: UncertainModel) -> dict[str, float] | None:
+        """Constant inputs by name; None for the default."""
+        return assignments("--input", self.inputs, {s.name: s.unit for s in model.inputs}) or None
+
+    def times(self, model: UncertainModel) -> Any:
+        """Times from 0 on, every sample of a discrete model; None where no end was given."""
+        import numpy as np
+
+        if self.t_end is None:
+            return None
+        if not 0 < self.t_end < float("inf") or self.points < 2:
+            found = f"--t-end {self.t_end:g} with --points {self.points}"
+            raise UsageError("times", found, "a positive time and at least 2 points")
+        if model.dt:
+            return np.arange(round(self.t_end / model.dt) + 1) * model.dt
+        return np.linspace(0.0, self.t_end, self.points)
+
+
+@dataclass(frozen=True)
+class MetricOptions:
+    """What of a member a metric looks at."""
+
+    output: Annotated[str | None, typer.Option("--output", help="Output to look at.", show_default=False)] = None
+    from_input: Annotated[
+        str | None, typer.Option("--from", help="For norms and controllability: input to look from; all if left out.")
+    ] = None
+    inputs: InputOption = None
+    t_end: EndOption = None
+    points: PointsOption = 401
+    band: Annotated[float, typer.Option("--band", help="Share of the final value that counts as settled.")] = 0.02
+
+    @property
+    def response(self) -> ResponseOptions:
+        """The part of a metric of a response."""
+        return ResponseOptions(self.inputs, self.t_end, self.points)
+
+
+def load_uncertain(file: str) -> UncertainModel:
+    """The uncertain model in a file, or an error that says what the file holds instead."""
+    from robustlab.storage import load
+    from robustlab.uncertainty.lft import UncertainModel
+
+    model = load(file)
+    if not isinstance(model, UncertainModel):
+        raise InputError(
+            file, f"holds a {type(model).__name__}", "an uncertain model", "make one with: robustlab uncertain build"
+        )
+    return model
+
+
+# --- printing --------------------------------------------------------------------------------------------------------
+
+
+def named(signals: Iterable[Signal]) -> list[str]:
+    """Signals with their units."""
+    return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
+
+
+def place(at: float, location: str) -> str:
+    """`` at t = 0.1 s`` for 0.1 and ``t [s]``; nothing where there is no place."""
+    what, _, unit = location.partition(" ")
+    return f" at {what} = {at:.6g} {unit.strip('[]')}" if what and not isnan(at) else ""
+
+
+def delta_value(value: Any, sign: str = "") -> str:
+    """A block's value: a number, or the size of a matrix."""
+    if getattr(value, "ndim", 0):
+        return f"{value.shape[0]} x {value.shape[1]} matrix"
+    return f"{value:{sign}.6g}"
+
+
+def stands_for(physical: Mapping[str, tuple[float, str]], name: str, unknown: str = "-") -> str:
+    """The parameter that a block's value stands for, with its unit."""
+    return "{:.6g} {}".format(*physical[name]).rstrip() if name in physical else unknown
+
+
+def delta_lines(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]]) -> list[str]:
+    """A Delta as a table, the first SHOWN_BLOCKS of its blocks."""
+    rows = [(name, delta_value(delta[name]), stands_for(physical, name)) for name in list(delta)[:SHOWN_BLOCKS]]
+    lines = [table(rows, ("block", "delta", "stands for"))] if rows else []
+    hidden = len(delta) - len(rows)
+    return [*lines, f"... and {hidden} more blocks (all with --json)"] if hidden else lines

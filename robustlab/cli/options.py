@@ -1,0 +1,197 @@
+"""Options that commands share, groups of options that a command takes as one object, and how their texts are read.
+
+An option group is a frozen dataclass whose fields are annotated as a command's own parameters are. A command that is
+marked with `grouped` takes the group as one parameter, and the parser sees the fields in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, Signature, signature
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from robustlab.cli.console import note
+from robustlab.errors import InputError, UsageError
+from robustlab.units import amount, share
+
+__all__ = [
+    "DtOption",
+    "EffortOption",
+    "EffortOptions",
+    "JsonOption",
+    "OutOption",
+    "OutputOptions",
+    "PrewarpOption",
+    "SeedOption",
+    "TimeLimitOption",
+    "assignments",
+    "ends",
+    "grouped",
+    "names",
+    "plant_settings",
+    "shares",
+]
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
+EffortOption = Annotated[
+    float,
+    typer.Option("--effort", help="Work that the search may take, as a multiple of the usual; counted, not timed."),
+]
+TimeLimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--time-limit",
+        "--timeout",
+        help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
+        show_default=False,
+    ),
+]
+OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
+DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.", show_default=False)]
+PrewarpOption = Annotated[
+    float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
+]
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """The command as the parser sees it: in the place of each option group stand the group's fields.
+
+    A field without an option of its own keeps its default; so a group can leave out what its base class asks for.
+    """
+    parsed: list[Parameter] = []
+    groups: dict[str, tuple[type, list[str]]] = {}
+    hints = get_type_hints(command, include_extras=True)
+    for parameter in signature(command).parameters.values():
+        kind: Any = hints[parameter.name]
+        if not is_dataclass(kind):
+            parsed.append(parameter.replace(annotation=kind, kind=Parameter.KEYWORD_ONLY))
+            continue
+        asked = get_type_hints(kind, include_extras=True)
+        members = [field for field in fields(kind) if hasattr(asked[field.name], "__metadata__")]
+        groups[parameter.name] = kind, [field.name for field in members]
+        for field in members:
+            default = Parameter.empty if field.default is MISSING else field.default
+            parsed.append(Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=asked[field.name]))
+
+    @wraps(command)
+    def called(**given: Any) -> None:
+        made = {
+            name: kind(**{field: given.pop(field) for field in members}) for name, (kind, members) in groups.items()
+        }
+        command(**given, **made)
+
+    called.__signature__ = Signature(parsed)  # pyright: ignore[reportAttributeAccessIssue]
+    called.__annotations__ = {parameter.name: parameter.annotation for parameter in parsed}
+    return called
+
+
+@dataclass(frozen=True)
+class EffortOptions:
+    """How much work a search may take, and the guard on its time; ``**vars(effort)`` hands both on."""
+
+    effort: EffortOption = 1.0
+    time_limit: TimeLimitOption = None
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """Where the result goes."""
+
+    out: OutOption = None
+    as_json: JsonOption = False
+
+    def keep(self, result: Any) -> None:
+        """Write the result, with a note, where a file was named."""
+        if self.out is not None:
+            from robustlab.storage import save
+
+            save(self.out, result)
+            note(f"written: {self.out}")
+
+    def keep_made(self, command: str, thing: Any, files: Sequence[str]) -> list[tuple[str, str]]:
+        """Write what a command made of files, where one was named for it; the row that says so."""
+        if self.out is None:
+            return []
+        from robustlab.provenance import Provenance, file_sha256
+        from robustlab.storage import save
+
+        save(self.out, thing, Provenance.now(command, {file: file_sha256(file) for file in files}))
+        return [("written", self.out)]
+
+
+# --- texts of options ------------------------------------------------------------------------------------------------
+
+
+def names(text: str) -> list[str]:
+    """``"a, b"`` as ``["a", "b"]``."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] | None = None) -> dict[str, float]:
+    """``["u=42"]`` as ``{"u": 42.0}``; also ``["u=42V"]`` where ``units`` has the names' units."""
+    values: dict[str, float] = {}
+    for text in texts or []:
+        name, value = _named_value(option, text)
+        values[name] = _number(option, text, value, (units or {}).get(name, ""))
+    return values
+
+
+def shares(option: str, texts: list[str] | None) -> dict[str, float]:
+    """``["Km=5%"]`` or ``["Km=0.05"]`` as ``{"Km": 0.05}``."""
+    values: dict[str, float] = {}
+    for text in texts or []:
+        name, value = _named_value(option, text)
+        try:
+            values[name] = share(f"{option} {text}", value)
+        except InputError as error:
+            raise UsageError(error.where, error.found, error.expected) from None
+    return values
+
+
+def ends(
+    option: str, texts: list[str] | None, units: Mapping[str, str] | None = None
+) -> dict[str, tuple[float, float]]:
+    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``; each end may carry its unit as in `assignments`."""
+    found: dict[str, tuple[float, float]] = {}
+    for text in texts or []:
+        name, _, value = text.rpartition("=")
+        low, colon, high = value.partition(":")
+        if not (name and colon):
+            raise UsageError(f"{option} {text}", "no name and two numbers", "NAME=LOW:HIGH")
+        unit = (units or {}).get(name, "")
+        found[name] = _number(option, text, low, unit), _number(option, text, high, unit)
+    return found
+
+
+def _named_value(option: str, text: str) -> tuple[str, str]:
+    name, _, value = text.rpartition("=")
+    if not name:
+        raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
+    return name, value
+
+
+def _number(option: str, text: str, value: str, unit: str) -> float:
+    try:
+        return amount(f"{option} {text}", value, unit)
+    except InputError as error:
+        raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
+
+
+def plant_settings(texts: list[str] | None) -> dict[str, Any]:
+    """``["R=2.1", "preset=physical", "motors=true"]`` as the keyword arguments of a plant."""
+    values: dict[str, Any] = {}
+    for text in texts or []:
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise UsageError(f"--set {text}", "no parameter and value", "NAME=VALUE")
+        words: dict[str, Any] = {"true": True, "false": False}
+        try:
+            values[name] = words[value] if value in words else float(value)
+        except ValueError:
+            values[name] = value  # a choice, such as a preset; the plant knows which there are
+    return values

@@ -1,0 +1,140 @@
+"""Steps on records: reading them, joining two, comparing a model with one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+import robustlab as rl
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.vocabulary import (
+    Positive,
+    Text,
+    ToModel,
+    ToRecord,
+)
+
+if TYPE_CHECKING:
+    from robustlab.record import Record
+
+
+_CAPTIONS = {
+    "time": "The record and its simulation, and the error over time; shaded: the window with the largest error.",
+    "speed": "Where the error lives over speed and position: dry friction shows as a step at zero speed.",
+    "spectrum": "Where the error lives over frequency.",
+    "residual": "What is left in the residual: its correlation with itself and with the input, and the 99 % band.",
+}
+
+
+@step
+class RecordStep(Step):
+    """A record from HDF5, MATLAB or CSV; its file may lie anywhere: measured data are not ours to ship."""
+
+    gives: ClassVar[str] = "record"
+    do: Literal["record"]
+    path: Text
+    group: str | None = None
+    inputs: list[str] | None = None
+    outputs: list[str] | None = None
+    dt: Positive | None = None
+    clock: str | None = Field(None, description="Signal with the times, where it is not called t or time.")
+    units: dict[str, str] = Field(
+        {}, description='Unit that the numbers in the file are in: { phi = "deg" }; they are converted to SI.'
+    )
+    simulated: bool = Field(False, description="The record is simulated, not measured; report and figures say so.")
+    about: Text = Field(
+        "", description="What the record is, who published it, how to get it; shown where the file is absent."
+    )
+
+    def run(self, work: Workspace) -> Outcome:
+        """A record, measured or simulated; gaps, clocks that run backwards and NaN are refused by the reader."""
+        options: dict[str, Any] = {"units": self.units} if self.units else {}
+        if self.clock is not None:
+            options["clock"] = self.clock
+        path = work.sources[work.step]
+        found = rl.Record.read(path, group=self.group, inputs=self.inputs, outputs=self.outputs, dt=self.dt, **options)
+        notes = (" ".join(self.about.split()),) if self.about else ()
+        if self.simulated:
+            work.simulated.add(work.step)
+        return _as_record(found, f"Record {path.name} read ({work.origin(work.step)}).", notes)
+
+
+@step
+class JoinStep(Step):
+    """One record from two loggers with sample times of their own; a shift between their clocks is not looked for."""
+
+    gives: ClassVar[str] = "record"
+    do: Literal["join"]
+    first: ToRecord
+    second: ToRecord
+    dt: Positive | None = Field(None, description="s; the coarser of the two where left out.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """The signals of two loggers on one clock."""
+        from robustlab.identification.record_check.resampling import join_clocks
+
+        if work.simulated & {self.first, self.second}:
+            work.simulated.add(work.step)
+        found = join_clocks(work.record(self.first), work.record(self.second), self.dt)
+        return _as_record(found, f"{self.first} and {self.second} on one clock.", ())
+
+
+@step
+class CompareStep(Step):
+    """Simulate a model with the inputs of a record and report the disagreement."""
+
+    do: Literal["compare"]
+    of: ToModel
+    record: ToRecord
+    window: Positive | None = Field(
+        None, description="Length of the windows in s; chosen from the model where left out."
+    )
+    start: Positive | None = Field(
+        None, description="Longest opening stretch in s to which the initial state is fitted."
+    )
+    lags: Annotated[int, Field(ge=1, le=1000)] | None = None
+    speed: str | None = Field(None, description="Output over which the error is sorted by speed.")
+    position: str | None = Field(None, description="Output over which the error is sorted by position.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """Disagreement of a model with a record: how much, and where in time, speed and frequency it lives."""
+        from robustlab.report.comparison_figures import comparison_figures
+
+        options = {name: getattr(self, name) for name in ("window", "start", "lags", "speed", "position")}
+        model, measured = work.values[self.of], work.record(self.record)
+        found = rl.compare(model, measured, **{name: value for name, value in options.items() if value is not None})
+        work.keep(found)
+        facts: list[Fact] = []
+        for name, gap in found.outputs.items():
+            free = (gap.peak, gap.peak_percent, gap.rms, gap.rms_percent, gap.fit)
+            windowed = (
+                gap.windowed_peak,
+                gap.windowed_peak_percent,
+                gap.windowed_rms,
+                gap.windowed_rms_percent,
+                gap.windowed_fit,
+            )
+            facts.append(Fact(f"{name}: free run", _errors(gap.unit, free)))
+            facts.append(Fact(f"{name}: restarted every {quantity(found.window, 's', 3)}", _errors(gap.unit, windowed)))
+        for name, figure in comparison_figures(found).items():
+            work.draw(figure, name, _CAPTIONS.get(name.partition("-")[0], name))
+        summary = f"{self.of} against {self.record}, a {work.origin(self.record)} record."
+        numbers = found.to_json(series=False)
+        return Outcome(found, summary, numbers, tuple(facts), found.status, text=found.summary())
+
+
+def _as_record(found: Record, summary: str, notes: tuple[str, ...]) -> Outcome:
+    signals = [f"{name} [{found.unit(name) or 'unit not stated'}]" for name in (*found.inputs, *found.outputs)]
+    numbers = {"samples": found.n, "duration": found.duration, "dt": found.dt}
+    facts = (
+        Fact("Samples", f"{found.n}, {quantity(found.duration, 's')} in steps of {quantity(found.dt, 's')}"),
+        Fact("Signals", ", ".join(signals)),
+    )
+    return Outcome(found, summary, numbers, facts, notes=notes)
+
+
+def _errors(unit: str, sizes: tuple[float, float, float, float, float]) -> str:
+    peak, peak_percent, rms, rms_percent, fit = sizes
+    peak_text = f"peak {quantity(peak, unit, 3)} ({peak_percent:.3g} % of the range)"
+    return f"{peak_text}, rms {quantity(rms, unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"

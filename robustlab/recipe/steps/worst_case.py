@@ -1,0 +1,350 @@
+"""Steps that drive the members of an uncertain model: samples, worst case, probability of a violation."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+import robustlab as rl
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.vocabulary import (
+    GUARD,
+    Count,
+    Effort,
+    Points,
+    Positive,
+    ReferenceLine,
+    TimeLimit,
+    Tolerance,
+    ToUncertain,
+)
+
+
+class DrivenStep(Step):
+    """What the steps share that drive a model: a step of `input` at t = 0, plus a `sine` of `frequency`."""
+
+    input: dict[str, float] = Field({}, description="Amplitude of the step on each input.")
+    sine: dict[str, float] = Field({}, description="Amplitude of the sine on each input.")
+    frequency: Positive | None = Field(None, description="Frequency of the sine in Hz.")
+
+    @model_validator(mode="after")
+    def _sine_has_a_frequency(self) -> Self:
+        if bool(self.sine) != (self.frequency is not None):
+            raise PydanticCustomError("sine", "sine and frequency belong together")
+        return self
+
+
+class ResponseStep(DrivenStep):
+    """What the steps that simulate responses share; they are watched until `t_end`."""
+
+    of: ToUncertain
+    t_end: Positive
+    points: Points = 401
+    seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
+
+    @model_validator(mode="after")
+    def _is_driven(self) -> Self:
+        if not self.input and not self.sine:
+            raise PydanticCustomError("driven", "expected input, or sine with frequency")
+        return self
+
+
+@step
+class SampleStep(ResponseStep):
+    """Responses of random members of an uncertain model and of vertices of Delta, with their envelope."""
+
+    do: Literal["sample"]
+    n: Count = 20
+    vertices: Count = 0
+    reference: list[ReferenceLine] = Field([])
+    outputs: Annotated[list[str], Field(min_length=1)] | None = Field(None, description="All where left out.")
+    percent: float | None = Field(
+        None, gt=0, description="Draw the members' deviation in percent too, beside this published band (+-)."
+    )
+
+    def run(self, work: Workspace) -> Outcome:
+        """Responses of seeded members and of vertices, with their envelope; members not drawn may do otherwise."""
+        model = work.uncertain(self.of)
+        known = [s.name for s in model.outputs]
+        for name in self.outputs or []:
+            _known(name, known, "outputs:")
+        for reference in self.reference:
+            _known(reference.output, self.outputs or known, "reference: output")
+        if self.outputs:
+            model = model.select(None, self.outputs)
+        t, u = _excitation(model, self, self.t_end, self.points)
+        seed = work.seed if self.seed is None else self.seed
+        responses = rl.sample(model, self.n, seed, vertices=self.vertices).respond(t, u, hold=_hold(self))
+        if not responses.status.trustworthy:
+            raise NoTrustworthyNumber(f"sample {self.of}", "responses outgrow every number", hint="a smaller t_end")
+        numbers: dict[str, Any] = {}
+        facts: list[Fact] = []
+        for k, (name, _) in enumerate(responses.outputs):
+            numbers[name], found = _sampled_output(self, work, responses, k)
+            facts += found
+        if self.percent is not None:
+            facts.append(_percent_bands(self, work, responses, numbers, self.percent))
+        count = len(responses.y)
+        summary = f"{count} members of {self.of} simulated ({self.n} random, seed {seed}; the rest vertices of Δ)."
+        notes = ["Sampled, not proved: members that were not drawn may lie outside this envelope."]
+        if responses.unstable:
+            notes.insert(0, f"{len(responses.unstable)} of these {count} members are unstable.")
+        numbers = {"outputs": numbers, "members": count, "unstable": len(responses.unstable)}
+        return Outcome(None, summary, numbers, tuple(facts), notes=tuple(notes))
+
+
+class MetricStep(DrivenStep):
+    """What the steps share that judge members by a metric."""
+
+    of: ToUncertain
+    metric: Literal[
+        "peak-deviation",
+        "peak",
+        "rms",
+        "overshoot",
+        "settling-time",
+        "hinf",
+        "h2",
+        "spectral-abscissa",
+        "damping",
+        "controllability",
+        "hankel",
+    ] = "peak-deviation"
+    output: str | None = None
+    from_input: str | None = Field(None, description="Input of a norm or of controllability; all where left out.")
+    t_end: Positive | None = None
+    points: Points = 401
+    band: Tolerance = Field(0.02, description="Share of the final value that counts as settled.")
+    seed: Annotated[int, Field(ge=0)] | None = None
+
+    @property
+    def of_a_response(self) -> bool:
+        """Whether the metric is that of a time response."""
+        return self.metric in ("peak-deviation", "peak", "rms", "overshoot", "settling-time")
+
+    @model_validator(mode="after")
+    def _needs_a_response(self) -> Self:
+        if self.of_a_response and (not (self.input or self.sine) or self.t_end is None):
+            raise PydanticCustomError(
+                "needs_response", "{metric} needs input (or sine) and t_end", {"metric": self.metric}
+            )
+        return self
+
+    def options(self, work: Workspace) -> dict[str, Any]:
+        """Keyword arguments for a metric as the step says."""
+        import numpy as np
+
+        options: dict[str, Any] = {"seed": work.seed if self.seed is None else self.seed, "band": self.band}
+        options |= {"output": self.output, "input": self.from_input}
+        if self.of_a_response:
+            assert self.t_end is not None
+            options["t"], options["u"] = _excitation(work.uncertain(self.of), self, self.t_end, self.points)
+            options["hold"] = _hold(self)
+        elif self.t_end is not None:
+            options["t"] = np.linspace(0.0, self.t_end, self.points)
+        return options
+
+
+@step
+class WorstCaseStep(MetricStep):
+    """Search over Delta for the worst value of a metric."""
+
+    do: Literal["worst-case"]
+    n: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Points that the search starts from.")
+    effort: Effort = Field(1.0, description="Multiple of the usual work of the search.")
+    time_limit: TimeLimit | None = Field(None, description=GUARD)
+
+    def run(self, work: Workspace) -> Outcome:
+        """The worst value of a metric that a search over Delta found, evaluated again at that Delta."""
+        import numpy as np
+
+        from robustlab.report.worst_case_figures import worst_case_figure
+
+        model = work.uncertain(self.of)
+        options = self.options(work)
+        if self.n is not None:
+            options["n"] = self.n
+        found = rl.worst_case(model, self.metric, effort=self.effort, time_limit=self.time_limit, **options)
+        work.keep(found)
+        numbers = {
+            "value": found.value,
+            "nominal_value": found.nominal_value,
+            "evaluations": found.evaluations,
+            "delta": found.delta,
+        }
+        where = f" at {found.location} = {quantity(found.at)}" if math.isfinite(found.at) else ""
+        facts = [
+            Fact(f"Worst {self.metric} found", f"{quantity(found.value, found.unit)}{where}"),
+            Fact("The same at Δ = 0", quantity(found.nominal_value, found.unit)),
+            Fact("How it was found", f"{found.evaluations} evaluations, seed {found.seed}"),
+            *(Fact(f"Its {name}", quantity(value, unit)) for name, (value, unit) in found.physical.items()),
+        ]
+        if self.of_a_response:
+            index = [s.name for s in model.outputs].index(self.output) if self.output else 0
+            name, unit = model.outputs[index]
+            t, u = options["t"], options["u"]
+            both = (model.nominal, model.evaluate(found.delta))
+            nominal, worst = (_respond(m, t, u, options["hold"])[:, index] for m in both)
+            if np.abs(nominal).max() > 0:
+                numbers["percent"] = 100 * float(np.abs(worst - nominal).max() / np.abs(nominal).max())
+                facts.append(Fact("Largest change of the response", quantity(numbers["percent"], "%", 4)))
+            figure = worst_case_figure(t, nominal, worst, (name, unit), "worst member found")
+            work.draw(figure, name, f"{name}: nominal and worst member found.")
+        summary = f"Worst {self.metric} over Δ of {self.of}; {found.label}."
+        return Outcome(None, summary, numbers, tuple(facts), found.status)
+
+
+@step
+class ViolationStep(MetricStep):
+    """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds; what matters for it."""
+
+    do: Literal["violation-probability"]
+    limit: float = Field(description="Values beyond it violate; in `unit`.")
+    unit: str | None = Field(None, description="Unit of the limit: that of the metric, else the step is refused.")
+    probability: Tolerance | None = Field(None, description="What is to be shown: P(violation) at most so large.")
+    confidence: Tolerance = 0.95
+    n: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
+        None, description="Samples; as many as show `probability` without a violation, or 1000, where left out."
+    )
+
+    def run(self, work: Workspace) -> Outcome:
+        """Probability that random members violate a limit, with its bounds, and which parameters matter."""
+        from robustlab.report.worst_case_figures import distribution_figure, influence_figure
+
+        limit = self.limit if self.unit is None else f"{self.limit!r} {self.unit}"
+        options = self.options(work)
+        options |= {"confidence": self.confidence, "probability": self.probability}
+        found = rl.violation_probability(work.uncertain(self.of), self.metric, limit, n=self.n, **options)
+        work.keep(found)
+        keys = (
+            "n",
+            "violations",
+            "unbounded",
+            "probability",
+            "lower",
+            "upper",
+            "at_most",
+            "worst_value",
+            "worst_delta",
+        )
+        numbers: dict[str, Any] = {key: getattr(found, key) for key in keys}
+        for key in ("shown", "samples_needed"):
+            if getattr(found, key) is not None:
+                numbers[key] = getattr(found, key)
+        numbers["quantiles"] = {f"{100 * q.share:g}": q._asdict() for q in found.quantiles}
+        sure = f"{100 * self.confidence:g} %"
+        facts = [
+            Fact("Violations", f"{found.violations} of {found.n} samples (seed {found.seed})"),
+            Fact(
+                "P(violation)",
+                f"between {found.lower:.4g} and {found.upper:.4g} at {sure} confidence (Clopper-Pearson)",
+            ),
+            Fact("Worst sample", f"number {found.worst_index}: {quantity(found.worst_value, found.unit)}"),
+        ]
+        if self.probability is not None:
+            word = "shown" if found.shown else "not shown"
+            facts.append(
+                Fact(f"P(violation) at most {self.probability:g}", f"{word}: at most {found.at_most:.4g}, {sure}")
+            )
+        work.draw(
+            distribution_figure(found), "distribution", f"{self.metric} of {found.n} random members of {self.of}."
+        )
+        if found.influence is not None and found.influence.names:
+            numbers["influence"] = dict(zip(found.influence.names, found.influence.first_order.tolist(), strict=True))
+            caption = "Which parameters matter: share of the spread, and the worst sample with one of them nominal."
+            work.draw(influence_figure(found.influence, self.metric), "influence", caption)
+        summary = f"{self.metric} of {found.n} members of {self.of} against {quantity(found.limit, found.unit)}."
+        return Outcome(None, summary, numbers, tuple(facts), found.status, (*found.notes, found.label))
+
+
+def _sampled_output(step: SampleStep, work: Workspace, responses: Any, k: int) -> tuple[dict[str, Any], list[Fact]]:
+    """Numbers, facts and figure of the k-th output."""
+    from robustlab.report.worst_case_figures import response_figure
+
+    name, unit = responses.outputs[k]
+    y, nominal = responses.y[:, :, k], responses.nominal[:, k]
+    lower, upper = responses.lower[:, k], responses.upper[:, k]
+    final = {"nominal": float(nominal[-1]), "lower": float(lower[-1]), "upper": float(upper[-1])}
+    references = [(r.value, r.text) for r in step.reference if r.output == name]
+    covers = [final["lower"] <= value <= final["upper"] for value, _ in references]
+    span = f"{quantity(final['lower'])} … {quantity(final['upper'], unit)}"
+    facts = [Fact(f"{name} at the end", f"{span} (nominal {quantity(final['nominal'], unit)})")]
+    for (value, text), inside in zip(references, covers, strict=True):
+        facts.append(Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}"))
+    if step.percent is None:  # else the curves would lie on one another
+        figure = response_figure(responses.t, y, nominal, (lower, upper), output=(name, unit), references=references)
+        members = f"{step.n} random members and {step.vertices} vertices of Δ"
+        work.draw(figure, name, f"{name} after {_amplitudes(step, responses.inputs)}: {members}.")
+    deviation = float(abs(y - nominal).max(initial=0.0))
+    numbers = {"final": final, "peak_deviation": deviation, "covers": covers, "worst_member": responses.worst[k]}
+    size = float(abs(nominal).max())
+    if size > 0:
+        numbers["peak_percent"] = 100 * deviation / size
+    return numbers, facts
+
+
+def _percent_bands(step: SampleStep, work: Workspace, responses: Any, numbers: Any, published: float) -> Fact:
+    """The members' deviations in percent of the largest nominal value, drawn beside a published band."""
+    import numpy as np
+
+    from robustlab.thesis.stewart_figures import percent_figure
+
+    bands: dict[str, Any] = {}
+    for k, (name, _) in enumerate(responses.outputs):
+        nominal = responses.nominal[:, k]
+        if np.abs(nominal).max() > 0:
+            bands[name] = 100 * (responses.y[:, :, k] - nominal) / np.abs(nominal).max()
+    caption = f"Change of {', '.join(bands)} in percent of the largest nominal value, and the published band."
+    work.draw(percent_figure(responses.t, bands, published), "percent", caption)
+    found = ", ".join(f"{name} {numbers[name]['peak_percent']:.4g} %" for name in bands)
+    return Fact("Largest change of a member", f"{found}; published ±{published:g} %")
+
+
+def _excitation(model: Any, step: DrivenStep, t_end: float, points: int) -> tuple[Any, Any]:
+    """Times (n_t,) and inputs (n_t, n_u): steps, plus sines, of the given amplitudes on the named inputs."""
+    import numpy as np
+
+    known = [s.name for s in model.inputs]
+    for name in [*step.input, *step.sine]:
+        _known(name, known, "input")
+    t = np.linspace(0.0, t_end, points)
+    u = np.tile([step.input.get(name, 0.0) for name in known], (points, 1))
+    if step.frequency is not None:
+        wave = np.sin(2 * np.pi * step.frequency * t)
+        u = u + wave[:, None] * [step.sine.get(name, 0.0) for name in known]
+    return t, u
+
+
+def _hold(step: DrivenStep) -> Any:
+    return "foh" if step.sine else "zoh"
+
+
+def _known(name: str, known: list[str], where: str) -> None:
+    if name not in known:
+        raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known))
+
+
+def _respond(model: Any, t: Any, u: Any, hold: Any) -> Any:
+    """Outputs (n_t, n_y) of a linear model."""
+    import numpy as np
+
+    record = rl.simulate(model, t, u, hold=hold)
+    return np.column_stack([record.outputs[name] for name in model.output_names])
+
+
+def _amplitudes(step: DrivenStep, inputs: Any) -> str:
+    """What drives, in words."""
+    units = dict(inputs)
+    parts: list[str] = []
+    sine = f"a sine of {step.frequency:g} Hz" if step.frequency else ""
+    for amplitudes, what in ((step.input, "a step"), (step.sine, sine)):
+        given = {name: quantity(value, units[name]) for name, value in amplitudes.items()}
+        if len(given) > 2 and len(set(given.values())) == 1:
+            parts.append(f"{what} of {next(iter(given.values()))} on {len(given)} inputs")
+        elif given:
+            parts.append(f"{what} of {', '.join(f'{value} on {name}' for name, value in given.items())}")
+    return " and ".join(parts)
