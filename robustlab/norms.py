@@ -9,9 +9,10 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.exact_stability import exactly_stable
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
-from robustlab.matrix_equations import exactly_stable, gramians
+from robustlab.matrix_equations import gramians
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.lapack import lapack
+from robustlab.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.peak_gain import LoopMatrices
 
 __all__ = ["Entropy", "entropy"]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.lapack import lapack
+from robustlab.matrix_equations import lapack
 
 __all__ = ["LoopMatrices", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "resolvent_point"]
 
