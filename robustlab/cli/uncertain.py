@@ -336,7 +336,7 @@ def _from_plant(
 ) -> tuple[UncertainModel, None, Provenance]:
     from robustlab.dynamics import plant
     from robustlab.provenance import Provenance, file_sha256
-    from robustlab.storage.plants import is_plant_file, load_plant
+    from robustlab.storage.interchange import is_plant_file, load_plant
 
     from_file = is_plant_file(name)
     made = load_plant(name) if from_file else plant(name)
@@ -501,7 +501,7 @@ def from_discovery(
     from robustlab.dynamics.extended.force_blocks import Dry
     from robustlab.identification.naming.remaining_uncertainty import uncertain_from
     from robustlab.provenance import Provenance, file_sha256
-    from robustlab.storage.plants import is_plant_file, load_plant
+    from robustlab.storage.interchange import is_plant_file, load_plant
 
     file = str(Path(path) / PLANT_FILE) if Path(path).is_dir() else path
     if not is_plant_file(file):
