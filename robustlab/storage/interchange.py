@@ -13,7 +13,7 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
 from robustlab.files.record_layout import decode_record, encode_record
-from robustlab.files.records import CLOCK_NAMES, read_record
+from robustlab.files.records import CLOCK_NAMES, RecordOptions, read_record
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import (
     Tree,
@@ -190,7 +190,7 @@ def read(
             held = read_controller_json(path, limits, isolate)
             warnings = (*held.warnings, *_unit_warnings(held.controller))
             return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
-        keywords = read_record(path, group=group, limits=limits, isolate=isolate)
+        keywords = read_record(path, RecordOptions(group), limits, isolate)
         return Loaded(_record(keywords, where), "record", where, False)
     tree = _tree(path, group, limits, isolate)
     if is_stamped(tree) and group is None:
@@ -238,7 +238,7 @@ def _plain(
         return "pair", decode_pair(node, Problems(where), transpose)
     has_signals = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
     if has_signals and len(matrices) < 2:
-        return "record", _record(read_record(where, group=group, limits=limits, isolate=isolate), where)
+        return "record", _record(read_record(where, RecordOptions(group), limits, isolate), where)
     problems = Problems(where)
     if not matrices and node.groups:
         problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one (group=, --group)"
