@@ -67,7 +67,7 @@ def run(
 
     Example: robustlab campaign run motor.h5 --output omega --input u=42 --t-end 0.1 -n 100000 --store motor.sqlite
     """
-    from robustlab.campaign import CampaignSettings, run_campaign
+    from robustlab.campaign import CampaignSettings, Crew, run_campaign
 
     if restart and fork:
         raise UsageError("campaign run", "--restart and --fork", "one of them")
@@ -90,9 +90,7 @@ def run(
             model,
             settings,
             store,
-            workers=workers,
-            cluster=cluster,
-            time_limit=time_limit,
+            crew=Crew(workers, cluster, time_limit),
             existing="restart" if restart else "fork" if fork else "resume",
             retry_lost=retry_lost,
             limit=bound,
@@ -115,14 +113,12 @@ def resume(
 
     Example: robustlab campaign resume motor.sqlite --workers 2
     """
-    from robustlab.campaign import resume_campaign
+    from robustlab.campaign import Crew, resume_campaign
 
     with _guarded(store, None) as advance:
         result = resume_campaign(
             store,
-            workers=workers,
-            cluster=cluster,
-            time_limit=time_limit,
+            crew=Crew(workers, cluster, time_limit),
             retry_lost=retry_lost,
             limit=bound,
             progress=advance,

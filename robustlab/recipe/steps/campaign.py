@@ -16,7 +16,7 @@ __all__ = ["campaign"]
 
 def campaign(step: CampaignStep, work: Workspace) -> Outcome:
     """A metric of many members, each stored as it comes; a recipe that was interrupted goes on where it was."""
-    from robustlab.campaign import CampaignSettings, run_campaign
+    from robustlab.campaign import CampaignSettings, Crew, run_campaign
     from robustlab.campaign.settings import Identity
 
     model = work.uncertain(step.of)
@@ -42,7 +42,7 @@ def campaign(step: CampaignStep, work: Workspace) -> Outcome:
     store = work.unfinished / f"{work.step}-{Identity.of(model, settings).hash[:12]}.sqlite"
     store.parent.mkdir(parents=True, exist_ok=True)
     result = run_campaign(
-        model, settings, store, workers=step.workers, time_limit=step.time_limit_per_sample, limit=step.limit
+        model, settings, store, crew=Crew(step.workers, None, step.time_limit_per_sample), limit=step.limit
     )
     _draw(store, step, work, result)
     _publish(store, work)
