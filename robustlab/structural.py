@@ -143,7 +143,17 @@ def controllability(model: Any) -> StructuralTest:
     Parameters
     ----------
     model
-        StateSpaceModel, a linear plant, or a ``control.StateSpace``; continuous or discrete.
+        StateSpaceModel, a linear plant, or a ``control.StateSpace``; n_x states, continuous or discrete.
+
+    Returns
+    -------
+    StructuralTest
+        Rank, hidden modes in rad/s (z plane where discrete), and the margin of every mode, shape (n_x,).
+
+    Raises
+    ------
+    InputError
+        No linear model.
 
     Examples
     --------
@@ -157,7 +167,29 @@ def controllability(model: Any) -> StructuralTest:
 
 
 def observability(model: Any) -> StructuralTest:
-    """Which modes the outputs show; the controllability test of ``(A^T, C^T)``."""
+    """Which modes the outputs show; the controllability test of ``(A^T, C^T)``.
+
+    Parameters
+    ----------
+    model
+        As for `controllability`.
+
+    Returns
+    -------
+    StructuralTest
+        As for `controllability`; its hidden modes are those that no output shows.
+
+    Raises
+    ------
+    InputError
+        No linear model.
+
+    Examples
+    --------
+    >>> pair = StateSpaceModel([[-1.0, 0.0], [0.0, 2.0]], [[1.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    >>> [mode.meaning for mode in observability(pair).modes]
+    ['unstable mode 2 rad/s in x2: no output shows it']
+    """
     m = as_model(model, "observability")
     return _test(m, m.A.T, m.C.T, "observability")
 

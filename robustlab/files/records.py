@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import not_finite
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.record_layout import decode_record
@@ -315,10 +316,9 @@ def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
     if values.ndim != 1:
         raise InputError(where, f"shape {values.shape}", "one column")
     array = values.astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(array))
-    if len(bad):
-        word = "NaN" if np.isnan(array[bad[0]]) else "infinite"
-        raise InputError(f"{where}[{bad[0]}]", f"is {word} ({len(bad)} of {len(array)} samples)", "finite numbers")
+    bad = not_finite(array, "samples")
+    if bad is not None:
+        raise InputError(f"{where}[{bad[0]}]", bad[1], "finite numbers")
     return array
 
 

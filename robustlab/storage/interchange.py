@@ -295,6 +295,11 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     provenance
         Where it comes from; time and versions of now where left out.
 
+    Returns
+    -------
+    Path
+        The file that was written.
+
     Raises
     ------
     EnvironmentFault
