@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import robustlab as rl
-from robustlab.campaign import CampaignResult, CampaignSettings, run_campaign
+from robustlab.campaign import CampaignResult, CampaignSettings, Crew, run_campaign
 
 SPY = '''\
 """Log every piece of work that a worker begins."""
@@ -100,7 +100,7 @@ def measure(
     rl.save(folder / "motor.h5", uncertain)
     settings = CampaignSettings("peak-deviation", samples, seed=1, u={"u": 42.0}, t_end=0.1)
     begun = time.monotonic()
-    unbroken = run_campaign(uncertain, settings, folder / "unbroken.sqlite", workers=unbroken_workers or workers)
+    unbroken = run_campaign(uncertain, settings, folder / "unbroken.sqlite", crew=Crew(unbroken_workers or workers))
     unbroken_seconds = time.monotonic() - begun
 
     spy = folder / "spy"

@@ -48,7 +48,7 @@ from robustlab.recipe.paths import find_files
 from robustlab.recipe.run import read_result, write_report
 from robustlab.result import Result
 from robustlab.storage import interchange
-from robustlab.storage.controller_code import export_controller
+from robustlab.storage.controller_export import export_controller
 from robustlab.storage.expression_files import load_parametric
 
 ROOT = Path(__file__).parents[1]

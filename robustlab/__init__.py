@@ -16,7 +16,7 @@ _PUBLIC = {
     "Record": "record",
     "load": "storage",
     "save": "storage",
-    "export_controller": "storage.controller_code",
+    "export_controller": "storage.controller_export",
     # plants from physics
     "plant": "dynamics",
     "trim": "dynamics",

@@ -33,7 +33,7 @@ from robustlab.statespace import Signal as Signal
 from robustlab.statespace import StateSpaceModel as StateSpaceModel
 from robustlab.storage import load as load
 from robustlab.storage import save as save
-from robustlab.storage.controller_code import export_controller as export_controller
+from robustlab.storage.controller_export import export_controller as export_controller
 from robustlab.structural import controllability as controllability
 from robustlab.structural import observability as observability
 from robustlab.synthesis.dk.dk_iteration import dk as dk

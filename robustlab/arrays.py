@@ -1,4 +1,4 @@
-"""Types of arrays in signatures: one set for the whole house."""
+"""Types of arrays in signatures, one set for the whole house; and which entry of an array is not finite."""
 
 from __future__ import annotations
 
@@ -7,10 +7,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AnyArray", "Array", "ComplexArray", "Indices", "Mask"]
+__all__ = ["AnyArray", "Array", "ComplexArray", "Indices", "Mask", "not_finite"]
 
 Array = NDArray[np.floating[Any]]  # real, double precision throughout
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 AnyArray = NDArray[Any]  # real or complex, as the model or the matrix is
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+
+def not_finite(array: Array, entries: str = "entries") -> tuple[str, str] | None:
+    """Index of the first entry that is NaN or infinite, and the words for it; None where all are finite.
+
+    Examples
+    --------
+    >>> not_finite(np.array([[1.0, np.nan], [np.inf, 2.0]]))
+    ('0,1', 'is NaN (2 of 4 entries)')
+    """
+    bad = np.argwhere(~np.isfinite(array))
+    if not len(bad):
+        return None
+    word = "NaN" if np.isnan(array[tuple(bad[0])]) else "infinite"
+    return ",".join(map(str, bad[0])), f"is {word} ({len(bad)} of {array.size} {entries})"

@@ -53,10 +53,23 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     omega
         Frequencies in rad/s, shape (n_omega,); ``inf`` gives D for a continuous model.
 
+    Returns
+    -------
+    ndarray
+        Complex, shape (n_omega, n_y, n_u).
+
     Raises
     ------
+    InputError
+        Frequencies that are NaN, or infinite for a discrete model.
     NoTrustworthyNumber
         A frequency hits a pole exactly, or the response overflows.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-2.0]], [[1.0]], [[6.0]], [[0.0]])
+    >>> frequency_response(lag, [0.0, 2.0])[:, 0, 0]
+    array([3. +0.j , 1.5-1.5j])
     """
     given = moderated(as_model(model, "frequency_response"), "frequency_response")
     model = given.model

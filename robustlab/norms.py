@@ -9,9 +9,10 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.exact_stability import exactly_stable
 from robustlab.frequency import frequency_response
 from robustlab.magnitude import Moderated, balancing_factors, moderated, refuse_overflow
-from robustlab.matrix_equations import exactly_stable, gramians
+from robustlab.matrix_equations import gramians
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
@@ -31,18 +32,33 @@ EPS = float(np.finfo(float).eps)
 # Eigenvalues of a Jordan block of four may be off by this many times those of a matrix with a basis of eigenvectors.
 FAR = 1e12
 
-MAX_LEVELS = 60
-# Points of a zoom step and steps of a zoom: the bracket of a peak shrinks by a factor of 6 in each.
-ZOOM_POINTS, ZOOM_STEPS, ZOOM_PEAKS = 13, 8, 6
 # Poles in z beyond this all become s = 2/dt to the last digit.
 OUTSIDE = 1e15
-# Frequencies at which a model without any gain is looked at, besides those of its poles.
-NOTHING_POINTS = 200
-# A bracket is left where the fall from its top to the points beside it, times this, no longer matters.
-ZOOM_RISE, ZOOM_FLAT = 4.0, 1e-9
 # Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
 # unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
 QUIET, LOUD = 1e-9, 1e-3
+
+
+@dataclass(frozen=True)
+class NormTuning:
+    """How hard the H-infinity norm is looked for; what is proved does not depend on it."""
+
+    # Levels before the bracket is given up as INACCURATE: most models need two or three.
+    levels: int = 60
+    # First grid, per decade between the poles: more find the highest peak at once, fewer leave it to the level test.
+    points_per_decade: int = 20
+    # Peaks that a zoom looks at, its steps and the points of each: a bracket shrinks by a factor of 6 in a step.
+    zoom_peaks: int = 6
+    zoom_steps: int = 8
+    zoom_points: int = 13
+    # A bracket is left where the fall from its top to the points beside it, times the first, is below the second.
+    zoom_rise: float = 4.0
+    zoom_flat: float = 1e-9
+    # Frequencies at which a model without any gain is looked at, besides those of its poles.
+    nothing_points: int = 200
+
+
+TUNING = NormTuning()
 
 
 @dataclass(frozen=True)
@@ -97,7 +113,7 @@ class H2Norm:
 
 
 @told_as("hinf_norm")
-def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
+def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) -> HinfNorm:
     r"""H-infinity norm as a bracket: a frequency attains ``lower``, no frequency exceeds ``upper``.
 
     .. math:: \|G\|_\infty = \sup_\omega \sigma_{max}(G(j\omega)) \qquad (G(e^{j\omega dt}) \text{ for } dt > 0)
@@ -113,11 +129,20 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
         Model with any numbers of states, inputs and outputs, including zero; or a python-control object.
     rtol
         Relative width of the bracket.
+    tuning
+        How hard it is looked for.
 
     Returns
     -------
     HinfNorm
         Infinite for a model that is unstable or has poles on the stability boundary, reachable or not.
+
+    Raises
+    ------
+    InputError
+        No model, or an ``rtol`` that is not between 1e-12 and 1.
+    NoTrustworthyNumber
+        The norm is larger than the largest floating-point number.
 
     References
     ----------
@@ -134,7 +159,7 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     if not 1e-12 <= rtol < 1:
         raise InputError("hinf_norm", f"rtol is {rtol}", "between 1e-12 and 1")
     ordinary = moderated(given, "hinf_norm")
-    return norm_as_given(_bracketed(ordinary, rtol), ordinary)
+    return norm_as_given(_bracketed(ordinary, rtol, tuning), ordinary)
 
 
 def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
@@ -151,7 +176,7 @@ def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
     return HinfNorm(value, ordinary.frequency(norm.frequency), lower, upper, norm.status, norm.reason)
 
 
-def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
+def _bracketed(ordinary: Moderated, rtol: float, tuning: NormTuning) -> HinfNorm:
     """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given."""
     m = ordinary.model
     if not m.n_inputs or not m.n_outputs:
@@ -164,7 +189,7 @@ def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
         return unstable
     try:
         scaled, rate = _well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
-        lower, omega, upper, trusted = _bracket(scaled, rtol)
+        lower, omega, upper, trusted = _bracket(scaled, rtol, tuning)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
         return HinfNorm(np.inf, np.nan, 0.0, np.inf, Status.INACCURATE, f"frequency response failed: {error}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
@@ -184,7 +209,7 @@ def _bracketed(ordinary: Moderated, rtol: float) -> HinfNorm:
     error = gain_rounding(m.A, m.B, m.C, m.D, _point(m, omega))
     if error > LOUD * attained:
         upper += error
-        nothing = None if blind else _nothing(m, scaled)
+        nothing = None if blind else _nothing(m, scaled, tuning.nothing_points)
         if nothing is not None:
             return nothing
         share = error / attained if attained else np.inf
@@ -222,20 +247,20 @@ def _terms(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex) -> tu
     return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
 
 
-def _nothing(m: StateSpaceModel, scaled: StateSpaceModel) -> HinfNorm | None:
+def _nothing(m: StateSpaceModel, scaled: StateSpaceModel, points: int) -> HinfNorm | None:
     """The norm of a model without any gain but rounding; None where it is not shown to be one.
 
     Nowhere may the gain, its rounding included, be more than next to nothing of the terms that cancel in it. No level
     test is sharper than that, but at the bound of the rounding it must agree.
     """
-    omega = _grid(m, NOTHING_POINTS)
+    omega = _grid(m, points)
     try:
         sigma = _sigma(m, omega)
         size, error = np.array([_terms(m.A, m.B, m.C, m.D, _point(m, w)) for w in omega]).T
         upper = float((sigma + error).max())
         if not (sigma.max() <= error.max() and upper <= QUIET * size.max()):
             return None
-        again = np.concatenate([_grid(scaled, NOTHING_POINTS), _candidates(scaled, upper)])
+        again = np.concatenate([_grid(scaled, points), _candidates(scaled, upper)])
         if not _sigma(scaled, again).max() <= upper:
             return None
     except (np.linalg.LinAlgError, NoTrustworthyNumber):
@@ -318,11 +343,11 @@ def _grid(m: StateSpaceModel, points: int) -> AnyArray:
     return np.append(np.unique(omega), np.inf)
 
 
-def _bracket(m: StateSpaceModel, rtol: float) -> tuple[float, float, float, bool]:
+def _bracket(m: StateSpaceModel, rtol: float, tuning: NormTuning) -> tuple[float, float, float, bool]:
     """``(lower, frequency, upper, trusted)`` for a stable continuous model that is well scaled."""
     size = np.abs(m.poles())
     decades = 2 + np.log10(size.max() / max(size.min(), 1e-15 * size.max()))
-    omega = _grid(m, int(20 * decades))
+    omega = _grid(m, int(tuning.points_per_decade * decades))
     sigma = _sigma(m, omega)
     peak = int(np.argmax(sigma))
     lower, at = float(sigma[peak]), float(omega[peak])
@@ -334,7 +359,7 @@ def _bracket(m: StateSpaceModel, rtol: float) -> tuple[float, float, float, bool
     if floor == 0:
         return 0.0, 0.0, 0.0, True
     trusted, upper = True, np.inf
-    for _ in range(MAX_LEVELS):
+    for _ in range(tuning.levels):
         upper = lower * (1 + rtol) + floor
         new_omega = _candidates(m, upper)
         new_sigma = _sigma(m, new_omega)
@@ -343,7 +368,7 @@ def _bracket(m: StateSpaceModel, rtol: float) -> tuple[float, float, float, bool
         if new_sigma[peak] > upper:
             lower, at = float(new_sigma[peak]), float(new_omega[peak])
             continue
-        zoomed, zoomed_at = _zoom(m, omega, sigma)
+        zoomed, zoomed_at = _zoom(m, omega, sigma, tuning)
         if zoomed <= upper:
             if zoomed > lower:
                 lower, at = zoomed, zoomed_at
@@ -371,7 +396,7 @@ def _candidates(m: StateSpaceModel, level: float) -> AnyArray:
     return np.concatenate([crossing, between, beyond])
 
 
-def _zoom(m: StateSpaceModel, omega: AnyArray, sigma: AnyArray) -> tuple[float, float]:
+def _zoom(m: StateSpaceModel, omega: AnyArray, sigma: AnyArray, tuning: NormTuning) -> tuple[float, float]:
     """Highest value near the highest local maxima of the points known so far, and its frequency."""
     order = np.argsort(omega, kind="stable")
     omega, sigma = omega[order], sigma[order]
@@ -380,13 +405,13 @@ def _zoom(m: StateSpaceModel, omega: AnyArray, sigma: AnyArray) -> tuple[float, 
     best, at = float(sigma.max()), float(omega[np.argmax(sigma)])
     left, right = np.append(-np.inf, sigma[:-1]), np.append(sigma[1:], -np.inf)
     peaks = np.flatnonzero((sigma >= left) & (sigma >= right) & np.isfinite(omega) & (sigma >= 0.9 * best))
-    peaks = peaks[np.argsort(-sigma[peaks])][:ZOOM_PEAKS]
+    peaks = peaks[np.argsort(-sigma[peaks])][: tuning.zoom_peaks]
     if not len(peaks):
         return best, at
     low, high = omega[np.maximum(peaks - 1, 0)], omega[np.minimum(peaks + 1, len(omega) - 1)]
     high = np.where(np.isfinite(high), high, 10 * omega[peaks] + 1)
-    share = np.linspace(0, 1, ZOOM_POINTS)
-    for _ in range(ZOOM_STEPS):
+    share = np.linspace(0, 1, tuning.zoom_points)
+    for _ in range(tuning.zoom_steps):
         points = low[:, None] + (high - low)[:, None] * share
         values = _sigma(m, points.ravel()).reshape(points.shape)
         top = values.argmax(axis=1)
@@ -394,11 +419,11 @@ def _zoom(m: StateSpaceModel, omega: AnyArray, sigma: AnyArray) -> tuple[float, 
         k = int(values[rows, top].argmax())
         if values[k, top[k]] > best:
             best, at = float(values[k, top[k]]), float(points[k, top[k]])
-        before, after = np.maximum(top - 1, 0), np.minimum(top + 1, ZOOM_POINTS - 1)
+        before, after = np.maximum(top - 1, 0), np.minimum(top + 1, tuning.zoom_points - 1)
         low, high = points[rows, before], points[rows, after]
         # Between the points next to the top of a smooth peak nothing rises by more than it fell towards them.
         rise = values[rows, top] - np.minimum(values[rows, before], values[rows, after])
-        open_ = values[rows, top] + ZOOM_RISE * rise > best * (1 + ZOOM_FLAT)
+        open_ = values[rows, top] + tuning.zoom_rise * rise > best * (1 + tuning.zoom_flat)
         if not open_.any():
             break
         low, high = low[open_], high[open_]
@@ -481,19 +506,12 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
         raise NoTrustworthyNumber("bilinear map", found, None, "a shorter sample time")
     if _is_singular(plus, 1e12):
         raise NoTrustworthyNumber("bilinear map", "a pole at z = -1 has no place in continuous time")
-    e = np.linalg.inv(plus)
-    root = np.sqrt(2 * a)
-    A = a * e @ (m - np.eye(model.n_states))
+    e, root = np.linalg.inv(plus), np.sqrt(2 * a)
     with np.errstate(over="ignore", invalid="ignore"):
         D = model.D - c @ e @ b
         # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
         D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(c @ e) @ np.abs(b))] = 0.0
-        A, B, C = t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t
-    refuse_overflow("bilinear map", A, B, C, D)
-    return StateSpaceModel(
-        A, B, C, D, 0.0,
-        model.inputs, model.outputs, model.states, where="bilinear map",
-    )  # fmt: skip
+        return _mapped(model, 0.0, t, a * e @ (m - np.eye(model.n_states)), root * e @ b, root * c @ e, D)
 
 
 def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
@@ -509,17 +527,20 @@ def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
     minus = a * np.eye(model.n_states) - m
     if _is_singular(minus, 1e14):
         raise NoTrustworthyNumber("bilinear map", f"a pole at s = 2/dt = {a:g} has no place in discrete time")
-    e = np.linalg.inv(minus)
-    root = np.sqrt(2 * a)
-    A = e @ (a * np.eye(model.n_states) + m)
+    e, root = np.linalg.inv(minus), np.sqrt(2 * a)
     with np.errstate(over="ignore", invalid="ignore"):
         D = model.D + c @ e @ b
-        A, B, C = t[:, None] * A / t, t[:, None] * (root * e @ b), root * c @ e / t
+        return _mapped(model, dt, t, e @ (a * np.eye(model.n_states) + m), root * e @ b, root * c @ e, D)
+
+
+def _mapped(
+    model: StateSpaceModel, dt: float, t: AnyArray, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray
+) -> StateSpaceModel:
+    """The mapped model, brought back from the balanced states ``x / t``."""
+    A, B, C = t[:, None] * A / t, t[:, None] * B, C / t
     refuse_overflow("bilinear map", A, B, C, D)
-    return StateSpaceModel(
-        A, B, C, D, dt,
-        model.inputs, model.outputs, model.states, where="bilinear map",
-    )  # fmt: skip
+    signals = model.inputs, model.outputs, model.states
+    return StateSpaceModel(A, B, C, D, dt, *signals, where="bilinear map")
 
 
 def _is_singular(matrix: AnyArray, limit: float) -> bool:

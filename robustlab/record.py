@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
+from robustlab.files.signature import Limits
 from robustlab.provenance import Traced
 from robustlab.statespace import MAX_NAME, real_array
 
@@ -157,16 +158,43 @@ class Record(Traced):
         inputs: Sequence[str] | None = None,
         outputs: Sequence[str] | None = None,
         dt: float | None = None,
+        *,
+        limits: Limits | None = None,
+        isolate: bool = True,
         **options: Any,
     ) -> Record:
         """Read a measured record from HDF5 (format 1 or plain), MATLAB ``.mat``, or CSV/TXT.
 
-        See `robustlab.files.records.read_record` for the rules: which dataset is the clock, where units come from,
-        and the further ``options`` of text files (``delimiter``, ``decimal``, ``units``).
-        """
-        from robustlab.files.records import read_record
+        Parameters
+        ----------
+        path
+            The file; its kind is told by its content.
+        group
+            HDF5 group or MATLAB struct that holds the signals.
+        inputs, outputs
+            Names of the signals to take. With neither given, all are outputs; with inputs only, all others are.
+        dt
+            Sample time in s; wins over what the file says.
+        limits, isolate
+            See `robustlab.files.hdf5.read_tree`.
+        **options
+            ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
+            `robustlab.files.records.RecordOptions`.
 
-        return cls(**read_record(path, group=group, inputs=inputs, outputs=outputs, dt=dt, **options))
+        Returns
+        -------
+        Record
+            The signals in SI units where ``units`` says what they are in, else as they are.
+
+        Raises
+        ------
+        InputError
+            What is wrong with the file: signals that are missing or no columns of numbers, no clock, missing samples.
+        """
+        from robustlab.files.records import RecordOptions, read_record
+
+        wanted = RecordOptions(group, inputs, outputs, dt, **options)
+        return cls(**read_record(path, wanted, limits, isolate))
 
     def to_json(self) -> dict[str, object]:
         """All samples as plain types."""

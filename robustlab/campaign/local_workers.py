@@ -1,9 +1,12 @@
 """Worker processes on this machine: each a fresh interpreter with its own pipes.
 
 No locks or queues are shared between them, so that any of them may crash, hang or be killed at any moment and only its
-own piece of work is concerned; a new one takes its place. Time limits follow the monotonic clock. (Pebble's pool was
-looked at for this: its limits follow the wall clock, it does not notice a worker that leaves with exit code 0, and
-multiprocessing runs the user's main script again in every worker.)
+own piece of work is concerned; a new one takes its place. Time limits follow the monotonic clock.
+
+Pebble 5.2's process pool starts as quickly (two workers answer after 1.3 to 2.0 s, ours after 1.4 to 1.9 s) and would
+save about 150 lines, but three promises would break: its limits follow the wall clock; a worker that leaves with exit
+code 0 is never missed, and its piece waits for ever; and multiprocessing's spawn runs the user's main script again in
+every worker, so that a script without ``if __name__ == "__main__"`` cannot run a campaign.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """What a store says about its campaign: counts, the worst sample, quantiles, what was lost.
 
-Statistics of the samples in a store, streamed: memory does not grow with their number.
-
-Samples are independent draws, so order statistics and counts have exact confidence bounds whatever the distribution.
-Lost samples have no value; the bounds take them for the worst, which is the safe side.
+The samples are streamed: memory does not grow with their number. They are independent draws, so order statistics and
+counts have exact confidence bounds whatever the distribution. Lost samples have no value; the bounds take them for the
+worst, which is the safe side.
 """
 
 from __future__ import annotations
@@ -23,21 +22,23 @@ from robustlab.result import Status
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
 __all__ = [
+    "CONFIDENCE",
     "CampaignResult",
     "LostSample",
-    "result_of",
-    "CONFIDENCE",
     "Quantile",
     "Violation",
     "exceedance_curve",
     "probability_bounds",
     "quantiles",
+    "result_of",
     "share_beyond",
 ]
 
-
 CONFIDENCE = 0.95
 SHARES = (0.5, 0.9, 0.99, 0.999)
+SHOWN_LOST = 100
+LABEL = "sampled: a lower bound of the true worst case"
+LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 
 
 @dataclass(frozen=True)
@@ -99,31 +100,19 @@ def quantiles(store: Store, sense: int, done: int, lost: int) -> tuple[Quantile,
     The share counts all samples, the lost ones as worse than any value.
     """
     n = done + lost
-    wanted: dict[int, float] = {}
-    plan: list[tuple[float, int, int]] = []
-    for share in SHARES:
-        if n * (1.0 - share) < 1.0 and share > 0.5:
-            continue  # fewer than one sample is expected above it: the worst sample says as much
-        rank = max(1, math.ceil(share * n))
-        upper = _upper_rank(n, share)
-        plan.append((share, rank, upper))
-        wanted.update({rank: math.inf, upper: math.inf})
-    values = _at_ranks(store.sorted_values(sense), wanted, sense)
+    # Where fewer than one sample is expected above a share, the worst sample says as much.
+    shares = [share for share in SHARES if n * (1.0 - share) >= 1.0 or share <= 0.5]
+    plan = [(share, max(1, math.ceil(share * n)), _upper_rank(n, share)) for share in shares]
+    ranks = [rank for _, *both in plan for rank in both]
+    values = _at_ranks(store.sorted_values(sense), ranks, sense)
     return tuple(Quantile(share, values[rank], values[upper]) for share, rank, upper in plan)
 
 
 def _upper_rank(n: int, share: float) -> int:
     """Rank whose value bounds a quantile from above: the smallest r with P(Binomial(n, share) < r) >= CONFIDENCE."""
-    from scipy.special import bdtr
+    from scipy.stats import binom
 
-    low, high = 0, n  # P(Binomial <= high) = 1
-    while low < high:
-        middle = (low + high) // 2
-        if bdtr(middle, n, share) >= CONFIDENCE:
-            high = middle
-        else:
-            low = middle + 1
-    return low + 1
+    return int(binom.ppf(CONFIDENCE, n, share)) + 1
 
 
 def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict[int, float]:
@@ -161,11 +150,6 @@ def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int
     above = n - np.array([rank for _, rank in pairs], dtype=np.float64)
     upper = np.ones(len(above)) if not n else betaincinv(above + 1, np.maximum(n - above, 1e-9), CONFIDENCE)
     return values, above / max(n, 1), np.asarray(upper, dtype=np.float64)
-
-
-LABEL = "sampled: a lower bound of the true worst case"
-LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
-SHOWN_LOST = 100
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,43 @@ from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["Replay", "read_campaign", "replay_sample", "resume_campaign", "run_campaign", "saved_samples"]
+__all__ = ["Crew", "Replay", "read_campaign", "replay_sample", "resume_campaign", "run_campaign", "saved_samples"]
 
-TIME_LIMIT = 60.0
 Existing = Literal["resume", "restart", "fork"]
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Who computes a campaign; the samples are the same whoever does.
+
+    Attributes
+    ----------
+    workers
+        Processes on this machine; one per processor where left out.
+    cluster
+        Instead: address of a Dask scheduler, whose workers are used.
+    time_limit
+        Seconds that one sample may take before its worker is killed.
+
+    Raises
+    ------
+    InputError
+        No worker at all, a time limit that is not positive.
+    """
+
+    workers: int | None = None
+    cluster: str | None = None
+    time_limit: float = 60.0
+
+    def __post_init__(self) -> None:
+        count = self.workers
+        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
+            raise InputError("campaign", f"{count!r} workers", "a whole number, at least 1")
+        if not self.time_limit > 0:
+            raise InputError("campaign", f"a time limit of {self.time_limit:g} s per sample", "a positive number")
+
+
+EVERYONE = Crew()
 
 
 def run_campaign(
@@ -40,9 +73,7 @@ def run_campaign(
     settings: CampaignSettings,
     store: str | Path,
     *,
-    workers: int | None = None,
-    cluster: str | None = None,
-    time_limit: float = TIME_LIMIT,
+    crew: Crew = EVERYONE,
     existing: Existing = "resume",
     retry_lost: bool = False,
     limit: float | None = None,
@@ -61,12 +92,8 @@ def run_campaign(
         What to compute.
     store
         SQLite file; one that belongs to the same campaign is gone on with.
-    workers
-        Processes on this machine; one per processor where left out.
-    cluster
-        Instead: address of a Dask scheduler, whose workers are used.
-    time_limit
-        Seconds that one sample may take before its worker is killed.
+    crew
+        Who computes: worker processes on this machine or on others, and how long one sample may take.
     existing
         What to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it, ``"fork"``
         leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
@@ -77,6 +104,11 @@ def run_campaign(
     progress
         Called with the number of samples that were just stored, once at the start with those that were there.
 
+    Returns
+    -------
+    CampaignResult
+        What the store holds at the end.
+
     Raises
     ------
     InputError
@@ -86,7 +118,6 @@ def run_campaign(
     EnvironmentFault
         The store cannot be written or is locked by another process; workers cannot be started or reached.
     """
-    _check_means(workers, time_limit)
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
     if existing == "fork" and Store.is_there(path):
@@ -100,21 +131,18 @@ def run_campaign(
         else:
             Store.delete(path)
             opened = Store.create(path, identity, model_to_bytes(uncertain))
-        return _work(opened, evaluator, workers, cluster, time_limit, retry_lost, limit, progress)
+        return _work(opened, evaluator, crew, retry_lost, limit, progress)
 
 
 def resume_campaign(
     store: str | Path,
     *,
-    workers: int | None = None,
-    cluster: str | None = None,
-    time_limit: float = TIME_LIMIT,
+    crew: Crew = EVERYONE,
     retry_lost: bool = False,
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
     """Go on with a campaign from its store alone, which holds model and settings; see `run_campaign`."""
-    _check_means(workers, time_limit)
     path = Path(store)
     Store.open(path).close()  # says what is wrong with the file before a lock is laid beside it
     with locked(path):
@@ -122,7 +150,7 @@ def resume_campaign(
         old = opened.identity
         _same_campaign(opened, Identity(old.model, old.settings, code_identity()))
         evaluator = _evaluator(opened)
-        return _work(opened, evaluator, workers, cluster, time_limit, retry_lost, limit, progress)
+        return _work(opened, evaluator, crew, retry_lost, limit, progress)
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
@@ -241,19 +269,10 @@ def replay_sample(store: str | Path, index: int) -> Replay:
 # --- parts -----------------------------------------------------------------------------------------------------------
 
 
-def _check_means(workers: int | None, time_limit: float) -> None:
-    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise InputError("campaign", f"{workers!r} workers", "a whole number, at least 1")
-    if not time_limit > 0:
-        raise InputError("campaign", f"a time limit of {time_limit:g} s per sample", "a positive number")
-
-
 def _work(
     store: Store,
     evaluator: Evaluator,
-    workers: int | None,
-    cluster: str | None,
-    time_limit: float,
+    crew: Crew,
     retry_lost: bool,
     limit: float | None,
     progress: Callable[[int], None],
@@ -267,40 +286,40 @@ def _work(
         progress(before)
         if before < n or not store.facts():
             store.put("owner", owner_text())
-            crew = _hire(Payload(store.identity, store.model), workers, cluster, n - before)
+            workers = _hire(crew, Payload(store.identity, store.model), n - before)
             try:
-                compute_missing(store, evaluator, crew, time_limit, progress)
-                _note_end(store, evaluator, crew, time_limit)
+                compute_missing(store, evaluator, workers, crew.time_limit, progress)
+                _note_end(store, evaluator, workers, crew.time_limit)
             except EnvironmentFault as fault:
                 go_on = f"robustlab campaign resume {store.where}"
                 hint = f"{fault.hint}; then {go_on}" if fault.hint else f"mend it, then {go_on}"
                 raise type(fault)(fault.where, fault.found, fault.expected, hint, fault.more) from fault
             finally:
-                crew.close()
+                workers.close()
         finished = True
         return result_of(store, evaluator, limit)
     finally:
         store.close(finished=finished)
 
 
-def _hire(payload: Payload, workers: int | None, cluster: str | None, samples: int) -> Workers:
-    if cluster is not None:
+def _hire(crew: Crew, payload: Payload, samples: int) -> Workers:
+    if crew.cluster is not None:
         from robustlab.campaign.cluster_workers import ClusterWorkers
 
-        return ClusterWorkers(payload, cluster)
+        return ClusterWorkers(payload, crew.cluster)
     from robustlab.campaign.local_workers import LocalWorkers
 
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return LocalWorkers(payload, min(workers or processors, max(1, samples)))
+    return LocalWorkers(payload, min(crew.workers or processors, max(1, samples)))
 
 
-def _note_end(store: Store, evaluator: Evaluator, crew: Workers, time_limit: float) -> None:
+def _note_end(store: Store, evaluator: Evaluator, workers: Workers, time_limit: float) -> None:
     """Evaluate the worst sample and the nominal model through the second path; note this and the digest."""
     worst = store.worst(evaluator.sense)
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
-        again = evaluate_again(crew, tuple(worst.numbers.tolist()), time_limit)
-        zero = evaluate_again(crew, (0.0,) * evaluator.width, time_limit)
+        again = evaluate_again(workers, tuple(worst.numbers.tolist()), time_limit)
+        zero = evaluate_again(workers, (0.0,) * evaluator.width, time_limit)
         agrees = evaluator.agrees(worst.value, again.value, again.accurate)
         facts.update(agrees=agrees, again=again.value, at=again.at, nominal=zero.value)
     store.note_facts(facts)

@@ -29,6 +29,7 @@ MAX_SAMPLES = 10**12
 _CODE = (
     "campaign/evaluation.py",
     "dynamics/simulation.py",
+    "exact_stability.py",
     "frequency.py",
     "matrix_equations.py",
     "norms.py",

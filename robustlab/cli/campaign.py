@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isnan
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,9 @@ from robustlab.cli.console import emit, note, progress, require_trust, table
 from robustlab.cli.members import MetricOptions, UncertainArgument, delta_lines, load_uncertain, place
 from robustlab.cli.options import JsonOption, SeedOption, grouped
 from robustlab.errors import EXIT_INTERRUPTED, UsageError
+
+if TYPE_CHECKING:
+    from robustlab.campaign import Crew
 
 app = typer.Typer(help="Run samples and searches of any size, stored one by one.", no_args_is_help=True)
 
@@ -36,7 +39,7 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """Who computes; ``**vars(workers)`` hands all of it on."""
+    """Who computes, and whether what was lost is computed again."""
 
     workers: Annotated[
         int | None, typer.Option("--workers", "-w", help="Processes on this machine.  [default: one per processor]")
@@ -50,6 +53,12 @@ class WorkerOptions:
     retry_lost: Annotated[
         bool, typer.Option("--retry-lost", help="Compute the lost samples of earlier runs again.")
     ] = False
+
+    def crew(self) -> Crew:
+        """Who computes."""
+        from robustlab.campaign import Crew
+
+        return Crew(self.workers, self.cluster, self.time_limit)
 
 
 @dataclass(frozen=True)
@@ -102,8 +111,9 @@ def run(
     store_mode = "restart" if existing.restart else "fork" if existing.fork else "resume"
     with _guarded(store, plan.n) as advance:
         result = run_campaign(
-            model, settings, store, existing=store_mode, limit=bound, progress=advance, **vars(workers)
-        )
+            model, settings, store, existing=store_mode, crew=workers.crew(), retry_lost=workers.retry_lost,
+            limit=bound, progress=advance,
+        )  # fmt: skip
     _print("campaign run", result, as_json, {"file": file})
 
 
@@ -119,7 +129,9 @@ def resume(
     from robustlab.campaign import resume_campaign
 
     with _guarded(store, None) as advance:
-        result = resume_campaign(store, limit=bound, progress=advance, **vars(workers))
+        result = resume_campaign(
+            store, crew=workers.crew(), retry_lost=workers.retry_lost, limit=bound, progress=advance
+        )
     _print("campaign resume", result, as_json, {})
 
 

@@ -91,7 +91,7 @@ def build(
     from robustlab.dynamics.plant_contract import SteppedPlant
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
-    from robustlab.storage.plants import is_plant_file, load_plant
+    from robustlab.storage.interchange import is_plant_file, load_plant
 
     parameters = plant_settings(settings)
     from_file = is_plant_file(plant)
@@ -200,7 +200,7 @@ def diff(
     """
     from robustlab.statespace import as_model
     from robustlab.storage import load, load_pair
-    from robustlab.storage.interchange import difference
+    from robustlab.storage.model_pairs import difference
 
     if second is None:
         a, b = load_pair(first, transpose=transpose)
@@ -241,7 +241,7 @@ def convert(
     """
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.storage import save
-    from robustlab.storage.controller_code import export_controller
+    from robustlab.storage.controller_export import export_controller
 
     loaded = ReadOptions(group, transpose).read(source)
     if loaded.kind == "pair":

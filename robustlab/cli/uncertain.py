@@ -103,7 +103,7 @@ class PlantRanges:
         """The exact set of a plant of that name, or in that file."""
         from robustlab.dynamics import plant
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.storage.plants import is_plant_file, load_plant
+        from robustlab.storage.interchange import is_plant_file, load_plant
 
         tolerances = shares("--tolerance", self.tolerance)
         from_file = is_plant_file(name)
@@ -200,7 +200,7 @@ class DiscoveryOptions:
         from robustlab.dynamics.extended.force_blocks import Dry
         from robustlab.identification.naming.updated_plant import uncertain_from
         from robustlab.provenance import Provenance, file_sha256
-        from robustlab.storage.plants import is_plant_file, load_plant
+        from robustlab.storage.interchange import is_plant_file, load_plant
 
         amplitude = assignments("--amplitude", self.amplitude)
         assert self.discovery is not None

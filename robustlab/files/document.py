@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from datetime import date, datetime, time
 from typing import Any, Literal
 
 from robustlab.errors import InputError
@@ -42,7 +41,7 @@ def read_document(kind: Kind, raw: bytes, where: str, limits: Limits | None = No
     EnvironmentFault
         The reader process could not be started.
     """
-    from robustlab.files.isolation import document_isolated
+    from robustlab.files.isolation import document_isolated  # not needed where the child parses
 
     limits = limits or Limits()
     if len(raw) > limits.document:
@@ -136,32 +135,3 @@ def _large(value: int, key: str | int, kind: Kind, where: str) -> float:
 def _check_text(text: str, where: str) -> None:
     if not text.isascii() and any("\ud800" <= ch <= "\udfff" for ch in text):
         raise InputError(where, f"half a surrogate pair in {text!r:.60}", "text that can be written as UTF-8")
-
-
-# --- between the two processes ---------------------------------------------------------------------------------------
-
-
-def packed(data: Any) -> dict[str, Any]:
-    """The document as JSON types: dates and times, which only TOML has, stand beside it with their places."""
-    root, times = [data], []
-    pending: list[tuple[Any, list[str | int]]] = [(root, [])]
-    while pending:
-        node, path = pending.pop()
-        for key, value in list(node.items() if isinstance(node, dict) else enumerate(node)):
-            if isinstance(value, (dict, list)):
-                pending.append((value, [*path, key]))
-            elif isinstance(value, (date, time)):
-                times.append([[*path, key], type(value).__name__, value.isoformat()])
-                node[key] = None
-    return {"document": root[0], "times": times}
-
-
-def unpacked(content: dict[str, Any]) -> Any:
-    """Inverse of `packed`."""
-    root = [content["document"]]
-    for path, name, text in content["times"]:
-        node: Any = root
-        for key in path[:-1]:
-            node = node[key]
-        node[path[-1]] = {"date": date, "time": time, "datetime": datetime}[name].fromisoformat(text)
-    return root[0]

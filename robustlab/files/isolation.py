@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.files.signature import Limits
-from robustlab.files.wire import header_of, receive
+from robustlab.files.wire import receive, receive_document
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,10 +48,8 @@ def document_isolated(kind: str, raw: bytes, where: str, limits: Limits) -> Any:
     InputError, EnvironmentFault
         As `read_isolated`.
     """
-    from robustlab.files.document import unpacked
-
     command = _command(kind, limits, shown=where, size=len(raw))
-    return _answer(command, where, limits, lambda data: unpacked(header_of(data)[0]), raw)
+    return _answer(command, where, limits, receive_document, raw)
 
 
 def run_reader(command: list[str], where: str, limits: Limits) -> Tree:

@@ -1,12 +1,11 @@
 """MATLAB files: version 5 read and written, version 7.3 (HDF5) brought to the same form.
 
+Before anything of a version 5 file is kept, its elements are walked, to see how much memory they declare. Compressed
+elements are inflated in small pieces that are thrown away, and only as far as their declared sizes stay within the
+limits: 0.8 MB of zlib can hold gigabytes. Nested cells and structs count with all that they hold.
+
 MATLAB stores matrices column by column. Version 7.3 files therefore show them transposed to every other HDF5 reader;
 datasets that MATLAB marked (attribute ``MATLAB_class``) are transposed back here.
-
-How much memory a MATLAB version 5 file would take, from what its elements declare, before any of it is kept.
-
-Compressed elements are inflated in small pieces that are thrown away, and only as far as their declared sizes stay
-within the limits: 0.8 MB of zlib can hold gigabytes. Nested cells and structs count with all that they hold.
 
 References
 ----------
@@ -30,14 +29,11 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread
 
-__all__ = [
-    "from_matlab73",
-    "read_matlab5",
-    "write_matlab5",
-    "check_matlab5_sizes",
-]
+__all__ = ["check_matlab5_sizes", "from_matlab73", "read_matlab5", "write_matlab5"]
 
-
+NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
+MAX_EMPTY = 1 << 31  # longest side of an array without entries
+MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 HEADER = 128  # bytes
 MATRIX, COMPRESSED = 14, 15  # data types of elements
 CELL, STRUCT, OBJECT, CHAR, SPARSE = 1, 2, 3, 4, 5  # classes of matrices; 6 to 15 are numbers
@@ -48,6 +44,93 @@ PIECE = 1 << 16  # bytes inflated at a time
 # What one value of each class takes once it is read: numbers become float64, a struct is a Python object.
 BYTES_OF_VALUE = {CELL: 8, STRUCT: 400, OBJECT: 400, CHAR: 8}
 BYTES_OF_MATRIX = 200  # of an array without values
+
+
+# --- version 5 -------------------------------------------------------------------------------------------------------
+
+
+def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
+    """The variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset.
+
+    Raises
+    ------
+    InputError
+        Variables that declare more than the limits, a damaged file.
+    """
+    from scipy.io import loadmat
+
+    where = shown or path
+    tree = Tree(file=where)
+    check_matlab5_sizes(path, where, limits)
+    try:
+        variables = loadmat(path, struct_as_record=False, squeeze_me=False)
+    except InputError:
+        raise
+    except MemoryError:
+        raise InputError(where, "needs more memory than the reader may use") from None
+    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
+        raise InputError(where, f"damaged MATLAB file ({type(error).__name__}: {str(error)[:100]})") from error
+    for name, value in variables.items():
+        if not (name.startswith("__") and name.endswith("__")):
+            _variable(tree, name, value, limits, 0)
+    return tree
+
+
+def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> None:
+    if hasattr(value, "toarray"):  # a sparse matrix
+        value = value.toarray()
+    array = np.asarray(value)
+    if array.dtype.kind == "O" and array.size == 1 and hasattr(array.flat[0], "_fieldnames"):
+        if depth > limits.depth:
+            raise InputError(tree.file, f"/{name}: structs are nested deeper than {limits.depth}")
+        group, struct = tree.group(name), array.flat[0]
+        for key in struct._fieldnames:
+            _variable(group, key, getattr(struct, key), limits, depth + 1)
+        return
+    tree.datasets[name] = Dataset(_matlab_values(array))
+
+
+def _matlab_values(array: np.ndarray[Any, Any]) -> Any:
+    if array.dtype.kind in "fiu":
+        return array.astype(np.float64)
+    if array.dtype.kind == "c":
+        return array.astype(np.complex128)
+    if array.dtype.kind in "bU":
+        return array
+    if array.dtype.kind == "O":
+        cells = [np.asarray(item) for item in array.ravel().tolist()]
+        if all(cell.dtype.kind == "U" and cell.size <= 1 for cell in cells):
+            texts = [str(cell.flat[0]) if cell.size else "" for cell in cells]
+            return np.array(texts, dtype=np.str_).reshape(array.shape)
+        return Unread("struct array" if cells and hasattr(array.flat[0], "_fieldnames") else "cell array", array.shape)
+    return Unread("MATLAB object", array.shape)
+
+
+def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
+    """Write variables (arrays, numbers, texts, lists of texts as cell columns) to a version 5 file.
+
+    Raises
+    ------
+    InputError
+        A name that MATLAB does not allow.
+    """
+    from scipy.io import savemat
+
+    for name in variables:
+        if not MATLAB_NAME.fullmatch(name):
+            raise InputError(
+                str(path), f"variable name {name!r}", "a letter, then letters, digits and underscores (63 at most)"
+            )
+    content = {
+        name: np.array(value, dtype=object).reshape(-1, 1) if isinstance(value, list) else value
+        for name, value in variables.items()
+    }
+    with Path(path).open("wb") as stream:
+        # zlib carries a checksum, which version 5 itself has not
+        savemat(stream, content, appendmat=False, do_compression=True)
+
+
+# --- what a version 5 file would take --------------------------------------------------------------------------------
 
 
 def check_matlab5_sizes(path: str | Path, where: str, limits: Limits) -> None:
@@ -203,95 +286,6 @@ class _Walk:
         """The elements do not fit into each other."""
         at = f" in variable {self.name[:60]}" if self.name != "?" else ""
         return InputError(self.where, f"damaged MATLAB file ({found}{at})")
-
-
-NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
-MAX_EMPTY = 1 << 31  # longest side of an array without entries
-MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
-
-
-# --- version 5 -------------------------------------------------------------------------------------------------------
-
-
-def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
-    """The variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset.
-
-    Raises
-    ------
-    InputError
-        Variables that declare more than the limits, a damaged file.
-    """
-    from scipy.io import loadmat
-
-    where = shown or path
-    tree = Tree(file=where)
-    check_matlab5_sizes(path, where, limits)
-    try:
-        variables = loadmat(path, struct_as_record=False, squeeze_me=False)
-    except InputError:
-        raise
-    except MemoryError:
-        raise InputError(where, "needs more memory than the reader may use") from None
-    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
-        raise InputError(where, f"damaged MATLAB file ({type(error).__name__}: {str(error)[:100]})") from error
-    for name, value in variables.items():
-        if not (name.startswith("__") and name.endswith("__")):
-            _variable(tree, name, value, limits, 0)
-    return tree
-
-
-def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> None:
-    if hasattr(value, "toarray"):  # a sparse matrix
-        value = value.toarray()
-    array = np.asarray(value)
-    if array.dtype.kind == "O" and array.size == 1 and hasattr(array.flat[0], "_fieldnames"):
-        if depth > limits.depth:
-            raise InputError(tree.file, f"/{name}: structs are nested deeper than {limits.depth}")
-        group, struct = tree.group(name), array.flat[0]
-        for key in struct._fieldnames:
-            _variable(group, key, getattr(struct, key), limits, depth + 1)
-        return
-    tree.datasets[name] = Dataset(_matlab_values(array))
-
-
-def _matlab_values(array: np.ndarray[Any, Any]) -> Any:
-    if array.dtype.kind in "fiu":
-        return array.astype(np.float64)
-    if array.dtype.kind == "c":
-        return array.astype(np.complex128)
-    if array.dtype.kind in "bU":
-        return array
-    if array.dtype.kind == "O":
-        cells = [np.asarray(item) for item in array.ravel().tolist()]
-        if all(cell.dtype.kind == "U" and cell.size <= 1 for cell in cells):
-            texts = [str(cell.flat[0]) if cell.size else "" for cell in cells]
-            return np.array(texts, dtype=np.str_).reshape(array.shape)
-        return Unread("struct array" if cells and hasattr(array.flat[0], "_fieldnames") else "cell array", array.shape)
-    return Unread("MATLAB object", array.shape)
-
-
-def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
-    """Write variables (arrays, numbers, texts, lists of texts as cell columns) to a version 5 file.
-
-    Raises
-    ------
-    InputError
-        A name that MATLAB does not allow.
-    """
-    from scipy.io import savemat
-
-    for name in variables:
-        if not MATLAB_NAME.fullmatch(name):
-            raise InputError(
-                str(path), f"variable name {name!r}", "a letter, then letters, digits and underscores (63 at most)"
-            )
-    content = {
-        name: np.array(value, dtype=object).reshape(-1, 1) if isinstance(value, list) else value
-        for name, value in variables.items()
-    }
-    with Path(path).open("wb") as stream:
-        # zlib carries a checksum, which version 5 itself has not
-        savemat(stream, content, appendmat=False, do_compression=True)
 
 
 # --- version 7.3 -----------------------------------------------------------------------------------------------------

@@ -81,10 +81,9 @@ def main(argument: str) -> int:
     answer = sys.stdout.buffer
     try:
         if kind in ("json", "toml"):
-            from robustlab.files.document import packed, parse_document
+            from robustlab.files.document import parse_document
 
-            document = packed(parse_document(kind, sys.stdin.buffer.read(), shown))
-            send_document(answer, document)
+            send_document(answer, parse_document(kind, sys.stdin.buffer.read(), shown))
             return 0
         tree = _tree(kind, request, limits)
     except InputError as error:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from robustlab.arrays import not_finite
 from robustlab.errors import InputError
 from robustlab.files.tree import Tree, link_name, signal_name
 
@@ -79,10 +80,9 @@ def _column(node: Tree, name: str, problems: list[str]) -> np.ndarray[Any, Any]:
     if values.ndim != 1:
         problems.append(f"{path} is {values.shape}, expected one column")
         return np.zeros(0)
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        word = "NaN" if np.isnan(values[bad[0]]) else "infinite"
-        problems.append(f"{path}[{bad[0]}] is {word} ({len(bad)} of {len(values)} samples)")
+    bad = not_finite(values, "samples")
+    if bad is not None:
+        problems.append(f"{path}[{bad[0]}] {bad[1]}")
     return values.astype(np.float64)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.arrays import not_finite
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.record_layout import decode_record
@@ -19,7 +20,7 @@ from robustlab.files.text_table import read_table
 from robustlab.files.tree import Tree, Unread, check_header, is_stamped
 from robustlab.units import factor_to_si, same_unit
 
-__all__ = ["read_record"]
+__all__ = ["CLOCK_NAMES", "RecordOptions", "read_record"]
 
 CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "zeit", "Zeit")
 SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
@@ -50,35 +51,20 @@ class _Source:
         return f"{self.prefix}{name}"
 
 
-def read_record(
-    path: str | Path,
-    group: str | None = None,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    dt: float | None = None,
-    *,
-    clock: str | None = None,
-    units: Mapping[str, str] | None = None,
-    delimiter: str | None = None,
-    decimal: str = ".",
-    allow_gaps: bool = False,
-    no_verify: bool = False,
-    limits: Limits | None = None,
-    isolate: bool = True,
-) -> dict[str, Any]:
-    """Read one record; the result holds the keyword arguments of `robustlab.record.Record`.
+@dataclass(frozen=True)
+class RecordOptions:
+    """What is taken of a file, and how it is understood.
 
-    Parameters
+    Attributes
     ----------
-    path
-        HDF5 (format 1 or plain), MATLAB 5 or 7.3, or a text file; told by content.
     group
         HDF5 group or MATLAB struct that holds the signals.
     inputs, outputs
         Names of the signals to take. With neither given, all signals are outputs, because only the user knows which are
         inputs (a format 1 record knows). With inputs only, all others are outputs.
     dt
-        Sample time in s; wins over what the file says.
+        Sample time in s; wins over what the file says. Without it and without a clock, the attribute ``Ts`` (or ``dt``,
+        in s, or ``fs`` in Hz) of the signals, else of their group, else of the file is used.
     clock
         Name of the signal with the times; ``t`` or ``time`` where left out. A unit of ms, us or min is converted to s.
     units
@@ -91,9 +77,33 @@ def read_record(
         Accept a clock with missing samples.
     no_verify
         Accept a format 1 record whose content hash does not match.
+    """
 
-    Without clock and ``dt``, the attribute ``Ts`` (or ``dt``, in s, or ``fs`` in Hz) of the signals, else of their
-    group, else of the file is used.
+    group: str | None = None
+    inputs: Sequence[str] | None = None
+    outputs: Sequence[str] | None = None
+    dt: float | None = None
+    clock: str | None = None
+    units: Mapping[str, str] | None = None
+    delimiter: str | None = None
+    decimal: str = "."
+    allow_gaps: bool = False
+    no_verify: bool = False
+
+
+def read_record(
+    path: str | Path, options: RecordOptions, limits: Limits | None = None, isolate: bool = True
+) -> dict[str, Any]:
+    """Read one record; the result holds the keyword arguments of `robustlab.record.Record`.
+
+    Parameters
+    ----------
+    path
+        HDF5 (format 1 or plain), MATLAB 5 or 7.3, or a text file; told by content.
+    options
+        What to take of it.
+    limits, isolate
+        See `robustlab.files.hdf5.read_tree`.
 
     Raises
     ------
@@ -101,37 +111,29 @@ def read_record(
         Signals that are missing (all of them, with the nearest names), are not columns of numbers, differ in length; no
         clock; missing samples; a unit for no signal, or another one than the file states.
     """
+    group = options.group
     if content_of(path, limits) == "text":
-        source = _from_text(path, group, delimiter, decimal, limits, isolate)
-    else:
-        tree = read_tree(path, group, limits, isolate)
-        if is_stamped(tree):
-            node = _record_of_format_1(str(path), tree, group, no_verify)
-            return _stored(node, str(path), inputs, outputs, units)
-        node = tree.find(group) if group else tree
-        if node is None:
-            raise InputError(
-                str(path),
-                f"missing group /{group}",
-                _list("one of", _group_names(tree)),
-                _nearest(group or "", _group_names(tree)),
-            )
-        if {"inputs", "outputs"} & set(node.groups):
-            return _stored(node, str(path), inputs, outputs, units)
-        source = _from_tree(path, tree, node, group)
-    return _choose(source, inputs=inputs, outputs=outputs, dt=dt, clock=clock, units=units or {}, allow_gaps=allow_gaps)
+        return _choose(_from_text(path, options, limits, isolate), options)
+    tree = read_tree(path, group, limits, isolate)
+    if is_stamped(tree):
+        return _stored(_record_of_format_1(str(path), tree, options), str(path), options)
+    node = tree.find(group) if group else tree
+    if node is None:
+        known = _group_names(tree)
+        raise InputError(str(path), f"missing group /{group}", _list("one of", known), _nearest(group or "", known))
+    if {"inputs", "outputs"} & set(node.groups):
+        return _stored(node, str(path), options)
+    return _choose(_from_tree(path, tree, node, group), options)
 
 
 # --- what the file holds ---------------------------------------------------------------------------------------------
 
 
-def _from_text(
-    path: str | Path, group: str | None, delimiter: str | None, decimal: str, limits: Limits | None, isolate: bool
-) -> _Source:
+def _from_text(path: str | Path, options: RecordOptions, limits: Limits | None, isolate: bool) -> _Source:
     where = str(path)
-    if group:
-        raise InputError(where, f"group {group!r} of a text file", "no group: text files have none")
-    table = read_table(path, delimiter, decimal, limits, isolate)
+    if options.group:
+        raise InputError(where, f"group {options.group!r} of a text file", "no group: text files have none")
+    table = read_table(path, options.delimiter, options.decimal, limits, isolate)
     columns = zip(table.names, table.units, table.values.T, strict=True)
     return _Source(
         where, Path(path).stem, "", {name: _Channel(np.array(values), unit) for name, unit, values in columns}
@@ -189,10 +191,10 @@ def _group_names(tree: Tree) -> list[str]:
 # --- a record of format 1 --------------------------------------------------------------------------------------------
 
 
-def _record_of_format_1(where: str, tree: Tree, group: str | None, no_verify: bool) -> Tree:
-    if group:
-        raise InputError(where, f"group {group!r} of a format 1 file", "no group: such a file holds one object")
-    kind, remarks = check_header(tree, no_verify)
+def _record_of_format_1(where: str, tree: Tree, options: RecordOptions) -> Tree:
+    if options.group:
+        raise InputError(where, f"group {options.group!r} of a format 1 file", "no group: such a file holds one object")
+    kind, remarks = check_header(tree, options.no_verify)
     if kind != "record":
         raise InputError(where, f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
     for text in remarks:
@@ -200,11 +202,9 @@ def _record_of_format_1(where: str, tree: Tree, group: str | None, no_verify: bo
     return tree
 
 
-def _stored(
-    node: Tree, where: str, inputs: Sequence[str] | None, outputs: Sequence[str] | None, units: Mapping[str, str] | None
-) -> dict[str, Any]:
+def _stored(node: Tree, where: str, options: RecordOptions) -> dict[str, Any]:
     """Groups ``inputs`` and ``outputs``: the layout of format 1, which `robustlab.storage` reads too."""
-    keywords = decode_record(node, where)
+    keywords, inputs, outputs = decode_record(node, where), options.inputs, options.outputs
     known = {**keywords["inputs"], **keywords["outputs"]}
     if inputs is not None or outputs is not None:
         wanted = [*(inputs or []), *(outputs or [])]
@@ -217,26 +217,18 @@ def _stored(
     taken = {*keywords["inputs"], *keywords["outputs"]}
     for key in ("units", "meaning"):
         keywords[key] = {name: text for name, text in keywords[key].items() if name in taken}
-    _convert(where, keywords["inputs"], keywords["outputs"], keywords["units"], units or {})
+    _convert(where, keywords["inputs"], keywords["outputs"], keywords["units"], options.units or {})
     return keywords
 
 
 # --- choosing --------------------------------------------------------------------------------------------------------
 
 
-def _choose(
-    source: _Source,
-    *,
-    inputs: Sequence[str] | None,
-    outputs: Sequence[str] | None,
-    dt: float | None,
-    clock: str | None,
-    units: Mapping[str, str],
-    allow_gaps: bool,
-) -> dict[str, Any]:
+def _choose(source: _Source, options: RecordOptions) -> dict[str, Any]:
+    inputs, outputs, dt, units = options.inputs, options.outputs, options.dt, options.units or {}
     known = list(source.channels)
     # With dt given the file's clock is not used, and a column of that name is no signal either.
-    clock = clock or next((name for name in CLOCK_NAMES if name in known), None)
+    clock = options.clock or next((name for name in CLOCK_NAMES if name in known), None)
     ins = [inputs] if isinstance(inputs, str) else list(inputs or [])
     outs = [outputs] if isinstance(outputs, str) else list(outputs or [])
     if outputs is None:
@@ -256,7 +248,7 @@ def _choose(
         source.channels[clock].unit = units[clock]
         units = {name: unit for name, unit in units.items() if name != clock}
     t = _times(source, list(arrays), n, dt, clock)
-    if not allow_gaps:
+    if not options.allow_gaps:
         _refuse_gaps(source.where, t)
     meanings = {name: source.channels[name].meaning for name in arrays if source.channels[name].meaning}
     stated = {name: source.channels[name].unit for name in arrays}
@@ -324,10 +316,9 @@ def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
     if values.ndim != 1:
         raise InputError(where, f"shape {values.shape}", "one column")
     array = values.astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(array))
-    if len(bad):
-        word = "NaN" if np.isnan(array[bad[0]]) else "infinite"
-        raise InputError(f"{where}[{bad[0]}]", f"is {word} ({len(bad)} of {len(array)} samples)", "finite numbers")
+    bad = not_finite(array, "samples")
+    if bad is not None:
+        raise InputError(f"{where}[{bad[0]}]", bad[1], "finite numbers")
     return array
 
 

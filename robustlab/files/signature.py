@@ -1,7 +1,4 @@
-"""What a file is, by its first bytes; faults of the file itself (missing, a directory, empty, of a refused kind).
-
-Sizes that a file from outside may have.
-"""
+"""What a file is, by its first bytes; whether it may be read at all; and how large what comes from outside may be."""
 
 from __future__ import annotations
 
@@ -13,16 +10,25 @@ from typing import Literal
 
 from robustlab.errors import InputError, did_you_mean
 
-__all__ = [
-    "Content",
-    "content_of",
-    "require_file",
-    "Limits",
-    "size_text",
-]
-
+__all__ = ["Content", "Limits", "content_of", "require_file", "size_text"]
 
 MIB = 1 << 20
+Content = Literal["hdf5", "matlab5", "text"]
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+BINARY_SUFFIXES = {".h5", ".hdf5", ".hdf", ".he5", ".mat"}
+_CODE = "such files can carry code that runs when they are read"
+_PICKLES = "arrays of objects in such files are pickles, which can carry code"
+_TAGS = "YAML tags can carry code, and it reads 1e-3 as text"
+REFUSED_SUFFIXES = {
+    ".pkl": _CODE,
+    ".pickle": _CODE,
+    ".joblib": _CODE,
+    ".npy": _PICKLES,
+    ".npz": _PICKLES,
+    ".yaml": _TAGS,
+    ".yml": _TAGS,
+}
+_FORMATS = "HDF5, MATLAB (.mat) or text (.csv, .txt)"
 
 
 @dataclass(frozen=True)
@@ -69,23 +75,6 @@ def size_text(n: int) -> str:
         if n >= scale:
             return f"{n / scale:.4g} {unit}"
     return f"{n} bytes"
-
-
-Content = Literal["hdf5", "matlab5", "text"]
-
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-BINARY_SUFFIXES = {".h5", ".hdf5", ".hdf", ".he5", ".mat"}
-_CODE = "such files can carry code that runs when they are read"
-REFUSED_SUFFIXES = {
-    ".pkl": _CODE,
-    ".pickle": _CODE,
-    ".joblib": _CODE,
-    ".npy": "arrays of objects in such files are pickles, which can carry code",
-    ".npz": "arrays of objects in such files are pickles, which can carry code",
-    ".yaml": "YAML tags can carry code, and it reads 1e-3 as text",
-    ".yml": "YAML tags can carry code, and it reads 1e-3 as text",
-}
-_FORMATS = "HDF5, MATLAB (.mat) or text (.csv, .txt)"
 
 
 def require_file(path: str | Path, limits: Limits | None = None) -> bytes:

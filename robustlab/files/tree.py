@@ -1,6 +1,6 @@
-"""A file's content as plain arrays: groups, datasets and attributes, and the hash over them.
+"""A file's content as plain arrays (groups, datasets, attributes), the hash over them, and the header of format 1.
 
-The root of a format 1 file: format, version, kind, content hash, provenance.
+The root of a format 1 file says its format, version and kind, and carries the content hash and the provenance.
 """
 
 from __future__ import annotations
@@ -18,22 +18,27 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Provenance
 
 __all__ = [
+    "FORMAT",
+    "FORMAT_VERSION",
+    "KINDS",
     "Dataset",
     "Tree",
     "Unread",
     "canonical",
-    "content_sha256",
-    "link_name",
-    "signal_name",
-    "FORMAT",
-    "FORMAT_VERSION",
-    "KINDS",
     "check_header",
+    "content_sha256",
     "decode_provenance",
     "is_stamped",
+    "link_name",
+    "signal_name",
     "stamp",
     "text_attr",
 ]
+
+FORMAT = "robustlab"
+FORMAT_VERSION = "1.0"
+KINDS = ("state-space", "uncertain", "controller", "record", "result", "plant")
+ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
 
 
 @dataclass(frozen=True)
@@ -205,10 +210,7 @@ def signal_name(link: str) -> str:
     return link.replace("%2E", ".").replace("%2F", "/").replace("%25", "%") if link != "%" else ""
 
 
-FORMAT = "robustlab"
-FORMAT_VERSION = "1.0"
-KINDS = ("state-space", "uncertain", "controller", "record", "result", "plant")
-ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
+# --- the header of format 1 ------------------------------------------------------------------------------------------
 
 
 def text_attr(attrs: dict[str, Any], name: str) -> str | None:

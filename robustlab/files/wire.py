@@ -1,9 +1,10 @@
-"""How the reader process sends a tree to its parent: a JSON header, then the bytes of the arrays. No pickle."""
+"""How the reader process sends to its parent: a JSON header (a document, an error), then a tree's arrays. No pickle."""
 
 from __future__ import annotations
 
 import json
 import math
+from datetime import date, datetime, time
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from robustlab.errors import InputError
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
     from robustlab.files.tree import Tree
 
-__all__ = ["header_of", "receive", "send_document", "send_error", "send_tree"]
+__all__ = ["receive", "receive_document", "send_document", "send_error", "send_tree"]
 
 MAGIC = b"RLTREE1\n"
 DTYPES = {"f": "<f8", "i": "<i8", "b": "|b1", "c": "<c16"}
@@ -29,9 +30,9 @@ def send_tree(stream: BinaryIO, tree: Tree) -> None:
     stream.flush()
 
 
-def send_document(stream: BinaryIO, content: dict[str, Any]) -> None:
-    """Write a document (`robustlab.files.document.packed`) to ``stream``."""
-    _header(stream, content)
+def send_document(stream: BinaryIO, data: Any) -> None:
+    """Write a document, as `robustlab.files.document.parse_document` gives it, to ``stream``; it is used up by this."""
+    _header(stream, _packed(data))
     stream.flush()
 
 
@@ -51,11 +52,16 @@ def receive(data: bytes, file: str) -> Tree:
     ValueError
         The bytes are not what the two functions above write.
     """
-    header, end = header_of(data)
+    header, end = _header_of(data)
     return _Received(memoryview(data)[end:], file).tree(header["tree"], "/")
 
 
-def header_of(data: bytes) -> tuple[dict[str, Any], int]:
+def receive_document(data: bytes) -> Any:
+    """Inverse of `send_document` and `send_error`; raises as `receive`."""
+    return _unpacked(_header_of(data)[0])
+
+
+def _header_of(data: bytes) -> tuple[dict[str, Any], int]:
     """The JSON header and where it ends.
 
     Raises
@@ -74,6 +80,32 @@ def header_of(data: bytes) -> tuple[dict[str, Any], int]:
         where, found, expected, hint, more = header["error"]
         raise InputError(where, found, expected, hint, tuple(more))
     return header, end
+
+
+def _packed(data: Any) -> dict[str, Any]:
+    """The document as JSON types: dates and times, which only TOML has, stand beside it with their places."""
+    root, times = [data], []
+    pending: list[tuple[Any, list[str | int]]] = [(root, [])]
+    while pending:
+        node, path = pending.pop()
+        for key, value in list(node.items() if isinstance(node, dict) else enumerate(node)):
+            if isinstance(value, (dict, list)):
+                pending.append((value, [*path, key]))
+            elif isinstance(value, (date, time)):
+                times.append([[*path, key], type(value).__name__, value.isoformat()])
+                node[key] = None
+    return {"document": root[0], "times": times}
+
+
+def _unpacked(content: dict[str, Any]) -> Any:
+    """Inverse of `_packed`."""
+    root = [content["document"]]
+    for path, name, text in content["times"]:
+        node: Any = root
+        for key in path[:-1]:
+            node = node[key]
+        node[path[-1]] = {"date": date, "time": time, "datetime": datetime}[name].fromisoformat(text)
+    return root[0]
 
 
 def _header(stream: BinaryIO, content: dict[str, Any]) -> None:

@@ -1,50 +1,37 @@
-"""Loading and saving: which object a file holds, and which file an object becomes.
-
-A nominal and a perturbed model in one file, and whether two models can be compared entry by entry.
-
-Which entries of two models differ, told by the names of their signals.
-
-Results in a file: what ``to_json`` gave, as nested groups.
-"""
+"""Loading and saving: which object a file holds, and which file an object becomes."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import InputError, UnitMismatch, UsageError
+from robustlab.errors import InputError, UsageError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
 from robustlab.files.record_layout import decode_record, encode_record
-from robustlab.files.records import CLOCK_NAMES, read_record
+from robustlab.files.records import CLOCK_NAMES, RecordOptions, read_record
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import (
-    Dataset,
     Tree,
-    Unread,
     check_header,
     decode_provenance,
     is_stamped,
-    link_name,
-    signal_name,
     stamp,
     text_attr,
 )
 from robustlab.provenance import NOT_VERIFIED, Provenance, Traced
 from robustlab.record import Record
-from robustlab.result import Result, Status
-from robustlab.statespace import Signal, StateSpaceModel, as_model
+from robustlab.result import Result
+from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.controller_json import is_json, read_controller_json
-from robustlab.storage.matrices import Problems, decode_model, encode_model, find_children, sample_time
+from robustlab.storage.matrices import Problems, decode_model, encode_model
+from robustlab.storage.model_pairs import decode_pair, looks_like_a_pair
 from robustlab.storage.plants import decode_plant, encode_plant
+from robustlab.storage.results import decode_result, encode_result
 from robustlab.storage.uncertain_models import decode_controller, decode_uncertain, encode_controller, encode_uncertain
 from robustlab.synthesis.problem.design import Controller
 from robustlab.uncertainty.lft import UncertainModel
@@ -55,206 +42,9 @@ __all__ = [
     "load_pair",
     "read",
     "save",
-    "check_pair",
-    "decode_pair",
-    "looks_like_a_pair",
-    "Change",
-    "difference",
-    "decode_result",
-    "encode_result",
+    "is_plant_file",
+    "load_plant",
 ]
-
-
-def encode_result(tree: Tree, result: Any) -> None:
-    """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table."""
-    data = dict(result.to_json())
-    if isinstance(result, Result):
-        data.pop("type")
-    data.pop("status", None)
-    tree.attrs.update(
-        type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
-    )
-    _table(tree.group("data"), data)
-
-
-def _table(tree: Tree, data: Mapping[Any, Any]) -> None:
-    for key, value in data.items():
-        _put(tree, link_name(str(key)), value)
-
-
-def _put(tree: Tree, link: str, value: Any) -> None:
-    if hasattr(value, "to_json"):
-        value = value.to_json()
-    if isinstance(value, Enum):
-        value = value.value
-    if value is None:
-        tree.put(link, "", null=True)
-    elif isinstance(value, Mapping):
-        _table(tree.group(link), value)
-    elif isinstance(value, (list, tuple, set, frozenset)):
-        _put_list(tree, link, list(value))
-    elif isinstance(value, np.ndarray) and value.dtype == object:
-        _put_list(tree, link, value.tolist())
-    else:
-        tree.put(link, value)
-
-
-def _put_list(tree: Tree, link: str, items: list[Any]) -> None:
-    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
-    leaves = _leaf_types(items)
-    if leaves and len(leaves) == 1 and _is_rectangular(items):
-        tree.put(link, np.asarray(items))
-        return
-    group = tree.group(link)
-    group.attrs["sequence"] = len(items)
-    for i, item in enumerate(items):
-        _put(group, str(i), item)
-
-
-def _leaf_types(items: list[Any]) -> set[str]:
-    kinds: set[str] = set()
-    for item in items:
-        if isinstance(item, (list, tuple)):
-            kinds |= _leaf_types(list(item))
-        elif isinstance(item, str) and not isinstance(item, Enum):
-            kinds.add("text")
-        elif isinstance(item, (bool, np.bool_)):
-            kinds.add("bool")
-        elif isinstance(item, (int, float, np.integer, np.floating)):
-            kinds.add("number")
-        elif isinstance(item, (complex, np.complexfloating)):
-            kinds.add("complex")
-        else:
-            kinds.add(type(item).__name__)
-            kinds.add("other")
-    return kinds
-
-
-def _is_rectangular(items: list[Any]) -> bool:
-    try:
-        return np.asarray(items).dtype != object
-    except ValueError:
-        return False
-
-
-def decode_result(tree: Tree) -> Result:
-    """Inverse of `encode_result`; lists of numbers come back as arrays.
-
-    Raises
-    ------
-    InputError
-        No group ``data``, an unknown status.
-    """
-    text = str(np.asarray(tree.attrs.get("status", "")))
-    if text not in [status.value for status in Status]:
-        raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(s.value for s in Status)}")
-    if "data" not in tree.groups:
-        raise InputError(tree.file, "missing /data")
-    data = _value(tree.groups["data"])
-    if not isinstance(data, dict):
-        raise InputError(tree.file, "/data is a sequence", "a table")
-    return Result(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
-
-
-def _value(node: Tree) -> Any:
-    if "sequence" in node.attrs:
-        length = np.asarray(node.attrs["sequence"])
-        if length.dtype.kind != "i" or length.size != 1:
-            raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
-        count = int(length.flat[0])
-        names = [str(i) for i in range(min(count, len(node.datasets) + len(node.groups)))]
-        return [_child(node, name) for name in names if name in node.datasets or name in node.groups]
-    return {signal_name(link): _child(node, link) for link in [*node.datasets, *node.groups]}
-
-
-def _child(node: Tree, link: str) -> Any:
-    return _leaf(node, link, node.datasets[link]) if link in node.datasets else _value(node.groups[link])
-
-
-def _leaf(node: Tree, link: str, dataset: Dataset) -> Any:
-    if isinstance(dataset.values, Unread):
-        raise InputError(node.file, f"{node.child_path(link)} has dtype {dataset.values.dtype}", "numbers or text")
-    if "null" in dataset.attrs:
-        return None
-    if dataset.values.ndim == 0 or dataset.values.dtype.kind == "U":
-        return dataset.values.tolist()
-    return dataset.values
-
-
-GROUPS = ("nominal", "perturbed")
-
-
-def looks_like_a_pair(tree: Tree) -> bool:
-    """True where the root holds no matrices, but groups called ``nominal`` or ``perturbed`` or much like it."""
-    import difflib
-
-    if any(name in tree.datasets for name in "ABCD"):
-        return False
-    return any(difflib.get_close_matches(name.lower(), GROUPS, n=1, cutoff=0.7) for name in tree.groups)
-
-
-def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The models in groups ``nominal`` and ``perturbed``.
-
-    Raises
-    ------
-    InputError
-        With all that is missing, misspelt or does not fit, in both groups; `UnitMismatch` where only units disagree.
-    """
-    find_children(tree, GROUPS, problems)
-    dt = sample_time(tree, problems)
-    models: dict[str, StateSpaceModel | None] = {}
-    for name in GROUPS:
-        if name in tree.groups:
-            models[name] = decode_model(tree.groups[name], problems, transpose, models.get("nominal"), dt)
-        elif name in tree.datasets:
-            problems.add(f"/{name} is a dataset, expected a group with A B C D")
-    problems.raise_any()
-    nominal, perturbed = models["nominal"], models["perturbed"]
-    assert nominal is not None
-    assert perturbed is not None
-    check_pair(nominal, perturbed, tree.file)
-    return nominal, perturbed
-
-
-def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str = "nominal and perturbed") -> None:
-    """Refuse two models whose entries do not mean the same; a unit that is not stated agrees with every unit.
-
-    Raises
-    ------
-    UnitMismatch
-        A signal carries different units.
-    InputError
-        Sizes, sample times or signal names differ.
-    """
-    sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
-    if sizes[0] != sizes[1]:
-        raise InputError(
-            where,
-            "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1]),
-            "{}, {}, {} as nominal".format(*sizes[0]),
-        )
-    if nominal.dt != perturbed.dt:
-        raise InputError(
-            where, f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s", "equal sample times"
-        )
-    names, units = [], []
-    for side in ("states", "inputs", "outputs"):
-        for a, b in zip(getattr(nominal, side), getattr(perturbed, side), strict=True):
-            (names if a.name != b.name else units).extend(_differences(side[:-1], a, b))
-    if names:
-        more = tuple(f"{where}: {line}" for line in names[1:])
-        raise InputError(where, names[0], "the same signals in the same order", None, more)
-    if units:
-        raise UnitMismatch(where, units[0], "equal units", None, tuple(f"{where}: {line}" for line in units[1:]))
-
-
-def _differences(side: str, a: Signal, b: Signal) -> list[str]:
-    if a.name != b.name:
-        return [f"{side} {a.name!r} of nominal is {b.name!r} in perturbed"]
-    if a.unit and b.unit and a.unit != b.unit:
-        return [f"{side} {a.name}: nominal [{a.unit}], perturbed [{b.unit}]"]
-    return []
 
 
 Stored = StateSpaceModel | UncertainModel | Controller | Record | Result | Plant
@@ -361,6 +151,27 @@ def load_pair(
     return decode_pair(tree, Problems(str(path)), transpose)
 
 
+def is_plant_file(name: str) -> bool:
+    """True where a text means a file with a plant, and not the name of a plant."""
+    return Path(name).suffix.lower() in (".h5", ".hdf5") or Path(name).is_file()
+
+
+def load_plant(path: str) -> Plant:
+    """The plant in a file.
+
+    Raises
+    ------
+    InputError
+        The file holds something else.
+    """
+    found = load(path)
+    if not isinstance(found, Plant):
+        raise InputError(
+            path, f"holds a {type(found).__name__}", "a plant", "save one with robustlab.save(path, plant)"
+        )
+    return found
+
+
 def read(
     path: str | Path,
     *,
@@ -379,7 +190,7 @@ def read(
             held = read_controller_json(path, limits, isolate)
             warnings = (*held.warnings, *_unit_warnings(held.controller))
             return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
-        keywords = read_record(path, group=group, limits=limits, isolate=isolate)
+        keywords = read_record(path, RecordOptions(group), limits, isolate)
         return Loaded(_record(keywords, where), "record", where, False)
     tree = _tree(path, group, limits, isolate)
     if is_stamped(tree) and group is None:
@@ -427,7 +238,7 @@ def _plain(
         return "pair", decode_pair(node, Problems(where), transpose)
     has_signals = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
     if has_signals and len(matrices) < 2:
-        return "record", _record(read_record(where, group=group, limits=limits, isolate=isolate), where)
+        return "record", _record(read_record(where, RecordOptions(group), limits, isolate), where)
     problems = Problems(where)
     if not matrices and node.groups:
         problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one (group=, --group)"
@@ -483,6 +294,11 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
         linear one of the user's own: its equations are stored as coefficients.
     provenance
         Where it comes from; time and versions of now where left out.
+
+    Returns
+    -------
+    Path
+        The file that was written.
 
     Raises
     ------
@@ -556,53 +372,3 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
         variables[f"{side}Name"] = [s.name for s in signals]
         variables[f"{side}Unit"] = [s.unit for s in signals]
     return atomic_write(path, lambda temporary: write_matlab5(temporary, variables))
-
-
-@dataclass(frozen=True)
-class Change:
-    """One entry of A, B, C or D that differs.
-
-    Attributes
-    ----------
-    matrix
-        ``"A"``, ``"B"``, ``"C"`` or ``"D"``.
-    row, column
-        Names of the signals: the entry says how ``column`` acts on ``row`` (on its derivative, in A and B).
-    first, second
-        The two values.
-    """
-
-    matrix: str
-    row: str
-    column: str
-    first: float
-    second: float
-
-    @property
-    def relative(self) -> float:
-        """``(second - first) / |first|``; infinite where the first value is zero."""
-        step = self.second - self.first
-        return step / abs(self.first) if self.first else np.copysign(np.inf, step)
-
-    def to_json(self) -> dict[str, object]:
-        """All attributes and the relative change."""
-        return {**vars(self), "relative": self.relative}
-
-
-def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> tuple[Change, ...]:
-    """Entries with ``|second - first| > rtol * max(|first|, |second|)``.
-
-    Raises
-    ------
-    InputError
-        The models have other sizes, signals, units or sample times; see `check_pair`.
-    """
-    check_pair(first, second, "difference of two models")
-    rows = {"A": first.state_names, "B": first.state_names, "C": first.output_names, "D": first.output_names}
-    columns = {"A": first.state_names, "B": first.input_names, "C": first.state_names, "D": first.input_names}
-    changes = []
-    for name in "ABCD":
-        a, b = getattr(first, name), getattr(second, name)
-        for i, j in np.argwhere(np.abs(b - a) > rtol * np.maximum(np.abs(a), np.abs(b))):
-            changes.append(Change(name, rows[name][i], columns[name][j], float(a[i, j]), float(b[i, j])))
-    return tuple(changes)

@@ -1,6 +1,6 @@
-"""State-space models in a file: the matrices A B C D and all that can be wrong with them, signals, operating point.
+"""State-space models in a file: the matrices A B C D, signals, operating point, and all that can be wrong with them.
 
-Everything that is wrong with a file, collected and then raised at once.
+What is wrong is collected (`Problems`) and raised at once.
 """
 
 from __future__ import annotations
@@ -12,17 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, not_finite
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
 __all__ = [
+    "Problems",
     "decode_model",
+    "decode_point",
     "encode_model",
+    "encode_point",
     "find_children",
     "sample_time",
-    "Problems",
 ]
 
 
@@ -189,11 +191,9 @@ def _real(node: Tree, name: str, problems: Problems) -> Array | None:
         column = f" ({len(array)}, 1) for a column, (1, {len(array)}) for a row" if array.ndim == 1 else ""
         problems.add(f"{path} is {array.shape}, expected 2 dimensions{column and ':' + column}")
         return None
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        i, j = bad[0]
-        word = "NaN" if np.isnan(array[i, j]) else "infinite"
-        problems.add(f"{path}[{i},{j}] is {word} ({len(bad)} of {array.size} entries)")
+    bad = not_finite(array)
+    if bad is not None:
+        problems.add(f"{path}[{bad[0]}] {bad[1]}")
         return None
     return array
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, get_args
 
 import numpy as np
@@ -18,7 +17,7 @@ from robustlab.uncertainty.blocks import Sign
 if TYPE_CHECKING:
     from robustlab.dynamics.linear_plant import LinearPlant
 
-__all__ = ["decode_plant", "encode_plant", "is_plant_file", "load_plant"]
+__all__ = ["decode_plant", "encode_plant"]
 
 # Of a plant whose equations are stored: what its parameters may be is not known elsewhere.
 MORE_TEXTS = ("sign", "role")
@@ -97,29 +96,6 @@ def decode_plant(tree: Tree, problems: Problems) -> Plant:
         raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
     _check_model(plant, model, problems.file)
     return plant
-
-
-def is_plant_file(name: str) -> bool:
-    """True where a text means a file with a plant, and not the name of a plant."""
-    return Path(name).suffix.lower() in (".h5", ".hdf5") or Path(name).is_file()
-
-
-def load_plant(path: str) -> Any:
-    """The plant in a file.
-
-    Raises
-    ------
-    InputError
-        The file holds something else.
-    """
-    from robustlab.storage.interchange import load
-
-    found = load(path)
-    if not isinstance(found, Plant):
-        raise InputError(
-            path, f"holds a {type(found).__name__}", "a plant", "save one with robustlab.save(path, plant)"
-        )
-    return found
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------

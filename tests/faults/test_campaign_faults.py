@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.campaign import CampaignSettings, read_campaign, resume_campaign, run_campaign, saved_samples
+from robustlab.campaign import CampaignSettings, Crew, read_campaign, resume_campaign, run_campaign, saved_samples
 from robustlab.campaign.evaluation import Rows
 from robustlab.campaign.settings import Identity, model_to_bytes
 from robustlab.campaign.store import Store, locked
@@ -130,7 +130,7 @@ def test_crashed_hung_and_raising_samples_are_lost_alone_and_can_be_replayed(fol
     crash.communicate(timeout=60)
     assert crash.returncode == -signal.SIGSEGV
     # Once the cause is mended, the lost samples are computed again, and nothing else.
-    again = resume_campaign(store, workers=1, retry_lost=True)
+    again = resume_campaign(store, crew=Crew(1), retry_lost=True)
     assert (again.done, again.lost) == (320, 0)
 
 
@@ -199,11 +199,11 @@ def test_changed_settings_model_and_code_are_refused_by_name(tmp_path, motor):
 
 def test_restart_and_fork(tmp_path, motor):
     path = begun(tmp_path / "s.sqlite", motor, n=64)
-    fork = run_campaign(motor, settings_of(n=65), path, existing="fork", workers=1)
+    fork = run_campaign(motor, settings_of(n=65), path, existing="fork", crew=Crew(1))
     assert Path(fork.store).name == "s-2.sqlite"
     assert (fork.done, saved_samples(path)) == (65, (64, 64))
     assert read_campaign(path).worst == 63.0  # what `begun` wrote
-    fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", workers=1)
+    fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", crew=Crew(1))
     assert (fresh.store, fresh.done) == (str(path), 64)
     assert fresh.worst < 63.0
 
@@ -243,7 +243,7 @@ def test_a_file_of_another_kind_is_never_overwritten(tmp_path, motor, existing):
 def test_an_empty_file_is_begun_and_a_value_changed_after_the_end_is_noticed(tmp_path, motor):
     path = tmp_path / "s.sqlite"
     path.touch()
-    assert run_campaign(motor, settings_of(n=64), path, workers=1).done == 64
+    assert run_campaign(motor, settings_of(n=64), path, crew=Crew(1)).done == 64
     with closing(sqlite3.connect(path)) as db:
         db.execute("UPDATE sample SET value = value * 1.0000001 WHERE idx = 5")
         db.commit()
@@ -314,7 +314,7 @@ def test_no_space_in_the_middle_of_a_run_says_how_to_go_on(tmp_path, motor, monk
     monkeypatch.setattr(Store, "save", save)
     path = tmp_path / "s.sqlite"
     with pytest.raises(EnvironmentFault) as caught:
-        run_campaign(motor, settings_of(n=64), path, workers=1)
+        run_campaign(motor, settings_of(n=64), path, crew=Crew(1))
     assert f"robustlab campaign resume {path}" in str(caught.value)
 
 
@@ -348,18 +348,18 @@ def test_a_read_only_folder(tmp_path, motor):
 def test_workers_that_cannot_begin_are_an_environment_fault(tmp_path, motor, monkeypatch):
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     with pytest.raises(EnvironmentFault, match="a worker cannot be started"):
-        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=2)
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=Crew(2))
     script = tmp_path / "python"
     script.write_text("#!/bin/sh\necho no module named robustlab >&2\nexit 3\n", encoding="utf-8")
     script.chmod(0o700)
     with pytest.raises(EnvironmentFault, match="no worker can begin; the last worker left with exit code 3: no module"):
-        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=2)
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=Crew(2))
 
 
 def test_the_missing_extra_is_named_with_its_command(tmp_path, motor, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(DependencyMissing, match=r"needs dask\.distributed") as caught:
-        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", cluster="tcp://127.0.0.1:1")
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=Crew(cluster="tcp://127.0.0.1:1"))
     assert "pip install 'robustlab[cluster]'" in str(caught.value)
     assert caught.value.exit_code == 5
 
@@ -367,4 +367,4 @@ def test_the_missing_extra_is_named_with_its_command(tmp_path, motor, monkeypatc
 @pytest.mark.parametrize("workers", [0, -1, 1.5, True])
 def test_workers_are_a_whole_number(tmp_path, motor, workers):
     with pytest.raises(InputError, match="workers"):
-        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=workers)
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=Crew(workers))

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import robustlab as rl
-from robustlab.campaign import CampaignSettings, cluster_workers, run_campaign, saved_samples
+from robustlab.campaign import CampaignSettings, Crew, cluster_workers, run_campaign, saved_samples
 from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.campaign.store import Store
 from robustlab.errors import EnvironmentFault, RobustlabError
@@ -98,5 +98,5 @@ def test_nobody_at_the_address(tmp_path, monkeypatch):
     motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35)).uncertain(outputs=["omega"])
     monkeypatch.setattr(cluster_workers, "CONNECT_SECONDS", 0.3)
     with pytest.raises(EnvironmentFault, match=r"--cluster tcp://127\.0\.0\.1:9: no Dask scheduler answers") as caught:
-        run_campaign(motor, CampaignSettings("hinf", 10), tmp_path / "s.sqlite", cluster="tcp://127.0.0.1:9")
+        run_campaign(motor, CampaignSettings("hinf", 10), tmp_path / "s.sqlite", crew=Crew(cluster="tcp://127.0.0.1:9"))
     assert "dask scheduler" in str(caught.value)

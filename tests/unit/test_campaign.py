@@ -450,7 +450,7 @@ def finished(tmp_path_factory, motor):
     """A campaign of 300 samples in a real worker process."""
     path = tmp_path_factory.mktemp("finished") / "motor.sqlite"
     seen = []
-    result = runs.run_campaign(motor, settings_of(300), path, workers=1, limit=30.0, progress=seen.append)
+    result = runs.run_campaign(motor, settings_of(300), path, crew=runs.Crew(1), limit=30.0, progress=seen.append)
     assert sum(seen) == 300
     return path, result
 

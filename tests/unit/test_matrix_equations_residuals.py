@@ -29,8 +29,8 @@ def test_care_residual_and_stability(n, indefinite):
 def test_both_solvers_agree():
     rng = np.random.default_rng(7)
     A, B = rng.standard_normal((6, 6)), rng.standard_normal((6, 2))
-    parts = (A, B, np.eye(6), np.eye(2), np.zeros((6, 2)))
-    one, two = matrix_equations._ordered_schur(*parts), matrix_equations._extended_pencil(*parts)
+    parts = matrix_equations._equation("care", A, B, np.eye(6), np.eye(2), np.zeros((6, 2)))
+    one, two = matrix_equations._ordered_schur(parts), matrix_equations._extended_pencil(parts)
     np.testing.assert_allclose(one, two, rtol=1e-8)
     np.testing.assert_allclose(one, scipy.linalg.solve_continuous_are(A, B, np.eye(6), np.eye(2)), rtol=1e-8)
 

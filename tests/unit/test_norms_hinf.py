@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError
-from robustlab.matrix_equations import exactly_stable
+from robustlab.exact_stability import exactly_stable
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel

@@ -29,7 +29,7 @@ class CampaignStep(MetricStep):
 
     def run(self, work: Workspace) -> Outcome:
         """A metric of many members, each stored as it comes; a recipe that was interrupted goes on where it was."""
-        from robustlab.campaign import CampaignSettings, run_campaign
+        from robustlab.campaign import CampaignSettings, Crew, run_campaign
         from robustlab.campaign.settings import Identity
 
         model = work.uncertain(self.of)
@@ -55,7 +55,7 @@ class CampaignStep(MetricStep):
         store = work.unfinished / f"{work.step}-{Identity.of(model, settings).hash[:12]}.sqlite"
         store.parent.mkdir(parents=True, exist_ok=True)
         result = run_campaign(
-            model, settings, store, workers=self.workers, time_limit=self.time_limit_per_sample, limit=self.limit
+            model, settings, store, crew=Crew(self.workers, None, self.time_limit_per_sample), limit=self.limit
         )
         _draw(store, self, work, result)
         _publish(store, work)

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.lapack import lapack
+from robustlab.matrix_equations import lapack
 
 __all__ = [
     "LoopMatrices",

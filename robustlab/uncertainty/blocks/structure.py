@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty.blocks.base import Block
 from robustlab.uncertainty.blocks.complex import ComplexScalar
 from robustlab.uncertainty.blocks.full import FullBlock
 from robustlab.uncertainty.blocks.real import RealScalar

@@ -1,0 +1,96 @@
+"""Controllers for other programs: C99 source, JSON, MATLAB; robustlab's own format is `robustlab.storage.save`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from robustlab.dynamics.plant_contract import Plant
+from robustlab.errors import InputError, UsageError
+from robustlab.files.atomic import atomic_write
+from robustlab.provenance import Provenance
+from robustlab.statespace import as_model
+from robustlab.storage.controller_code import c_source, saturation_limits
+from robustlab.storage.controller_json import controller_to_json
+from robustlab.storage.interchange import save
+from robustlab.synthesis.problem.design import Controller
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = ["EXPORTS", "export_controller"]
+
+EXPORTS = (".c", ".json", ".mat", ".h5", ".hdf5")
+
+
+def export_controller(
+    path: str | Path,
+    controller: Any,
+    *,
+    prefix: str = "controller",
+    saturation: Any = None,
+    provenance: Provenance | None = None,
+) -> Path:
+    r"""Write a controller ``u = K y`` for another program; the extension of the file says which.
+
+    ``.c``
+        C99 without allocation: a struct of state, ``<prefix>_init`` and ``<prefix>_step``. The sample time, the names
+        and units of all signals stand in the comment at the top, every number is exact (hexadecimal).
+    ``.json``
+        Matrices, sample time, signals with units, what was verified, provenance; numbers as their shortest exact
+        decimals. `robustlab.load` reads it back.
+    ``.mat``, ``.h5``
+        As `robustlab.save` writes them.
+
+    Parameters
+    ----------
+    path
+        File to write; replaced once the new one is complete.
+    controller
+        Controller, a synthesis result, or a model with n states; discrete for ``.c``.
+    prefix
+        Of the C names.
+    saturation
+        ``(low, high)`` of all control signals, or a mapping by name; the C step holds its outputs between them.
+    provenance
+        Where it comes from; time and versions of now where left out.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    UsageError
+        Another extension, or a saturation in a format that has no place for it.
+    InputError
+        A continuous controller for ``.c``, limits or a prefix that are none.
+    EnvironmentFault
+        Disk full, no permission; the previous file is kept.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in EXPORTS:
+        raise UsageError(str(path), f"extension {suffix or 'missing'!r}", ", ".join(EXPORTS))
+    given = getattr(controller, "controller", controller)
+    if isinstance(given, (UncertainModel, Plant)):
+        raise InputError(str(path), f"a {type(given).__name__}", "a controller or a model")
+    held = given if isinstance(given, Controller) else Controller(as_model(given, "export_controller"))
+    if saturation is not None and suffix not in (".c", ".json"):
+        raise UsageError(str(path), f"a saturation in a {suffix} file", "a .c or .json file")
+    limits = saturation_limits(held.K, saturation, "export_controller")
+    origin = provenance or Provenance.now("export_controller")
+    if suffix == ".c":
+        text = c_source(held.K, prefix, limits, _notes(held, origin))
+        return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
+    if suffix == ".json":
+        text = json.dumps(controller_to_json(held, limits, origin), indent=1, allow_nan=False, ensure_ascii=True)
+        return atomic_write(path, lambda temporary: temporary.write_text(text + "\n", encoding="ascii"))
+    return save(path, held, origin)
+
+
+def _notes(controller: Controller, origin: Provenance) -> list[str]:
+    gamma = "none" if controller.gamma is None else f"{controller.gamma:.6g}"
+    notes = [f"Designed by {controller.method or 'an unknown method'}, verified norm {gamma} ({controller.status})."]
+    version = origin.versions.get("robustlab", "")
+    notes.append(f"Written by robustlab {version} on {origin.created}, {origin.created_by} {origin.note}".rstrip())
+    return [*notes, *(f"From {name}, sha256 {digest}" for name, digest in origin.inputs.items())]
