@@ -3,8 +3,8 @@ r"""A second voice for margins and worst-case gains: SLICOT, which shares no lin
 For a margin, ``AB13MD`` bounds :math:`\mu(M(j\omega))` from above at the critical frequency and on a grid. What our
 explicit Delta attains must lie below its bound; where the D-G bound is exact (:math:`2 m_r + m_C \le 3` for
 :math:`m_r` real scalars and :math:`m_C` full complex blocks, none repeated), its bound must lie below what we have
-proved. For a worst-case gain, ``AB13DD`` gives the norm of the member at our worst Delta, which must be the gain that
-we say.
+proved. For a worst-case gain, ``AB13DD`` gives the norm of the member at our worst Delta, which must lie within our
+bounds.
 
 References
 ----------
@@ -28,6 +28,7 @@ from robustlab.result import Status
 from robustlab.slicot import peak_gain, structured_norm_bounds
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
 __all__ = ["CrossCheck", "cross_check"]
 
@@ -110,14 +111,17 @@ def _margin(uncertain: UncertainModel, margin: Margin) -> CrossCheck:
 
 
 def _gain(uncertain: UncertainModel, worst: WorstCaseGain) -> CrossCheck:
-    member = uncertain.evaluate(worst.delta)
     ours = (worst.lower, worst.upper)
-    if not np.isfinite(worst.lower):
-        said = "AB13DD is not asked: a member is unstable"
+    if not np.isfinite(worst.lower) or worst.frequency is None:
+        said = "AB13DD is not asked: there is no stable worst member"
         return CrossCheck("AB13DD", ours, float("inf"), 0, 0, False, Status.INCONCLUSIVE, said)
+    # A complex Delta of one frequency becomes stable systems of its size: the member's norm is at least its gain there.
+    real = all(np.isrealobj(value) for value in worst.delta.values())
+    delta = worst.delta if real else realise_delta(uncertain.blocks, worst.delta, worst.frequency, uncertain.dt)
+    member = perturbed_model(uncertain, delta)
     theirs = peak_gain(member.A, member.B, member.C, member.D, discrete=member.is_discrete)
-    agrees = abs(theirs - worst.lower) <= GAIN_DIGITS * worst.lower
-    verdict = "agrees" if agrees else f"contradicts: we say {worst.lower:.9g}"
+    agrees = worst.lower * (1 - GAIN_DIGITS) <= theirs <= worst.upper * (1 + GAIN_DIGITS)
+    verdict = "agrees" if agrees else f"contradicts: we say {ours[0]:.9g} .. {ours[1]:.9g}"
     said = f"AB13DD gives the member at the worst Delta the norm {theirs:.9g}: {verdict}"
     return CrossCheck("AB13DD", ours, theirs, 1, 1, False, Status.CONVERGED if agrees else Status.FAILED, said)
 
