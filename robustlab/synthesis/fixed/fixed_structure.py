@@ -20,7 +20,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.fixed_result import FixedSynthesis, LimitValue, ParameterValue
 from robustlab.synthesis.fixed.structure_starts import informed_starts
-from robustlab.synthesis.laws.controller_laws import Law, Parameter, model_of
+from robustlab.synthesis.laws.controller_laws import Law, RelabelledLaw, model_of
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
@@ -297,24 +297,6 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
 # --- parameters ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Bounded:
-    """A law with other bounds of its parameters."""
-
-    inner: Law
-    parameters: tuple[Parameter, ...]
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        return self.inner.sizes
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        return self.inner.packed(p)
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        return self.inner.pullback(p, G)
-
-
 def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
     if not bounds:
         return law
@@ -329,7 +311,7 @@ def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
         if not low <= high:
             raise InputError(f"{WHERE}: bounds of {name}", f"({low:g}, {high:g})", "low <= high")
         parameters[j] = replace(parameters[j], low=low, high=high, start=float(np.clip(parameters[j].start, low, high)))
-    return _Bounded(law, tuple(parameters))
+    return RelabelledLaw(law, tuple(parameters))
 
 
 def _place(name: str, names: list[str]) -> int:
@@ -476,9 +458,7 @@ def _not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyN
     kind = "z" if problem.dt else "s"
     pole_text = f"{worst[2].real:.6g}" + (f"{worst[2].imag:+.6g}j" if worst[2].imag else "")
     if worst[0] < 0 and problem.limits:
-        broken = [
-            limit.text for limit, (c, _) in zip(_repeated(problem), problem.limit_values(theta), strict=True) if c >= 0
-        ]
+        broken = [limit.text for limit in problem.broken_limits(theta)]
         text = f"no start kept every limit; in the nearest, {', '.join(dict.fromkeys(broken)) or 'the norm'} fails"
     else:
         text = f"no start stabilised {which}: nearest pole {kind} = {pole_text}"
@@ -487,8 +467,3 @@ def _not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyN
         f"{text} ({len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''})",
         hint="not found is no proof that there is none: try more starts, another seed, or a richer structure",
     )
-
-
-def _repeated(problem: DesignProblem) -> list[Limit]:
-    """The limit of each of `DesignProblem.limit_values`."""
-    return [limit for limit in problem.limits for _ in range(problem.values_of(limit))]

@@ -23,7 +23,7 @@ from robustlab.synthesis.hinf.verification import Verified, Verifier
 from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import FixedOrder
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import WEIGHTS, descend, multi_start
+from robustlab.synthesis.nonsmooth.parameter_search import descend, multi_start
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
@@ -38,9 +38,6 @@ from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["descend_from", "hinf", "is_poor", "stabilise", "synthesize"]
-
-# Weights of the barrier of a descent: larger ones first, because the start may be far from an optimum.
-FAR = (3.0, 1.0, *WEIGHTS)
 
 
 @told_as("synth hinf")
@@ -299,7 +296,7 @@ def descend_from(p: PlantMatrices, search: Search, start: Candidate, budget: Bud
     part = budget.share(min(search.tuning.descent_share, search.tuning.descent_work / budget.left))
     K0 = StateSpaceModel(*start.K)
     try:
-        K = descend(p.plant(), K0, part, FAR)
+        K = descend(p.plant(), K0, part, search.tuning.descent_barrier)
     except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow on the way
         return None
     if K is K0:

@@ -1,6 +1,6 @@
 """Structures of controllers: small objects that say what a controller may look like, and combine.
 
-Structures of controllers in words, for commands and recipes: ``pid``, ``order:3``, ``ipd:full``, ...
+They have short forms for Python (an order, a mask, a name) and words for commands and recipes (``pid``, ``order:3``).
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from robustlab.synthesis.laws.controller_laws import (
     FilteredLaw,
     Law,
     Parameter,
+    RelabelledLaw,
     SeriesLaw,
-    SumLaw,
+    sum_law,
 )
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
@@ -39,8 +40,8 @@ __all__ = [
     "StaticGain",
     "Structure",
     "Sum",
-    "as_structure",
     "WORDS",
+    "as_structure",
     "structure_in_words",
 ]
 
@@ -415,7 +416,7 @@ class Sum(Structure):
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         """See `Structure`."""
         one, two = (s.law(measurements, controls, dt) for s in (self.first, self.second))
-        return SumLaw(_prefixed(one, "1."), _prefixed(two, "2."))
+        return sum_law(_prefixed(one, "1."), _prefixed(two, "2."))
 
 
 @dataclass(frozen=True, eq=False)
@@ -443,30 +444,9 @@ class Series(Structure):
         return SeriesLaw(_prefixed(one, "1."), _prefixed(two, "2."))
 
 
-@dataclass(frozen=True, eq=False)
-class _Prefixed:
-    """A law whose parameters carry a prefix, so that names stay unique."""
-
-    inner: Law
-    prefix: str
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(replace(p, name=self.prefix + p.name) for p in self.inner.parameters)
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        return self.inner.sizes
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        return self.inner.packed(p)
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        return self.inner.pullback(p, G)
-
-
 def _prefixed(law: Law, prefix: str) -> Law:
-    return _Prefixed(law, prefix)
+    """The law with a prefix to the names of its parameters, so that they stay unique."""
+    return RelabelledLaw(law, tuple(replace(p, name=prefix + p.name) for p in law.parameters))
 
 
 def _named(names: Sequence[str], known: Signals, kind: str) -> tuple[int, ...]:
