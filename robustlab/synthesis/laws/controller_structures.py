@@ -26,7 +26,7 @@ from robustlab.synthesis.laws.controller_laws import (
     SeriesLaw,
     sum_law,
 )
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
 
 __all__ = [
@@ -398,7 +398,8 @@ class Decentralised(Structure):
         for i, part in enumerate(self.parts):
             if isinstance(part, Structure):
                 part = Part(part, [measurements[i].name], [controls[i].name])
-            y, u = _named(part.measurements, measurements, "measurement"), _named(part.controls, controls, "control")
+            y = tuple(signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement"))
+            u = tuple(signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control"))
             law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
             laws.append(_prefixed(law, f"{i + 1}."))
             rows.append(u)
@@ -447,17 +448,6 @@ class Series(Structure):
 def _prefixed(law: Law, prefix: str) -> Law:
     """The law with a prefix to the names of its parameters, so that they stay unique."""
     return RelabelledLaw(law, tuple(replace(p, name=prefix + p.name) for p in law.parameters))
-
-
-def _named(names: Sequence[str], known: Signals, kind: str) -> tuple[int, ...]:
-    names = [names] if isinstance(names, str) else list(names)
-    places = [s.name for s in known]
-    for name in names:
-        if name not in places:
-            raise InputError(
-                f"{WHERE}: {kind} {name!r}", "no such signal", f"one of {', '.join(places)}", did_you_mean(name, places)
-            )
-    return tuple(places.index(name) for name in names)
 
 
 def as_structure(structure: Any, rate: float) -> Structure:
