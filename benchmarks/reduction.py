@@ -19,7 +19,7 @@ import numpy as np
 from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.performance_measure import scaled_plant
+from robustlab.synthesis.problem.performance_measure import plant_with_scalings
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller
 from robustlab.uncertainty.blocks.base import ComplexScalar
 
@@ -72,7 +72,7 @@ def main() -> None:
     options = parser.parse_args()
     plant, d = distillation(), scalings()
     start = time.process_time()
-    full = hinf(scaled_plant(plant, d), gamma_rel=1.0).K
+    full = hinf(plant_with_scalings(plant, d), gamma_rel=1.0).K
     print(f"full controller: {full.n_states} states, CPU {time.process_time() - start:.1f} s")
     start = time.process_time()
     small = reduce_controller(

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Mask
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
@@ -59,7 +58,7 @@ def informed_starts(
     return found
 
 
-def _free(law: AffineLaw) -> NDArray[np.bool_]:
+def _free(law: AffineLaw) -> Mask:
     """Which entries of the packed matrices are parameters."""
     free = np.zeros(law.base.shape, dtype=bool)
     free[law.row, law.column] = True

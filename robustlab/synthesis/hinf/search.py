@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import balanced_eigenvalues
@@ -346,7 +345,7 @@ def portfolio(
     scalings: tuple[Scaling, Scaling],
     budget: Budget,
     floor: float = 0.0,
-    D22: NDArray[np.float64] | None = None,
+    D22: Array | None = None,
     tuning: HinfTuning = HINF,
 ) -> Portfolio:
     """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.

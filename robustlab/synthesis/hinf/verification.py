@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import islice, takewhile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
@@ -78,9 +78,7 @@ class Verifier:
         Verifications are counted there; once it is over no second candidate is verified.
     """
 
-    def __init__(
-        self, plant: GeneralizedPlant, D22: NDArray[np.float64], budget: Budget, tuning: HinfTuning = HINF
-    ) -> None:
+    def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget, tuning: HinfTuning = HINF) -> None:
         self.plant, self.D22, self.budget, self.tuning = plant, D22, budget, tuning
         self._known: dict[int, Verified | None] = {}
 

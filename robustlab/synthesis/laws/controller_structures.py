@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal
 from robustlab.synthesis.laws.controller_laws import (
@@ -91,7 +90,7 @@ class StaticGain(Structure):
         return builder.law()
 
 
-def _mask(mask: Any, n_u: int, n_y: int) -> NDArray[np.bool_]:
+def _mask(mask: Any, n_u: int, n_y: int) -> Mask:
     if mask is None:
         return np.ones((n_u, n_y), dtype=bool)
     free = np.asarray(mask)

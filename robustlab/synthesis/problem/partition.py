@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
@@ -34,10 +33,10 @@ __all__ = [
 class Realisation(NamedTuple):
     """Bare matrices of a loop or a controller inside a search."""
 
-    A: NDArray[Any]
-    B: NDArray[Any]
-    C: NDArray[Any]
-    D: NDArray[Any]
+    A: AnyArray
+    B: AnyArray
+    C: AnyArray
+    D: AnyArray
 
     @classmethod
     def of(cls, model: StateSpaceModel) -> Realisation:
