@@ -20,6 +20,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.fixed_result import FixedSynthesis, LimitValue, ParameterValue
 from robustlab.synthesis.fixed.structure_starts import informed_starts
+from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
 from robustlab.synthesis.laws.controller_laws import Law, RelabelledLaw, model_of
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.design_limits import Limit
@@ -30,7 +31,6 @@ from robustlab.synthesis.problem.design import design_budget, limiting_channels,
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
-from robustlab.synthesis.tuning import FIXED, FixedTuning
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
@@ -126,7 +126,7 @@ def fixed_structure(
     (2.4142, -2.414)
     """
     _check(objective, limits, starts)
-    budget = design_budget(WHERE, FIXED.work, effort, time_limit)
+    budget = design_budget(WHERE, TUNING.work, effort, time_limit)
     plants = _plants(P, n_meas, n_con)
     say = progress or (lambda _: None)
     with one_thread():
@@ -243,7 +243,7 @@ class _Search:
     starts: int
     seed: int
     say: Callable[[str], None]
-    tuning: FixedTuning = FIXED
+    tuning: FixedTuning = TUNING
 
     def result(self, problem: DesignProblem, given: Sequence[tuple[str, AnyArray]]) -> FixedSynthesis:
         """The best verified design; ``given`` are pairs of a kind and parameters to start from as well."""

@@ -14,6 +14,7 @@ from robustlab.arrays import AnyArray, Mask
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
 from robustlab.synthesis.h2.h2_synthesis import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.laws.controller_laws import AffineLaw
@@ -22,13 +23,12 @@ from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_start
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.model_reduction import reduce_model
-from robustlab.synthesis.tuning import FIXED, FixedTuning
 
 __all__ = ["informed_starts"]
 
 
 def informed_starts(
-    problem: DesignProblem, seed: int, progress: Callable[[str], None], tuning: FixedTuning = FIXED
+    problem: DesignProblem, seed: int, progress: Callable[[str], None], tuning: FixedTuning = TUNING
 ) -> list[tuple[str, AnyArray]]:
     """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
 

@@ -19,6 +19,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers
 from robustlab.synthesis.hinf.search import Candidate, Portfolio, Search, portfolio, soften
+from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.hinf.verification import Verified, Verifier
 from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import FixedOrder
@@ -35,7 +36,6 @@ from robustlab.synthesis.problem.partition import (
     require_performance,
 )
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
-from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["descend_from", "hinf", "is_poor", "stabilise", "synthesize"]
 
@@ -111,7 +111,7 @@ def hinf(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
     require_performance(plant, "synth hinf")
-    budget = design_budget("synth hinf", HINF.work, effort, time_limit)
+    budget = design_budget("synth hinf", TUNING.work, effort, time_limit)
     return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 
 
@@ -123,7 +123,7 @@ def synthesize(
     weights: Mapping[str, StateSpaceModel] | None = None,
     bandwidth: float | None = None,
     progress: Callable[[str], None] | None = None,
-    tuning: HinfTuning = HINF,
+    tuning: HinfTuning = TUNING,
 ) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
@@ -264,7 +264,7 @@ def _ended(budget: Budget) -> str:
 
 
 def is_poor(
-    gamma: float, optimum: float, lower: float, disagree: float, scale: float = 1.0, tuning: HinfTuning = HINF
+    gamma: float, optimum: float, lower: float, disagree: float, scale: float = 1.0, tuning: HinfTuning = TUNING
 ) -> bool:
     """Whether a verified gamma is so far above what is possible that a descent is worth its time.
 

@@ -15,10 +15,10 @@ from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.search import Candidate
+from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.independent_check import SecondVoice, hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
-from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["Verified", "Verifier"]
 
@@ -35,7 +35,7 @@ class Verified:
     loop: StateSpaceModel
     norm: HinfNorm
     voice: SecondVoice
-    tuning: HinfTuning = HINF
+    tuning: HinfTuning = TUNING
 
     @property
     def gamma(self) -> float:
@@ -78,7 +78,7 @@ class Verifier:
         Verifications are counted there; once it is over no second candidate is verified.
     """
 
-    def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget, tuning: HinfTuning = HINF) -> None:
+    def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget, tuning: HinfTuning = TUNING) -> None:
         self.plant, self.D22, self.budget, self.tuning = plant, D22, budget, tuning
         self._known: dict[int, Verified | None] = {}
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.synthesis.tuning import NONSMOOTH, NonsmoothTuning
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 
 __all__ = ["Descent", "Function", "Piece", "bfgs", "sequential_linear"]
 
@@ -46,7 +46,7 @@ def bfgs(
     stop_below: float = -np.inf,
     inverse: AnyArray | None = None,
     late: Callable[[], bool] = lambda: False,
-    tuning: NonsmoothTuning = NONSMOOTH,
+    tuning: NonsmoothTuning = TUNING,
 ) -> Descent | None:
     """Descent from x; None where the function has no finite value there.
 
@@ -153,7 +153,7 @@ def sequential_linear(
     *,
     max_steps: int = 60,
     late: Callable[[], bool] = lambda: False,
-    tuning: NonsmoothTuning = NONSMOOTH,
+    tuning: NonsmoothTuning = TUNING,
 ) -> tuple[AnyArray, float]:
     """The best point found from x within the bounds, and its value, by linear programs over all active pieces.
 

@@ -13,9 +13,9 @@ from robustlab.synthesis.laws.controller_laws import Law, Parameter
 from robustlab.synthesis.nonsmooth.descent_methods import Piece
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
-from robustlab.synthesis.tuning import NONSMOOTH, NonsmoothTuning
 
 __all__ = ["DesignProblem"]
 
@@ -83,7 +83,7 @@ class DesignProblem:
         objective: str,
         limits: Sequence[Limit],
         budget: Budget | None = None,
-        tuning: NonsmoothTuning = NONSMOOTH,
+        tuning: NonsmoothTuning = TUNING,
     ) -> None:
         self.tuning, self.budget = tuning, Budget() if budget is None else budget
         self.plants, self.law, self.objective, self.limits = tuple(plants), law, objective, tuple(limits)

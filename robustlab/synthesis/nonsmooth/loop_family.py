@@ -20,8 +20,8 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.lapack import lapack
 from robustlab.synthesis.nonsmooth.objectives import PeakFinder, bilinear, bilinear_pullback, entropy, resolvent_point
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-from robustlab.synthesis.tuning import NONSMOOTH, NonsmoothTuning
 
 __all__ = ["LoopFamily", "Pole"]
 
@@ -76,7 +76,7 @@ class LoopFamily:
         D22: AnyArray,
         order: int,
         discrete: bool,
-        tuning: NonsmoothTuning = NONSMOOTH,
+        tuning: NonsmoothTuning = TUNING,
     ) -> None:
         n, n_w, n_u, n_z, n_y = plant.sizes
         k = order

@@ -19,8 +19,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.lapack import lapack
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import Realisation
-from robustlab.synthesis.tuning import NONSMOOTH, NonsmoothTuning
 
 __all__ = ["Entropy", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "entropy", "resolvent_point"]
 
@@ -64,7 +64,7 @@ class PeakFinder:
     ``largest`` gives the norm; ``peaks`` all frequencies near the norm, for methods that need every active one.
     """
 
-    def __init__(self, tuning: NonsmoothTuning = NONSMOOTH) -> None:
+    def __init__(self, tuning: NonsmoothTuning = TUNING) -> None:
         self.tuning = tuning
         self._warm: list[float] = []
 
@@ -216,7 +216,7 @@ class _Modal:
         return omega
 
 
-def crossings(loop: Realisation, level: float, near_axis: float = NONSMOOTH.near_axis) -> AnyArray:
+def crossings(loop: Realisation, level: float, near_axis: float = TUNING.near_axis) -> AnyArray:
     """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
     a, b, c, d = loop
     root = np.sqrt(level)
@@ -267,7 +267,7 @@ class Entropy:
     by_loop: Realisation
 
 
-def entropy(loop: Realisation, gamma: float, s0: float = 1.0, tuning: NonsmoothTuning = NONSMOOTH) -> Entropy | None:
+def entropy(loop: Realisation, gamma: float, s0: float = 1.0, tuning: NonsmoothTuning = TUNING) -> Entropy | None:
     r"""The entropy with its derivatives; None where the loop is not stable or its norm not below gamma.
 
     With the stabilising solution of

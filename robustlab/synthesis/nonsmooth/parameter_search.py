@@ -23,8 +23,8 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter, model_of
 from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.tuning import NONSMOOTH, NonsmoothTuning
 
 __all__ = ["Start", "central_path", "descend", "law_around", "multi_start", "polished", "stabilised"]
 
@@ -290,7 +290,7 @@ def descend(
     K0: StateSpaceModel,
     budget: Budget,
     weights: tuple[float, ...] | None = None,
-    tuning: NonsmoothTuning = NONSMOOTH,
+    tuning: NonsmoothTuning = TUNING,
 ) -> StateSpaceModel:
     """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
 
@@ -329,7 +329,7 @@ def descend(
     return model_of(law, q, K0.dt, K0.inputs, K0.outputs)
 
 
-def law_around(K: StateSpaceModel, tuning: NonsmoothTuning = NONSMOOTH) -> tuple[AffineLaw, AnyArray]:
+def law_around(K: StateSpaceModel, tuning: NonsmoothTuning = TUNING) -> tuple[AffineLaw, AnyArray]:
     """A law that contains K, in coordinates with few parameters, and its parameters for K."""
     A, B, C = _modal(K, tuning.modes_well_apart)
     k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs

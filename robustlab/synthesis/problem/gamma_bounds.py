@@ -23,7 +23,7 @@ from robustlab.arrays import AnyArray
 from robustlab.magnitude import LARGEST, is_moderate
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
-from robustlab.synthesis.tuning import PROBLEM, ProblemTuning
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["GammaBound", "point_in_words", "pointwise_bound"]
 
@@ -60,7 +60,7 @@ class GammaBound:
 
 
 def pointwise_bound(
-    p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0, tuning: ProblemTuning = PROBLEM
+    p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0, tuning: ProblemTuning = TUNING
 ) -> GammaBound:
     """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones.
 

@@ -22,7 +22,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.separate_loop import ROUCHE, SeparateLoop, SeparateValues, frobenius, poles_in_s
 from robustlab.synthesis.problem.stability import proved_stable
-from robustlab.synthesis.tuning import PROBLEM, ProblemTuning
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["AGREEMENT", "SecondVoice", "first_confirmed", "h2_voice", "hinf_voice", "norm_doubt", "separate_responses"]
 
@@ -146,7 +146,7 @@ def hinf_voice(
     K: StateSpaceModel,
     loop: StateSpaceModel,
     peaks: Iterable[float] = (),
-    tuning: ProblemTuning = PROBLEM,
+    tuning: ProblemTuning = TUNING,
 ) -> SecondVoice:
     """The H-infinity norm of the loop of P and K at 0, at infinity, at ``peaks``, at the frequencies of the poles of P,
     K and the rebuilt loop, on a grid between them, and between the highest of these.
@@ -202,7 +202,7 @@ def h2_voice(
     K: StateSpaceModel,
     loop: StateSpaceModel,
     claimed: float,
-    tuning: ProblemTuning = PROBLEM,
+    tuning: ProblemTuning = TUNING,
 ) -> SecondVoice:
     r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles.
 

@@ -28,7 +28,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.tuning import PROBLEM, ProblemTuning
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 from robustlab.uncertainty.blocks.base import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -87,7 +87,7 @@ class PerformanceMeasure:
     blocks: tuple[Block, ...] = ()
     scaled: GeneralizedPlant | None = None
     budget: Budget = field(default_factory=Budget)
-    tuning: ProblemTuning = PROBLEM
+    tuning: ProblemTuning = TUNING
 
     @property
     def text(self) -> str:

@@ -31,7 +31,7 @@ from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import balanced_states
 from robustlab.synthesis.problem.scaling import in_ordinary_units
-from robustlab.synthesis.tuning import PROBLEM, ProblemTuning
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["ROUCHE", "SeparateLoop", "SeparateValues", "frobenius", "poles_in_s"]
 
@@ -73,7 +73,7 @@ class SeparateLoop:
     """
 
     def __init__(
-        self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, tuning: ProblemTuning = PROBLEM
+        self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, tuning: ProblemTuning = TUNING
     ) -> None:
         self.tuning = tuning
         plant, K, loop, self.rate, self.gain = in_ordinary_units(plant, K, loop)
