@@ -142,10 +142,15 @@ class FixedOrder(Structure):
             for j in range(k):
                 builder.parameter(Parameter(f"C[{u.name},{j + 1}]"), (k + i, j, 1.0))
         if not self.strictly_proper:
-            for i, u in enumerate(controls):
-                for j, y in enumerate(measurements):
-                    builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
+            _add_direct_term(builder, k, measurements, controls)
         return builder.law()
+
+
+def _add_direct_term(builder: AffineBuilder, k: int, measurements: Signals, controls: Signals) -> None:
+    """All of D_K as parameters, behind k states."""
+    for i, u in enumerate(controls):
+        for j, y in enumerate(measurements):
+            builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,9 +363,7 @@ class FixedPoles(Structure):
                     builder.parameter(Parameter(text, unit), (k + i, at + part, 1.0))
                 at += size
         if not self.strictly_proper:
-            for i, u in enumerate(controls):
-                for j, y in enumerate(measurements):
-                    builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
+            _add_direct_term(builder, k, measurements, controls)
         return builder.law()
 
 
