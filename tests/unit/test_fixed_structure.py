@@ -203,15 +203,15 @@ def test_a_given_order_starts_from_the_static_gain_and_from_the_reduced_full_ord
 
 
 def test_starts_of_a_given_order_are_stabilising_and_not_stationary():
-    plant = as_generalized_plant(position_loop(), 2, 1, "test")
     for structure, kinds in (
         (FixedOrder(2), ["static", "reduced"]),
         (FixedOrder(2, strictly_proper=True), ["reduced"]),
         (PID(tau=0.1), []),
     ):
-        n_y = 1 if not kinds else 2
-        law = structure.law(plant.measurements[:n_y], plant.controls, 0.0)
-        found = informed_starts([plant], law, "hinf", (), 0, Budget(20 * MILLION), lambda _: None)
+        plant = as_generalized_plant(position_loop(), 2 if kinds else 1, 1, "test")
+        law = structure.law(plant.measurements, plant.controls, 0.0)
+        problem = DesignProblem([plant], law, "hinf", (), Budget(20 * MILLION))
+        found = informed_starts(problem, 0, lambda _: None)
         assert [kind for kind, _ in found] == kinds
         for kind, p in found:
             K = model_of(law, p, 0.0, plant.measurements, plant.controls)

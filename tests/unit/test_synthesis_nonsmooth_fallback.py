@@ -14,9 +14,9 @@ from robustlab.synthesis.hinf import hinf_synthesis
 from robustlab.synthesis.hinf.hinf_synthesis import descend_from, hinf, is_poor, stabilise
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.hinf.search import Portfolio, Search
+from robustlab.synthesis.hinf.tuning import TUNING
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import paths_first
-from robustlab.synthesis.tuning import HINF
 
 # x' = -x + w1 + u, z = (x, u), y = x + w2: the optimum is sqrt(3) - 1.
 PLANT = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
@@ -25,7 +25,7 @@ UNSTABLE = StateSpaceModel([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[
 
 @pytest.fixture
 def without_equations(monkeypatch):
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=HINF):
+    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=TUNING):
         tuning = replace(tuning, stabilising_starts=0)
         return Portfolio(*(Search(matrices, s, deadline, floor, D22, tuning) for s in scalings), float("nan"))
 

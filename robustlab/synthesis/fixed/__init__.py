@@ -1,1 +1,6 @@
-"""Controllers of a fixed structure or order, for one plant, several, or a whole uncertain set."""
+"""Controllers of fixed structure or order, for one plant, several, or an uncertain set.
+
+structure_starts  starts from the best static gain and from the full-order design
+fixed_structure   fixed_structure: search, verification, scenarios of an uncertain set; the result
+tuning            numbers that choose speed and accuracy
+"""

@@ -1,6 +1,6 @@
 """Controllers of a fixed structure or order: the parameters of smallest verified norm.
 
-Fixed-structure design for the worst member of an uncertain plant: scenarios are added where the worst case is.
+For one plant, for several at once, or for the worst member of an uncertain one: scenarios are added where that is.
 """
 
 from __future__ import annotations
@@ -12,135 +12,162 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
+from robustlab.budget import NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
-from robustlab.norms import H2Norm, HinfNorm, bilinear_to_continuous, h2_norm, hinf_norm
+from robustlab.norms import H2Norm, HinfNorm, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.fixed.fixed_result import FixedSynthesis, LimitValue, ParameterValue
 from robustlab.synthesis.fixed.structure_starts import informed_starts
-from robustlab.synthesis.laws.controller_laws import Law, Parameter, model_of
+from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
+from robustlab.synthesis.laws.controller_laws import Law, RelabelledLaw, model_of
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import Start, multi_start
 from robustlab.synthesis.problem.assumptions import require_stabilisable
-from robustlab.synthesis.problem.design import design_budget, limiting_channels, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-__all__ = [
-    "fixed_structure",
-    "robust_design",
-]
-
-
-Design = Callable[[Sequence[GeneralizedPlant], Sequence[AnyArray], Budget], FixedSynthesis]
-
-ROUNDS = 12
-# Worst-case gain over the scenarios' gain at which the scenarios count as enough.
-ENOUGH = 1.01
-# Shares of the work that remains: for one design, and for one search for the worst member with its proof.
-DESIGN_SHARE, SEARCH_SHARE = 0.5, 0.3
-
-
-def robust_design(
-    plant: GeneralizedPlant, design: Design, budget: Budget, say: Callable[[str], None]
-) -> FixedSynthesis:
-    """Design on scenarios, find the worst Delta of the loop, add it, and repeat; the best design by its proved bound.
-
-    Parameters
-    ----------
-    plant
-        Generalised plant with perturbation blocks; their channels come first.
-    design
-        ``(plants, starts as parameters, budget)`` to a verified design.
-    budget
-        Designs and proofs get shares of it; once it is over no further round begins.
-    say
-        Called with one line per round.
-    """
-    uncertain = UncertainModel(plant.model, plant.blocks)
-    deltas: list[Mapping[str, Any]] = [{}]
-    members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
-    best: FixedSynthesis | None = None
-    known: list[AnyArray] = []
-    for number in range(ROUNDS):
-        if best is not None and budget.over:
-            break
-        try:
-            found = design(members, known, budget.share(DESIGN_SHARE))
-        except NoTrustworthyNumber:
-            if best is None:
-                raise
-            break
-        known = [np.array([p.value for p in found.parameters])]
-        worst = _worst(uncertain, found.K, budget.share(SEARCH_SHARE))
-        found = replace(found, worst=worst, scenarios=tuple(deltas))
-        say(f"round {number + 1}: {len(members)} scenarios, gain {found.gamma:.5g}, worst member {worst.lower:.5g}")
-        if best is None or _order(found) < _order(best):
-            best = found
-        if worst.lower <= ENOUGH * found.gamma:
-            break
-        member = _member(uncertain, worst)
-        if member is None:
-            break
-        deltas.append(dict(worst.delta))
-        members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
-    assert best is not None
-    return _judged(best, budget)
-
-
-def _worst(uncertain: UncertainModel, K: StateSpaceModel, budget: Budget) -> WorstCaseGain:
-    loop = UncertainModel(lower_lft(uncertain.M, K), uncertain.blocks)
-    return gain_within(loop, budget, tolerance=0.02)
-
-
-def _order(design: FixedSynthesis) -> tuple[float, float]:
-    worst = design.worst
-    return (np.inf, np.inf) if worst is None else (worst.lower, worst.upper)
-
-
-def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel | None:
-    """The member at the worst Delta as a model; complex values are realised as stable systems."""
-    frequency = worst.frequency
-    try:
-        if any(np.iscomplexobj(value) and np.abs(np.imag(value)).max() > 0 for value in worst.delta.values()):
-            if frequency is None:
-                return None
-            return uncertain.evaluate(realise_delta(uncertain.blocks, worst.delta, frequency, uncertain.dt))
-        return uncertain.evaluate({name: np.real(value) for name, value in worst.delta.items()})
-    except NoTrustworthyNumber:
-        return None
-
-
-def _judged(design: FixedSynthesis, budget: Budget) -> FixedSynthesis:
-    """With gamma, status and reason as the worst-case gain has them, and what ended the search."""
-    worst = design.worst
-    assert worst is not None
-    scenarios = f"{len(design.scenarios)} scenarios"
-    if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
-        gamma = worst.upper if design.status.trustworthy else max(worst.upper, design.gamma)
-        sound = Status.INACCURATE if design.status is Status.INACCURATE else Status.CERTIFIED
-        parts = [design.reason, "worst-case gain over the whole set proved", scenarios]
-        status, reason = told(sound, parts, budget)
-        return replace(design, gamma=gamma, status=status, reason=reason)
-    text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
-    status, reason = told(Status.INCONCLUSIVE, [text, scenarios], budget)
-    return replace(design, gamma=max(design.gamma, worst.lower), status=status, reason=reason)
-
+__all__ = ["FixedSynthesis", "LimitValue", "ParameterValue", "fixed_structure"]
 
 WHERE = "synth fixed"
-WORK = 60 * MILLION
-
-# Candidates that are verified, best first; the optimiser's own norm is not a proof.
-VERIFIED = 4
 # A limit that is met up to this share counts as kept: the search stays strictly inside.
 KEPT = 1e-9
+
+
+@dataclass(frozen=True)
+class ParameterValue:
+    """A parameter of the controller: name, value, unit, bounds, and whether it lies at one of them."""
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+
+    @property
+    def at_bound(self) -> bool:
+        """True within 0.2 % of the range (of its own size, with one bound) from a bound."""
+        if self.low == self.high:
+            return False
+        width = self.high - self.low if abs(self.low) + abs(self.high) < float("inf") else max(abs(self.value), 1e-300)
+        return min(self.value - self.low, self.high - self.value) <= 2e-3 * width
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return vars(self) | {"at_bound": self.at_bound}
+
+
+@dataclass(frozen=True)
+class LimitValue:
+    """A limit of the design in words, and its value: negative or zero where it is kept, -1 far inside."""
+
+    text: str
+    value: float
+
+    @property
+    def active(self) -> bool:
+        """True where the design lies at the limit (within 1 %)."""
+        return self.value > -1e-2
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return vars(self) | {"active": self.active}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FixedSynthesis(Synthesis):
+    """A controller of a given structure; ``gamma`` bounds the largest norm over all models.
+
+    Of an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
+
+    Attributes
+    ----------
+    objective
+        ``"hinf"`` or ``"h2"``.
+    parameters
+        The controller's parameters.
+    gammas
+        Verified norm (H-infinity: upper bound) of every model's loop; of an uncertain plant, of every scenario.
+    norms
+        Their evidence.
+    closed_loops
+        The loops.
+    peak_frequency
+        Frequency in rad/s at which the worst loop attains its norm; NaN for H2.
+    limits
+        The limits with their values.
+    starts
+        What became of every start, best first: its history is ``values``.
+    scenarios
+        Of an uncertain plant: the Delta of every scenario.
+    worst
+        Of an uncertain plant: the worst-case gain over the whole set.
+    """
+
+    objective: str
+    parameters: tuple[ParameterValue, ...]
+    gammas: tuple[float, ...]
+    norms: tuple[HinfNorm | H2Norm, ...]
+    closed_loops: tuple[StateSpaceModel, ...]
+    peak_frequency: float
+    limits: tuple[LimitValue, ...]
+    starts: tuple[Start, ...]
+    scenarios: tuple[Mapping[str, Any], ...] = ()
+    worst: WorstCaseGain | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters' values by name; a start for another design."""
+        return {p.name: p.value for p in self.parameters}
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """What the design pushes against: limits and bounds."""
+        bounds = tuple(f"{p.name} at its bound" for p in self.parameters if p.at_bound)
+        return (*(limit.text for limit in self.limits if limit.active), *bounds)
+
+    def _gamma_text(self) -> str:
+        if self.objective == "h2":
+            return f"{self.gamma:.6g} (H2 norm, both Gramians)"
+        if self.worst is not None and self.gamma == self.worst.upper:
+            return f"{self.gamma:.6g} (proved for the whole set; a member attains {self.worst.lower:.6g})"
+        return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What a person wants to read, as (label, text)."""
+        rows = super().summary()
+        if len(self.gammas) > 1:
+            label = "gamma of every scenario" if self.worst is not None else "gamma of every model"
+            rows.insert(2, (label, ", ".join(f"{g:.5g}" for g in self.gammas)))
+        stable = sum(s.gamma < float("inf") for s in self.starts)
+        rows.append(("starts", f"{len(self.starts)}, of which {stable} stabilised"))
+        rows += [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
+        shown = self.parameters[:40]
+        rows += [(p.name, f"{p.value:.6g} {p.unit}{' (at its bound)' if p.at_bound else ''}".rstrip()) for p in shown]
+        if len(shown) < len(self.parameters):
+            rows.append(("further parameters", str(len(self.parameters) - len(shown))))
+        return rows
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the plants, with arrays."""
+        return super().to_json() | {
+            "objective": self.objective,
+            "parameters": [p.to_json() for p in self.parameters],
+            "gammas": list(self.gammas),
+            "peak_frequency": self.peak_frequency,
+            "limits": [limit.to_json() for limit in self.limits],
+            "active": list(self.active),
+            "starts": [s.to_json() for s in self.starts],
+            "scenarios": [dict(s) for s in self.scenarios],
+            "norms": [n.to_json() for n in self.norms],
+            "worst_case_gain": None if self.worst is None else self.worst.to_json(),
+        }
 
 
 @told_as("synth fixed")
@@ -228,7 +255,7 @@ def fixed_structure(
     (2.4142, -2.414)
     """
     _check(objective, limits, starts)
-    budget = design_budget(WHERE, WORK, effort, time_limit)
+    budget = design_budget(WHERE, TUNING.work, effort, time_limit)
     plants = _plants(P, n_meas, n_con)
     say = progress or (lambda _: None)
     with one_thread():
@@ -237,24 +264,18 @@ def fixed_structure(
             first.measurements, first.controls, first.model.dt
         )
         law = _bounded(law, bounds or {})
-        task = _Task(law, objective, tuple(limits), starts, seed, say)
+        given = [("given", p) for p in _given(law, start)]
+        search = _Search(starts, seed, say)
         if first.blocks:
             if objective != "hinf":
                 raise InputError(
                     WHERE, f"objective {objective!r} of an uncertain plant", '"hinf", or a list of members'
                 )
-            given = _given(law, start)
-
-            def robust_run(
-                members: Sequence[GeneralizedPlant], more: Sequence[AnyArray], part: Budget
-            ) -> FixedSynthesis:
-                return task.run(members, [("given", p) for p in (*more, *given)], part)
-
-            return robust_design(first, robust_run, budget, say)
-        own = [("given", p) for p in _given(law, start)]
+            return search.for_worst_member(first, law, limits, given, budget)
+        problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
-            _require_finite_h2(DesignProblem(plants, law, objective, limits))
-        return task.run(plants, [*own, *informed_starts(plants, law, objective, limits, seed, budget, say)], budget)
+            _require_finite_h2(problem)
+        return search.result(problem, [*given, *informed_starts(problem, seed, say)])
 
 
 def _check(objective: str, limits: Sequence[Limit], starts: int) -> None:
@@ -286,33 +307,13 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
         bare = UncertainModel(plant.model, plant.blocks).nominal  # what Delta needs is no performance
         require_performance(GeneralizedPlant(bare, plant.n_meas, plant.n_con), place)
-        continuous = plant
-        if plant.model.dt:
-            continuous = GeneralizedPlant(bilinear_to_continuous(plant.model), plant.n_meas, plant.n_con)
+        continuous = plant.continuous()
         scaling = common_scaling([continuous])[0]
         require_stabilisable(scaling.apply(continuous.matrices()), plant.model.state_names, place, scaling.rate)
     return plants
 
 
-# --- parameters ------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Bounded:
-    """A law with other bounds of its parameters."""
-
-    inner: Law
-    parameters: tuple[Parameter, ...]
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        return self.inner.sizes
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        return self.inner.packed(p)
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        return self.inner.pullback(p, G)
+# --- parameters -------------------------------------------------------------------------------------------------------
 
 
 def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
@@ -329,7 +330,7 @@ def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
         if not low <= high:
             raise InputError(f"{WHERE}: bounds of {name}", f"({low:g}, {high:g})", "low <= high")
         parameters[j] = replace(parameters[j], low=low, high=high, start=float(np.clip(parameters[j].start, low, high)))
-    return _Bounded(law, tuple(parameters))
+    return RelabelledLaw(law, tuple(parameters))
 
 
 def _place(name: str, names: list[str]) -> int:
@@ -361,75 +362,151 @@ def _given(law: Law, start: Any) -> list[AnyArray]:
     return found
 
 
-# --- search and verification -----------------------------------------------------------------------------------------
+# --- search -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """A law to be fitted to plants, with everything but the plants."""
+class _Search:
+    """The search for the parameters of a law, and what makes a verified design of what it finds."""
 
-    law: Law
-    objective: str
-    limits: tuple[Limit, ...]
     starts: int
     seed: int
     say: Callable[[str], None]
+    tuning: FixedTuning = TUNING
 
-    def run(
-        self, plants: Sequence[GeneralizedPlant], given: Sequence[tuple[str, AnyArray]], budget: Budget
-    ) -> FixedSynthesis:
-        """Search and verification for these plants."""
-        problem = DesignProblem(plants, self.law, self.objective, self.limits, budget)
+    def result(self, problem: DesignProblem, given: Sequence[tuple[str, AnyArray]]) -> FixedSynthesis:
+        """The best verified design; ``given`` are pairs of a kind and parameters to start from as well."""
         found = multi_start(problem, given, self.starts, self.seed, self.say)
-        verified = [self._verified(plants, start) for start in found[:VERIFIED] if np.isfinite(start.gamma)]
-        kept = [design for design in verified if design is not None]
+        best_first = [start for start in found[: self.tuning.verified] if np.isfinite(start.gamma)]
+        kept = [design for start in best_first if (design := _verified(problem, start)) is not None]
         if not kept:
             raise _not_found(problem, found)
         best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
         parts = [best.reason, f"{len(found)} starts; a local optimum"]
-        status, reason = told(best.status, parts, budget)
+        status, reason = told(best.status, parts, problem.budget)
         return replace(best, starts=tuple(found), status=status, reason=reason)
 
-    def _verified(self, plants: Sequence[GeneralizedPlant], start: Start) -> FixedSynthesis | None:
-        """The design of a start with the norms of its rebuilt loops; None where one is unstable or a limit broken."""
-        first = plants[0]
-        try:
-            K = model_of(self.law, start.p, first.model.dt, first.measurements, first.controls)
-            loops = tuple(plant.close(K) for plant in plants)
-            norms = tuple(hinf_norm(loop) if self.objective == "hinf" else h2_norm(loop) for loop in loops)
-        except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed
-            return None
-        bounds = tuple(norm.upper if isinstance(norm, HinfNorm) else norm.value for norm in norms)
-        limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in loops)) for c in self.limits)
-        if not np.isfinite(bounds).all() or any(limit.value > KEPT for limit in limits):
-            return None
-        heard = [norm_doubt(plant, K, loop, norm) for plant, loop, norm in zip(plants, loops, norms, strict=True)]
-        gammas = tuple(gamma for gamma, _ in heard)
-        worst = int(np.argmax(gammas))
-        status, reason = _trust(norms, [doubt for _, doubt in heard])
-        shown = norms[worst]
-        peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
-        return FixedSynthesis(
-            K=K,
-            gamma=max(gammas),
-            closed_loop=loops[worst],
-            status=status,
-            reason=reason,
-            limit=limiting_channels(loops[worst], peak) if np.isfinite(peak) else "",
-            plant=plants[worst],
-            method="fixed",
-            objective=self.objective,
-            parameters=tuple(
-                ParameterValue(q.name, float(x), q.unit, q.low, q.high)
-                for q, x in zip(self.law.parameters, start.p, strict=True)
-            ),
-            gammas=gammas,
-            norms=norms,
-            closed_loops=loops,
-            peak_frequency=float(peak),
-            limits=limits,
-            starts=(start,),
-        )
+    def for_worst_member(
+        self,
+        plant: GeneralizedPlant,
+        law: Law,
+        limits: Sequence[Limit],
+        given: Sequence[tuple[str, AnyArray]],
+        budget: Budget,
+    ) -> FixedSynthesis:
+        """Design on scenarios, find the worst Delta of the loop, add it, and repeat; the best by its proved bound."""
+        uncertain = UncertainModel(plant.model, plant.blocks)
+        deltas: list[Mapping[str, Any]] = [{}]
+        members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
+        best: FixedSynthesis | None = None
+        last: list[tuple[str, AnyArray]] = []
+        for number in range(self.tuning.rounds):
+            if best is not None and budget.over:
+                break
+            try:
+                part = budget.share(self.tuning.design_share)
+                found = self.result(DesignProblem(members, law, "hinf", limits, part), [*last, *given])
+            except NoTrustworthyNumber:
+                if best is None:
+                    raise
+                break
+            last = [("given", np.array([p.value for p in found.parameters]))]
+            loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
+            worst = gain_within(loop, budget.share(self.tuning.search_share), tolerance=0.02)
+            found = replace(found, worst=worst, scenarios=tuple(deltas))
+            gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
+            self.say(f"round {number + 1}: {len(members)} scenarios, {gains}")
+            if best is None or _order(found) < _order(best):
+                best = found
+            if worst.lower <= self.tuning.enough * found.gamma:
+                break
+            member = _member(uncertain, worst)
+            if member is None:
+                break
+            deltas.append(dict(worst.delta))
+            members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
+        assert best is not None
+        return _with_worst_gain(best, budget)
+
+
+def _order(design: FixedSynthesis) -> tuple[float, float]:
+    worst = design.worst
+    return (np.inf, np.inf) if worst is None else (worst.lower, worst.upper)
+
+
+def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel | None:
+    """The member at the worst Delta as a model; complex values are realised as stable systems."""
+    frequency = worst.frequency
+    try:
+        if any(np.iscomplexobj(value) and np.abs(np.imag(value)).max() > 0 for value in worst.delta.values()):
+            if frequency is None:
+                return None
+            return uncertain.evaluate(realise_delta(uncertain.blocks, worst.delta, frequency, uncertain.dt))
+        return uncertain.evaluate({name: np.real(value) for name, value in worst.delta.items()})
+    except NoTrustworthyNumber:
+        return None
+
+
+def _with_worst_gain(design: FixedSynthesis, budget: Budget) -> FixedSynthesis:
+    """The design with gamma, status and reason as the worst-case gain has them, and what ended the search."""
+    worst = design.worst
+    assert worst is not None
+    scenarios = f"{len(design.scenarios)} scenarios"
+    if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
+        gamma = worst.upper if design.status.trustworthy else max(worst.upper, design.gamma)
+        sound = Status.INACCURATE if design.status is Status.INACCURATE else Status.CERTIFIED
+        parts = [design.reason, "worst-case gain over the whole set proved", scenarios]
+        status, reason = told(sound, parts, budget)
+        return replace(design, gamma=gamma, status=status, reason=reason)
+    text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
+    status, reason = told(Status.INCONCLUSIVE, [text, scenarios], budget)
+    return replace(design, gamma=max(design.gamma, worst.lower), status=status, reason=reason)
+
+
+# --- verification -----------------------------------------------------------------------------------------------------
+
+
+def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
+    """The design of a start with the norms of its rebuilt loops; None where one is unstable or a limit broken."""
+    plants, law, objective = problem.plants, problem.law, problem.objective
+    first = plants[0]
+    try:
+        K = model_of(law, start.p, first.model.dt, first.measurements, first.controls)
+        loops = tuple(plant.close(K) for plant in plants)
+        norms = tuple(hinf_norm(loop) if objective == "hinf" else h2_norm(loop) for loop in loops)
+    except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed
+        return None
+    bounds = tuple(norm.upper if isinstance(norm, HinfNorm) else norm.value for norm in norms)
+    limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in loops)) for c in problem.limits)
+    if not np.isfinite(bounds).all() or any(limit.value > KEPT for limit in limits):
+        return None
+    heard = [norm_doubt(plant, K, loop, norm) for plant, loop, norm in zip(plants, loops, norms, strict=True)]
+    gammas = tuple(gamma for gamma, _ in heard)
+    worst = int(np.argmax(gammas))
+    status, reason = _trust(norms, [doubt for _, doubt in heard])
+    shown = norms[worst]
+    peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
+    return FixedSynthesis(
+        K=K,
+        gamma=max(gammas),
+        closed_loop=loops[worst],
+        status=status,
+        reason=reason,
+        limit=limiting_channels(loops[worst], peak) if np.isfinite(peak) else "",
+        plant=plants[worst],
+        method="fixed",
+        objective=objective,
+        parameters=tuple(
+            ParameterValue(q.name, float(x), q.unit, q.low, q.high)
+            for q, x in zip(law.parameters, start.p, strict=True)
+        ),
+        gammas=gammas,
+        norms=norms,
+        closed_loops=loops,
+        peak_frequency=float(peak),
+        limits=limits,
+        starts=(start,),
+    )
 
 
 def _trust(norms: Sequence[HinfNorm | H2Norm], doubts: Sequence[str]) -> tuple[Status, str]:
@@ -476,9 +553,7 @@ def _not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyN
     kind = "z" if problem.dt else "s"
     pole_text = f"{worst[2].real:.6g}" + (f"{worst[2].imag:+.6g}j" if worst[2].imag else "")
     if worst[0] < 0 and problem.limits:
-        broken = [
-            limit.text for limit, (c, _) in zip(_repeated(problem), problem.limit_values(theta), strict=True) if c >= 0
-        ]
+        broken = [limit.text for limit in problem.broken_limits(theta)]
         text = f"no start kept every limit; in the nearest, {', '.join(dict.fromkeys(broken)) or 'the norm'} fails"
     else:
         text = f"no start stabilised {which}: nearest pole {kind} = {pole_text}"
@@ -487,8 +562,3 @@ def _not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyN
         f"{text} ({len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''})",
         hint="not found is no proof that there is none: try more starts, another seed, or a richer structure",
     )
-
-
-def _repeated(problem: DesignProblem) -> list[Limit]:
-    """The limit of each of `DesignProblem.limit_values`."""
-    return [limit for limit in problem.limits for _ in range(problem.values_of(limit))]

@@ -6,20 +6,19 @@ still. Here the static gain is kept and B_K made nonzero, so that the norm is th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
-from robustlab.budget import MILLION, Budget
+from robustlab.arrays import AnyArray, Mask
+from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
 from robustlab.synthesis.h2.h2_synthesis import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.laws.controller_laws import AffineLaw, Law
+from robustlab.synthesis.laws.controller_laws import AffineLaw
 from robustlab.synthesis.laws.controller_structures import StaticGain
-from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_start
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -28,53 +27,38 @@ from robustlab.synthesis.reduction.model_reduction import reduce_model
 __all__ = ["informed_starts"]
 
 
-# Random starts of the static search; shares of the work that is left for it and for the full order, and most for that.
-STATIC_STARTS = 6
-STATIC_SHARE, FULL_SHARE, FULL_MOST = 0.3, 0.2, 10 * MILLION
-# The full-order design may be so much worse than the best one: it is calmer then, and easier to reduce.
-GAMMA_REL = {"hinf": 1.05, "h2": 1.0005}
-# Poles of the states beside a static gain, in units of the plant's rate (discrete: in the z-plane).
-POLES, DISCRETE_POLES = (0.3, 3.0), (0.2, 0.8)
-
-
 def informed_starts(
-    plants: Sequence[GeneralizedPlant],
-    law: Law,
-    objective: str,
-    limits: Sequence[Limit],
-    seed: int,
-    budget: Budget,
-    progress: Callable[[str], None],
+    problem: DesignProblem, seed: int, progress: Callable[[str], None], tuning: FixedTuning = TUNING
 ) -> list[tuple[str, AnyArray]]:
     """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
 
     Parameters
     ----------
-    plants
-        Plants without uncertainty; the full-order design is that of the first.
-    law, objective, limits, seed
-        Those of the search that follows.
-    budget
-        At most 45 % of what is left is used here.
+    problem
+        The search that follows; at most half of what is left of its budget is used here. Its plants have no
+        uncertainty, and the full-order design is that of the first.
+    seed
+        Of that search.
     progress
         Called with a line after every start of the static search.
     """
+    law, budget = problem.law, problem.budget
     if not isinstance(law, AffineLaw) or not _is_given_order(law):
         return []
-    problem = DesignProblem(plants, law, objective, limits)
     found: list[tuple[str, AnyArray]] = []
     if _free(law)[law.sizes[0] :, law.sizes[0] :].any():
-        D = _static_gain(plants, law, objective, seed, budget.share(STATIC_SHARE), progress)
+        D = _static_gain(problem, law, seed, progress, tuning)
         if D is not None:
-            found.append(("static", _held(law, _extended(problem, law, D, 0, seed))))
-    K = _reduced(plants[0], law.sizes[0], objective, budget.share(min(FULL_SHARE, FULL_MOST / max(budget.left, 1.0))))
+            found.append(("static", _held(law, _extended(problem, law, D, 0, seed, tuning))))
+    part = budget.share(min(tuning.full_share, tuning.full_work / max(budget.left, 1.0)))
+    K = _reduced(problem.plants[0], law.sizes[0], problem.objective, part, tuning)
     if K is not None:
         around, q = law_around(K)
-        found.append(("reduced", _held(law, _extended(problem, law, around.packed(q), K.n_states, seed))))
+        found.append(("reduced", _held(law, _extended(problem, law, around.packed(q), K.n_states, seed, tuning))))
     return found
 
 
-def _free(law: AffineLaw) -> NDArray[np.bool_]:
+def _free(law: AffineLaw) -> Mask:
     """Which entries of the packed matrices are parameters."""
     free = np.zeros(law.base.shape, dtype=bool)
     free[law.row, law.column] = True
@@ -99,31 +83,33 @@ def _held(law: AffineLaw, theta: AnyArray) -> AnyArray:
 
 
 def _static_gain(
-    plants: Sequence[GeneralizedPlant],
-    law: AffineLaw,
-    objective: str,
-    seed: int,
-    budget: Budget,
-    progress: Callable[[str], None],
+    problem: DesignProblem, law: AffineLaw, seed: int, progress: Callable[[str], None], tuning: FixedTuning
 ) -> AnyArray | None:
     """The best static gain with the law's free entries of D_K; None where none stabilises all plants."""
-    k, first = law.sizes[0], plants[0]
-    static = StaticGain(_free(law)[k:, k:]).law(first.measurements, first.controls, first.model.dt)
-    problem = DesignProblem(plants, static, objective, (), budget)
+    k, plants = law.sizes[0], problem.plants
+    static = StaticGain(_free(law)[k:, k:]).law(plants[0].measurements, plants[0].controls, problem.dt)
+    part = problem.budget.share(tuning.static_share)
+    alone = DesignProblem(plants, static, problem.objective, (), part)
 
     def say(line: str) -> None:
         progress(f"static gain: {line}")
 
-    best = multi_start(problem, [], STATIC_STARTS, seed, say)[0]
+    best = multi_start(alone, [], tuning.static_starts, seed, say)[0]
     return static.packed(best.p) if np.isfinite(best.gamma) else None
 
 
-def _extended(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int) -> AnyArray:
+def _extended(
+    problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int, tuning: FixedTuning
+) -> AnyArray:
     """Packed matrices of a controller of a lower order with further stable states that act on nothing yet."""
     k, n_u, n_y = law.sizes
     more = k - order
     rng = np.random.default_rng(seed)
-    poles = np.linspace(*DISCRETE_POLES, more) if problem.dt else -problem.scaling.rate * np.geomspace(*POLES, more)
+    poles = (
+        np.linspace(*tuning.discrete_poles, more)
+        if problem.dt
+        else -problem.scaling.rate * np.geomspace(*tuning.poles, more)
+    )
     full = np.zeros((k + n_u, k + n_y))
     full[:order, :order], full[:order, k:] = theta[:order, :order], theta[:order, order:]
     full[k:, :order], full[k:, k:] = theta[order:, :order], theta[order:, order:]
@@ -132,12 +118,17 @@ def _extended(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: in
     return full
 
 
-def _reduced(plant: GeneralizedPlant, order: int, objective: str, budget: Budget) -> StateSpaceModel | None:
+def _reduced(
+    plant: GeneralizedPlant, order: int, objective: str, budget: Budget, tuning: FixedTuning
+) -> StateSpaceModel | None:
     """The full-order controller for the objective reduced to this order; None where either fails."""
     if budget.over:
         return None
     try:
-        K = (synthesize if objective == "hinf" else synthesize_h2)(plant, objective, GAMMA_REL[objective], budget).K
+        if objective == "hinf":
+            K = synthesize(plant, objective, tuning.full_hinf_rel, budget).K
+        else:
+            K = synthesize_h2(plant, objective, tuning.full_h2_rel, budget).K
     except (InputError, NoTrustworthyNumber):
         return None
     if K.n_states <= order:

@@ -21,8 +21,8 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.h2.tuning import TUNING, H2Tuning
 from robustlab.synthesis.problem.partition import PlantMatrices
-from robustlab.synthesis.tuning import H2, H2Tuning
 
 __all__ = ["CommonLyapunov", "solver_work"]
 
@@ -82,7 +82,7 @@ class CommonLyapunov:
         budget: Budget,
         *,
         discrete: bool,
-        tuning: H2Tuning = H2,
+        tuning: H2Tuning = TUNING,
     ) -> None:
         self.A, self.B2, self.C2, self.h2, self.hinf = h2.A, h2.B2, h2.C2, h2, hinf
         self.gain, self.budget, self.discrete, self.tuning = gain, budget, discrete, tuning

@@ -16,6 +16,7 @@ from robustlab.matrix_equations import care, dare, gramians
 from robustlab.norms import H2Norm, h2_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis.h2.tuning import TUNING, H2Tuning
 from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.independent_check import first_confirmed, norm_doubt
@@ -28,7 +29,6 @@ from robustlab.synthesis.problem.partition import (
 )
 from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop, separated_modes
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude, equilibrated, paths_first
-from robustlab.synthesis.tuning import H2, H2Tuning
 
 __all__ = ["H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 
@@ -150,7 +150,7 @@ def h2(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
     require_performance(plant, "synth h2")
-    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", H2.work, effort, time_limit), progress)
+    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", TUNING.work, effort, time_limit), progress)
 
 
 def synthesize_h2(
@@ -159,7 +159,7 @@ def synthesize_h2(
     gamma_rel: float,
     budget: Budget,
     progress: Callable[[str], None] | None = None,
-    tuning: H2Tuning = H2,
+    tuning: H2Tuning = TUNING,
 ) -> H2Synthesis:
     """The search behind `h2` and `robustlab.lqg`; see there."""
     if not np.isfinite(gamma_rel) or gamma_rel < 1:

@@ -16,13 +16,13 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.synthesis.h2.common_lyapunov import CommonLyapunov, solver_work
 from robustlab.synthesis.h2.h2_synthesis import cancelled_direct_term, cancelling_gain, synthesize_h2
+from robustlab.synthesis.h2.tuning import TUNING, H2Tuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.independent_check import first_confirmed, norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation, as_generalized_plant
 from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
-from robustlab.synthesis.tuning import H2, H2Tuning
 
 __all__ = ["MixedSynthesis", "h2_hinf"]
 
@@ -148,10 +148,10 @@ def h2_hinf(
     plant = as_generalized_plant(P, n_meas, n_con, where)
     if isinstance(gamma, bool) or not np.isfinite(gamma) or gamma <= 0:
         raise InputError(where, f"gamma is {gamma}", "a positive number")
-    budget = design_budget(where, H2.work, effort, time_limit)
+    budget = design_budget(where, TUNING.work, effort, time_limit)
     channels = _channels(plant, h2_outputs, h2_inputs, hinf_outputs, hinf_inputs)
     with one_thread():
-        return _Mixed(plant, *channels, gamma, budget, progress or (lambda _: None), H2).result()
+        return _Mixed(plant, *channels, gamma, budget, progress or (lambda _: None), TUNING).result()
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,10 +18,10 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.structural import controllability
 from robustlab.synthesis.h2.h2_synthesis import H2Synthesis, synthesize_h2
+from robustlab.synthesis.h2.tuning import TUNING
 from robustlab.synthesis.problem.design import design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import surely_stable
-from robustlab.synthesis.tuning import H2
 
 __all__ = ["StateFeedback", "lqg", "lqr", "place"]
 
@@ -259,7 +259,7 @@ def lqg(
         A, B, C, D, g.dt, [*(Signal(name) for name in inputs), *g.inputs],
         [*(Signal(name) for name in outputs), *g.outputs], g.states, where="lqg",
     )  # fmt: skip
-    budget = design_budget("synth lqg", H2.work, effort, time_limit)
+    budget = design_budget("synth lqg", TUNING.work, effort, time_limit)
     return synthesize_h2(GeneralizedPlant(model, p, m), "lqg", 1.0, budget)
 
 

@@ -19,11 +19,12 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers
 from robustlab.synthesis.hinf.search import Candidate, Portfolio, Search, portfolio, soften
+from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.hinf.verification import Verified, Verifier
 from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import FixedOrder
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import WEIGHTS, descend, multi_start
+from robustlab.synthesis.nonsmooth.parameter_search import descend, multi_start
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
@@ -35,12 +36,8 @@ from robustlab.synthesis.problem.partition import (
     require_performance,
 )
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
-from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["descend_from", "hinf", "is_poor", "stabilise", "synthesize"]
-
-# Weights of the barrier of a descent: larger ones first, because the start may be far from an optimum.
-FAR = (3.0, 1.0, *WEIGHTS)
 
 
 @told_as("synth hinf")
@@ -114,7 +111,7 @@ def hinf(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
     require_performance(plant, "synth hinf")
-    budget = design_budget("synth hinf", HINF.work, effort, time_limit)
+    budget = design_budget("synth hinf", TUNING.work, effort, time_limit)
     return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 
 
@@ -126,7 +123,7 @@ def synthesize(
     weights: Mapping[str, StateSpaceModel] | None = None,
     bandwidth: float | None = None,
     progress: Callable[[str], None] | None = None,
-    tuning: HinfTuning = HINF,
+    tuning: HinfTuning = TUNING,
 ) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
@@ -267,7 +264,7 @@ def _ended(budget: Budget) -> str:
 
 
 def is_poor(
-    gamma: float, optimum: float, lower: float, disagree: float, scale: float = 1.0, tuning: HinfTuning = HINF
+    gamma: float, optimum: float, lower: float, disagree: float, scale: float = 1.0, tuning: HinfTuning = TUNING
 ) -> bool:
     """Whether a verified gamma is so far above what is possible that a descent is worth its time.
 
@@ -299,7 +296,7 @@ def descend_from(p: PlantMatrices, search: Search, start: Candidate, budget: Bud
     part = budget.share(min(search.tuning.descent_share, search.tuning.descent_work / budget.left))
     K0 = StateSpaceModel(*start.K)
     try:
-        K = descend(p.plant(), K0, part, FAR)
+        K = descend(p.plant(), K0, part, search.tuning.descent_barrier)
     except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow on the way
         return None
     if K is K0:

@@ -20,9 +20,9 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget
+from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
-from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["LmiOutcome", "lmi_controllers", "solve_conic"]
 
@@ -39,7 +39,7 @@ class LmiOutcome:
     text: str
 
 
-def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTuning = HINF) -> LmiOutcome:
+def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTuning = TUNING) -> LmiOutcome:
     """Solve a cvxpy problem with Clarabel, counted as ``work``, and map every way in which it can end.
 
     Clarabel is Rust: where it panics, a ``PanicException`` comes up that is no ``Exception``.
@@ -82,7 +82,7 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTun
 
 
 def lmi_controllers(
-    p: PlantMatrices, scaling: Scaling, budget: Budget, tuning: HinfTuning = HINF
+    p: PlantMatrices, scaling: Scaling, budget: Budget, tuning: HinfTuning = TUNING
 ) -> tuple[list[Realisation], str]:
     """Controllers from the projection LMIs, unverified, in the units of the plant; and how it went in words.
 

@@ -21,11 +21,11 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
+from robustlab.synthesis.hinf.tuning import TUNING
 from robustlab.synthesis.problem.design import Synthesis, limiting_channels
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable
-from robustlab.synthesis.tuning import HINF
 from robustlab.uncertainty.distances.coprime import (
     CoprimeMargin,
     CoprimeRiccati,
@@ -196,7 +196,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     status, reason = margin.status, "loops of the shaped plant and of the plant as given were rebuilt and are stable"
     if status is not Status.CERTIFIED:
         reason = margin.reason
-    elif gamma > factor * gamma_min * HINF.shaped_loss:
+    elif gamma > factor * gamma_min * TUNING.shaped_loss:
         status, reason = Status.INACCURATE, f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
     shaped_loop = shaped_plant.close(inner)

@@ -11,17 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import balanced_eigenvalues
+from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude
-from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = [
     "Candidate",
@@ -103,7 +102,7 @@ class Search:
         budget: Budget,
         floor: float = 0.0,
         D22: AnyArray | None = None,
-        tuning: HinfTuning = HINF,
+        tuning: HinfTuning = TUNING,
     ) -> None:
         self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
         self.scaling, self.plant, self.tuning = scaling, scaling.apply(plant), tuning
@@ -346,8 +345,8 @@ def portfolio(
     scalings: tuple[Scaling, Scaling],
     budget: Budget,
     floor: float = 0.0,
-    D22: NDArray[np.float64] | None = None,
-    tuning: HinfTuning = HINF,
+    D22: Array | None = None,
+    tuning: HinfTuning = TUNING,
 ) -> Portfolio:
     """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
 
@@ -468,7 +467,7 @@ def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:
     )
 
 
-def trial_norm(loop: Realisation, limit: float = np.inf, tuning: HinfTuning = HINF) -> float:
+def trial_norm(loop: Realisation, limit: float = np.inf, tuning: HinfTuning = TUNING) -> float:
     """H-infinity norm of a loop to about 1e-5, from below; infinite for an unstable loop and above ``limit``.
 
     Quick, attained at a frequency, not proved: what leaves a search is verified by `robustlab.norms.hinf_norm`.

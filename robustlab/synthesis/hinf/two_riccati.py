@@ -16,8 +16,8 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.matrix_equations import care, hamiltonian_riccati
+from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["RiccatiPair", "TwoRiccatiProblem"]
 
@@ -55,7 +55,7 @@ class TwoRiccatiProblem:
     """
 
     def __init__(
-        self, plant: PlantMatrices, careful: bool = False, budget: Budget | None = None, tuning: HinfTuning = HINF
+        self, plant: PlantMatrices, careful: bool = False, budget: Budget | None = None, tuning: HinfTuning = TUNING
     ) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice, takewhile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.search import Candidate
+from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.independent_check import SecondVoice, hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
-from robustlab.synthesis.tuning import HINF, HinfTuning
 
 __all__ = ["Verified", "Verifier"]
 
@@ -33,7 +35,7 @@ class Verified:
     loop: StateSpaceModel
     norm: HinfNorm
     voice: SecondVoice
-    tuning: HinfTuning = HINF
+    tuning: HinfTuning = TUNING
 
     @property
     def gamma(self) -> float:
@@ -76,9 +78,7 @@ class Verifier:
         Verifications are counted there; once it is over no second candidate is verified.
     """
 
-    def __init__(
-        self, plant: GeneralizedPlant, D22: NDArray[np.float64], budget: Budget, tuning: HinfTuning = HINF
-    ) -> None:
+    def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget, tuning: HinfTuning = TUNING) -> None:
         self.plant, self.D22, self.budget, self.tuning = plant, D22, budget, tuning
         self._known: dict[int, Verified | None] = {}
 
@@ -111,28 +111,25 @@ class Verifier:
             else best
         )
 
+    def _first(self, candidates: Iterable[Candidate], limit: float, certified: bool) -> Verified | None:
+        """The first of few candidates that verifies with a gamma of at most the limit, and with a certificate."""
+        for candidate in islice(candidates, self.tuning.tries):
+            verified = self(candidate)
+            if verified is not None and verified.gamma <= limit and verified.certified >= certified:
+                return verified
+        return None
+
     def sanest(self, candidates: list[Candidate], best: Verified, gamma_rel: float) -> Verified:
         """Of those within the ratio of the best gamma, the one of least stiffness that verifies; else the best."""
         limit = gamma_rel * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
-        for candidate in allowed[: self.tuning.tries]:
-            if self.budget.over:
-                break
-            verified = self(candidate)
-            if verified is not None and verified.gamma <= limit and verified.certified:
-                return verified
-        return best
+        return self._first(takewhile(lambda _: not self.budget.over, allowed), limit, certified=True) or best
 
     def accurate(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
         """The sanest candidate within the ratio of the best gamma whose norm is certified; else the best."""
         limit = ratio * best.gamma
-        for candidate in sorted((c for c in candidates if c.gamma <= limit), key=lambda c: c.stiffness)[
-            : self.tuning.tries
-        ]:
-            verified = self(candidate)
-            if verified is not None and verified.certified and verified.gamma <= limit:
-                return verified
-        return best
+        allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: c.stiffness)
+        return self._first(allowed, limit, certified=True) or best
 
     def within(self, candidates: list[Candidate], best: Verified, gamma_rel: float, bandwidth: float) -> Verified:
         """The smallest gamma of those within the ratio of the best whose poles all lie below the bandwidth.
@@ -145,10 +142,9 @@ class Verifier:
         limit = gamma_rel * best.gamma
         allowed = [c for c in candidates if c.gamma <= limit]
         slow = sorted((c for c in allowed if c.pace <= bandwidth), key=lambda c: c.gamma)
-        for candidate in slow[: self.tuning.tries]:
-            verified = self(candidate)
-            if verified is not None and verified.gamma <= limit and verified.certified >= best.certified:
-                return verified
+        found = self._first(slow, limit, best.certified)
+        if found is not None:
+            return found
         pace = min((c.pace for c in [*allowed, best.candidate]), default=np.inf)
         raise NoTrustworthyNumber(
             "bandwidth",

@@ -1,1 +1,5 @@
-"""What a controller may look like: structures that combine, and packed matrices as functions of their parameters."""
+"""What a controller may look like.
+
+controller_laws        packed matrices as functions of named parameters, with gradients
+controller_structures  structures that combine, their short forms, and their words
+"""

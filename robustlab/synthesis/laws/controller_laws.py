@@ -22,8 +22,10 @@ __all__ = [
     "FilteredLaw",
     "Law",
     "Parameter",
+    "RelabelledLaw",
     "SeriesLaw",
-    "SumLaw",
+    "model_of",
+    "sum_law",
     "unpacked",
 ]
 
@@ -196,7 +198,10 @@ class FilteredLaw:
 
 @dataclass(frozen=True, eq=False)
 class DiagonalLaw:
-    """Laws side by side; part i sees the measurements ``measurements[i]`` and drives the controls ``controls[i]``."""
+    """Laws side by side; part i sees the measurements ``measurements[i]`` and drives the controls ``controls[i]``.
+
+    What several parts give to one control adds up.
+    """
 
     parts: tuple[Law, ...]
     controls: tuple[tuple[int, ...], ...]
@@ -240,36 +245,11 @@ class DiagonalLaw:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class SumLaw:
+def sum_law(first: Law, second: Law) -> DiagonalLaw:
     """``K_1 + K_2``: both see all measurements, their controls add up."""
-
-    first: Law
-    second: Law
-
-    @property
-    def _side_by_side(self) -> DiagonalLaw:
-        _, n_u, n_y = self.first.sizes
-        u, y = tuple(range(n_u)), tuple(range(n_y))
-        return DiagonalLaw((self.first, self.second), (u, u), (y, y), n_u, n_y)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Those of the first, then of the second."""
-        return self._side_by_side.parameters
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """See `Law`."""
-        return self._side_by_side.sizes
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        """See `Law`."""
-        return self._side_by_side.packed(p)
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """See `Law`."""
-        return self._side_by_side.pullback(p, G)
+    _, n_u, n_y = first.sizes
+    u, y = tuple(range(n_u)), tuple(range(n_y))
+    return DiagonalLaw((first, second), (u, u), (y, y), n_u, n_y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,3 +295,24 @@ class SeriesLaw:
         g1 = np.vstack([G[:i][:, columns], into.T @ crossed])
         g2 = np.hstack([G[rows, i : i + j], crossed @ out.T])
         return np.concatenate([self.first.pullback(one, g1), self.second.pullback(two, g2)])
+
+
+@dataclass(frozen=True, eq=False)
+class RelabelledLaw:
+    """A law with other names, bounds or starts of its parameters."""
+
+    law: Law
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """See `Law`."""
+        return self.law.sizes
+
+    def packed(self, p: AnyArray) -> AnyArray:
+        """See `Law`."""
+        return self.law.packed(p)
+
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
+        """See `Law`."""
+        return self.law.pullback(p, G)

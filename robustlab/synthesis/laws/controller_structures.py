@@ -1,6 +1,6 @@
 """Structures of controllers: small objects that say what a controller may look like, and combine.
 
-Structures of controllers in words, for commands and recipes: ``pid``, ``order:3``, ``ipd:full``, ...
+They have short forms for Python (an order, a mask, a name) and words for commands and recipes (``pid``, ``order:3``).
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal
 from robustlab.synthesis.laws.controller_laws import (
@@ -22,10 +21,11 @@ from robustlab.synthesis.laws.controller_laws import (
     FilteredLaw,
     Law,
     Parameter,
+    RelabelledLaw,
     SeriesLaw,
-    SumLaw,
+    sum_law,
 )
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
 
 __all__ = [
@@ -39,8 +39,8 @@ __all__ = [
     "StaticGain",
     "Structure",
     "Sum",
-    "as_structure",
     "WORDS",
+    "as_structure",
     "structure_in_words",
 ]
 
@@ -90,7 +90,7 @@ class StaticGain(Structure):
         return builder.law()
 
 
-def _mask(mask: Any, n_u: int, n_y: int) -> NDArray[np.bool_]:
+def _mask(mask: Any, n_u: int, n_y: int) -> Mask:
     if mask is None:
         return np.ones((n_u, n_y), dtype=bool)
     free = np.asarray(mask)
@@ -142,10 +142,15 @@ class FixedOrder(Structure):
             for j in range(k):
                 builder.parameter(Parameter(f"C[{u.name},{j + 1}]"), (k + i, j, 1.0))
         if not self.strictly_proper:
-            for i, u in enumerate(controls):
-                for j, y in enumerate(measurements):
-                    builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
+            _add_direct_term(builder, k, measurements, controls)
         return builder.law()
+
+
+def _add_direct_term(builder: AffineBuilder, k: int, measurements: Signals, controls: Signals) -> None:
+    """All of D_K as parameters, behind k states."""
+    for i, u in enumerate(controls):
+        for j, y in enumerate(measurements):
+            builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,9 +363,7 @@ class FixedPoles(Structure):
                     builder.parameter(Parameter(text, unit), (k + i, at + part, 1.0))
                 at += size
         if not self.strictly_proper:
-            for i, u in enumerate(controls):
-                for j, y in enumerate(measurements):
-                    builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
+            _add_direct_term(builder, k, measurements, controls)
         return builder.law()
 
 
@@ -397,7 +400,8 @@ class Decentralised(Structure):
         for i, part in enumerate(self.parts):
             if isinstance(part, Structure):
                 part = Part(part, [measurements[i].name], [controls[i].name])
-            y, u = _named(part.measurements, measurements, "measurement"), _named(part.controls, controls, "control")
+            y = tuple(signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement"))
+            u = tuple(signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control"))
             law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
             laws.append(_prefixed(law, f"{i + 1}."))
             rows.append(u)
@@ -415,7 +419,7 @@ class Sum(Structure):
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         """See `Structure`."""
         one, two = (s.law(measurements, controls, dt) for s in (self.first, self.second))
-        return SumLaw(_prefixed(one, "1."), _prefixed(two, "2."))
+        return sum_law(_prefixed(one, "1."), _prefixed(two, "2."))
 
 
 @dataclass(frozen=True, eq=False)
@@ -443,41 +447,9 @@ class Series(Structure):
         return SeriesLaw(_prefixed(one, "1."), _prefixed(two, "2."))
 
 
-@dataclass(frozen=True, eq=False)
-class _Prefixed:
-    """A law whose parameters carry a prefix, so that names stay unique."""
-
-    inner: Law
-    prefix: str
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(replace(p, name=self.prefix + p.name) for p in self.inner.parameters)
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        return self.inner.sizes
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        return self.inner.packed(p)
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        return self.inner.pullback(p, G)
-
-
 def _prefixed(law: Law, prefix: str) -> Law:
-    return _Prefixed(law, prefix)
-
-
-def _named(names: Sequence[str], known: Signals, kind: str) -> tuple[int, ...]:
-    names = [names] if isinstance(names, str) else list(names)
-    places = [s.name for s in known]
-    for name in names:
-        if name not in places:
-            raise InputError(
-                f"{WHERE}: {kind} {name!r}", "no such signal", f"one of {', '.join(places)}", did_you_mean(name, places)
-            )
-    return tuple(places.index(name) for name in names)
+    """The law with a prefix to the names of its parameters, so that they stay unique."""
+    return RelabelledLaw(law, tuple(replace(p, name=prefix + p.name) for p in law.parameters))
 
 
 def as_structure(structure: Any, rate: float) -> Structure:

@@ -1,13 +1,12 @@
-r"""Sequential linear programming on all peaks that are active at once: what ends a nonsmooth descent.
+r"""Two descent methods for functions that are smooth almost everywhere, such as norms of loops.
 
-At the optimum of a norm several peaks have the same height and a quasi-Newton method creeps. Here every peak near the
-top is a function of its own, all of them are made small together,
+BFGS with a weak Wolfe line search comes first. At the optimum of a norm several peaks have the same height and it
+creeps; what ends a descent is sequential linear programming, in which every peak near the top is a function of its own
+and all of them are made small together,
 
 .. math:: \min_{d, t}\ t \quad\text{such that}\quad f_i + g_i^T d \le t, \quad |d_j| \le r s_j,
 
-and the step is judged by the true value.
-
-BFGS with a weak Wolfe line search: a descent method for functions that are smooth almost everywhere.
+with the step judged by the true value.
 """
 
 from __future__ import annotations
@@ -18,111 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 
-__all__ = [
-    "Piece",
-    "sequential_linear",
-    "Descent",
-    "Function",
-    "bfgs",
-]
-
-
-RADIUS, SMALLEST_RADIUS, LARGEST_RADIUS = 3e-2, 1e-8, 0.5
-# Predicted decreases below this share of the value end the search.
-WORTHWHILE = 1e-8
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A function that is active: its value and its gradient with respect to the parameters.
-
-    A ``limit`` must stay below zero instead of being made small.
-    """
-
-    value: float
-    gradient: AnyArray
-    limit: bool = False
-
-
-def sequential_linear(
-    value_of: Callable[[AnyArray], float],
-    pieces_of: Callable[[AnyArray, float, float], list[Piece]],
-    x: AnyArray,
-    low: AnyArray,
-    high: AnyArray,
-    *,
-    max_steps: int = 60,
-    late: Callable[[], bool] = lambda: False,
-) -> tuple[AnyArray, float]:
-    """The best point found from x within the bounds, and its value.
-
-    Parameters
-    ----------
-    value_of
-        The function; infinite where it has no value.
-    pieces_of
-        ``(x, value, radius)`` to all pieces that may be active within a step of that radius.
-    low, high
-        Bounds of the parameters.
-
-    References
-    ----------
-    Apkarian, Noll, "Nonsmooth H-infinity synthesis" (2006): every active frequency in one tangent program.
-    """
-    value, radius = value_of(x), RADIUS
-    for _ in range(max_steps):
-        if late() or radius < SMALLEST_RADIUS or not np.isfinite(value):
-            break
-        size = np.maximum(np.abs(x), 1e-2 * max(float(np.median(np.abs(x))), 1e-12))
-        pieces = pieces_of(x, value, radius)
-        step = _step(pieces, size, radius, x, low, high)
-        if step is None:
-            radius *= 0.5
-            continue
-        d, predicted = step
-        if value - predicted < WORTHWHILE * value:
-            break
-        new_value = value_of(x + d)
-        if new_value < value - 0.02 * (value - predicted):
-            if value - new_value > 0.5 * (value - predicted):
-                radius = min(2 * radius, LARGEST_RADIUS)
-            x, value = x + d, new_value
-        else:
-            radius *= 0.4
-    return x, value
-
-
-def _step(
-    pieces: list[Piece], size: AnyArray, radius: float, x: AnyArray, low: AnyArray, high: AnyArray
-) -> tuple[AnyArray, float] | None:
-    from scipy.optimize import linprog
-
-    top = max((p.value for p in pieces if not p.limit), default=0.0)
-    if not top > 0:
-        return None
-    n = len(x)
-    scales = np.array([1.0 if p.limit else top for p in pieces])
-    slopes = np.array([p.gradient * size for p in pieces]) / scales[:, None]
-    rows = np.hstack([slopes, np.array([[0.0 if p.limit else -1.0] for p in pieces])])
-    heights = np.array([p.value for p in pieces]) / scales
-    if not np.isfinite(rows).all():
-        return None
-    lower, upper = np.maximum(-radius, (low - x) / size), np.minimum(radius, (high - x) / size)
-    bounds = [*zip(np.minimum(lower, 0.0), np.maximum(upper, 0.0), strict=True), (None, None)]
-    found = linprog(np.append(np.zeros(n), 1.0), A_ub=rows, b_ub=-heights, bounds=bounds, method="highs")
-    if found.status != 0:
-        return None
-    return found.x[:n] * size, float(found.x[n] * top)
-
+__all__ = ["Descent", "Function", "Piece", "bfgs", "sequential_linear"]
 
 # ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.
 Function = Callable[[AnyArray, float], tuple[float, AnyArray | None]]
-
-DECREASE, CURVATURE = 1e-4, 0.5
-LINE_STEPS = 25
-# Steps with a smaller relative decrease than this count as standing still.
-STALL_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -146,12 +46,13 @@ def bfgs(
     stop_below: float = -np.inf,
     inverse: AnyArray | None = None,
     late: Callable[[], bool] = lambda: False,
+    tuning: NonsmoothTuning = TUNING,
 ) -> Descent | None:
     """Descent from x; None where the function has no finite value there.
 
     The weak Wolfe conditions are met by bisection and expansion, without a gradient at points of too high a value. The
     inverse Hessian starts anew where a direction fails; the descent ends where the steepest one fails too, after
-    `STALL_STEPS` steps that gain less than ``rtol``, below ``stop_below``, or when ``late``. An earlier descent goes on
+    some steps that gain less than ``rtol``, below ``stop_below``, or when ``late``. An earlier descent goes on
     with its ``inverse``.
 
     References
@@ -164,10 +65,10 @@ def bfgs(
     values = [value]
     fresh, stalled, steps = inverse is None, 0, 0
     inverse = _steepest(gradient, 1.0) if inverse is None else inverse
-    while steps < max_steps and value >= stop_below and stalled < STALL_STEPS and not late():
+    while steps < max_steps and value >= stop_below and stalled < tuning.stall_steps and not late():
         direction = -inverse @ gradient
         slope = float(gradient @ direction)
-        found = _line_search(function, x, value, direction, slope, stop_below, late) if slope < 0 else None
+        found = _line_search(function, x, value, direction, slope, stop_below, late, tuning) if slope < 0 else None
         if found is None:
             if fresh:
                 break
@@ -207,22 +108,109 @@ def _line_search(
     slope: float,
     stop_below: float,
     late: Callable[[], bool],
+    tuning: NonsmoothTuning,
 ) -> tuple[AnyArray, float, AnyArray] | None:
-    """A point of sufficient decrease, and, where one is found, of a slope that has risen; None without decrease."""
+    """Algorithm 2.6 of Lewis, Overton: a point of sufficient decrease, and, where one is found, of a slope that has
+    risen; None without decrease.
+    """
     step, low, high = 1.0, 0.0, np.inf
     best: tuple[AnyArray, float, AnyArray] | None = None
-    for _ in range(LINE_STEPS):
+    for _ in range(tuning.line_steps):
         new = x + step * direction
-        level = value + DECREASE * step * slope
+        level = value + tuning.decrease * step * slope
         new_value, gradient = function(new, level)
         if gradient is None or not new_value <= level or not np.isfinite(gradient).all():
             high = step
         else:
             best = new, new_value, gradient
-            if float(gradient @ direction) >= CURVATURE * slope or new_value < stop_below:
+            if float(gradient @ direction) >= tuning.curvature * slope or new_value < stop_below:
                 break
             low = step
         step = 0.5 * (low + high) if np.isfinite(high) else 2 * step
         if late() or (np.isfinite(high) and high - low < 1e-14):
             break
     return best
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A function that is active: its value and its gradient with respect to the parameters.
+
+    A ``limit`` must stay below zero instead of being made small.
+    """
+
+    value: float
+    gradient: AnyArray
+    limit: bool = False
+
+
+def sequential_linear(
+    value_of: Callable[[AnyArray], float],
+    pieces_of: Callable[[AnyArray, float, float], list[Piece]],
+    x: AnyArray,
+    low: AnyArray,
+    high: AnyArray,
+    *,
+    max_steps: int = 60,
+    late: Callable[[], bool] = lambda: False,
+    tuning: NonsmoothTuning = TUNING,
+) -> tuple[AnyArray, float]:
+    """The best point found from x within the bounds, and its value, by linear programs over all active pieces.
+
+    Parameters
+    ----------
+    value_of
+        The function; infinite where it has no value.
+    pieces_of
+        ``(x, value, radius)`` to all pieces that may be active within a step of that radius.
+    low, high
+        Bounds of the parameters.
+
+    References
+    ----------
+    Apkarian, Noll, "Nonsmooth H-infinity synthesis" (2006): every active frequency in one tangent program.
+    """
+    value, radius = value_of(x), tuning.radius
+    for _ in range(max_steps):
+        if late() or radius < tuning.smallest_radius or not np.isfinite(value):
+            break
+        size = np.maximum(np.abs(x), 1e-2 * max(float(np.median(np.abs(x))), 1e-12))
+        pieces = pieces_of(x, value, radius)
+        step = _step(pieces, size, radius, x, low, high)
+        if step is None:
+            radius *= 0.5
+            continue
+        d, predicted = step
+        if value - predicted < tuning.worthwhile * value:
+            break
+        new_value = value_of(x + d)
+        if new_value < value - 0.02 * (value - predicted):
+            if value - new_value > 0.5 * (value - predicted):
+                radius = min(2 * radius, tuning.largest_radius)
+            x, value = x + d, new_value
+        else:
+            radius *= 0.4
+    return x, value
+
+
+def _step(
+    pieces: list[Piece], size: AnyArray, radius: float, x: AnyArray, low: AnyArray, high: AnyArray
+) -> tuple[AnyArray, float] | None:
+    from scipy.optimize import linprog
+
+    top = max((p.value for p in pieces if not p.limit), default=0.0)
+    if not top > 0:
+        return None
+    n = len(x)
+    scales = np.array([1.0 if p.limit else top for p in pieces])
+    slopes = np.array([p.gradient * size for p in pieces]) / scales[:, None]
+    rows = np.hstack([slopes, np.array([[0.0 if p.limit else -1.0] for p in pieces])])
+    heights = np.array([p.value for p in pieces]) / scales
+    if not np.isfinite(rows).all():
+        return None
+    lower, upper = np.maximum(-radius, (low - x) / size), np.minimum(radius, (high - x) / size)
+    bounds = [*zip(np.minimum(lower, 0.0), np.maximum(upper, 0.0), strict=True), (None, None)]
+    found = linprog(np.append(np.zeros(n), 1.0), A_ub=rows, b_ub=-heights, bounds=bounds, method="highs")
+    if found.status != 0:
+        return None
+    return found.x[:n] * size, float(found.x[n] * top)

@@ -12,10 +12,17 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.nonsmooth.loop_family import LoopFamily, Pole
-from robustlab.synthesis.nonsmooth.objectives import LoopMatrices, bilinear, crossings, resolvent_point
+from robustlab.synthesis.laws.controller_laws import unpacked
+from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
+from robustlab.synthesis.nonsmooth.objectives import bilinear, crossings, resolvent_point
+from robustlab.synthesis.problem.partition import Realisation
+from robustlab.synthesis.problem.scaling import Scaling
 
 __all__ = ["Bandwidth", "Damping", "Decay", "Limit", "RollOff", "StableController"]
+
+
+# The c of a limit for a packed controller, with its gradient.
+LimitAt = tuple[float, AnyArray]
 
 
 def _positive(what: str, value: float, most: float = np.inf) -> None:
@@ -37,6 +44,9 @@ def _continuous_poles(poles: AnyArray, dt: float) -> AnyArray:
 class Limit:
     """What all limits have; poles s below are in rad/s, of a sampled loop ``log(z)/dt``."""
 
+    # Whether it is about the controller alone, so that it has one value whatever the number of plants.
+    of_controller = False
+
     @property
     def text(self) -> str:
         """The limit in words."""
@@ -46,8 +56,8 @@ class Limit:
         """The c of a finished design; negative or zero where the limit is kept."""
         raise NotImplementedError
 
-    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
-        """The c and its gradient by the packed controller in the time unit ``1/rate``; None without a value."""
+    def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
+        """The c and its gradient by the packed controller of the scaled plant; an infinite c without a value."""
         raise NotImplementedError
 
 
@@ -68,13 +78,12 @@ class _PoleLimit(Limit):
         poles = plant_loop.poles()
         return float(self.measure(_continuous_poles(poles, plant_loop.dt)).max()) if len(poles) else -1.0
 
-    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
+    def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
         """See `Limit`."""
-        unit = 1.0 if dt else rate
+        unit = 1.0 if dt else scaling.rate
         found = family.pole(theta, lambda poles: self.measure(_continuous_poles(unit * poles, dt)))
-        return None if found is None else self._of(found, unit, dt)
-
-    def _of(self, found: Pole, unit: float, dt: float) -> tuple[float, AnyArray]:
+        if found is None:
+            return np.inf, np.zeros_like(theta)
         s = complex(_continuous_poles(np.array([unit * found.value]), dt)[0])
         by_pole = self.slope(s) * (1 / (found.value * dt) if dt and found.value else unit)
         return float(self.measure(np.array([s]))[0]), np.real(by_pole * found.G)
@@ -154,6 +163,8 @@ class Bandwidth(_PoleLimit):
 class StableController(Limit):
     """The controller itself is stable (integrators are not)."""
 
+    of_controller = True
+
     @property
     def text(self) -> str:
         """See `Limit`."""
@@ -163,7 +174,7 @@ class StableController(Limit):
         """See `Limit`."""
         return K.spectral_abscissa() if K.n_states else -1.0
 
-    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
+    def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
         """See `Limit`."""
         from scipy.linalg import eig
 
@@ -172,7 +183,7 @@ class StableController(Limit):
         if not k:
             return -1.0, G
         if not np.isfinite(theta).all():
-            return None
+            return np.inf, G
         values, left, right = (np.asarray(x) for x in eig(theta[:k, :k], left=True, check_finite=False))
         worst = int(np.argmax(np.abs(values) if dt else np.real(values)))
         u, v = left[:, worst], right[:, worst]
@@ -188,6 +199,7 @@ class StableController(Limit):
 class RollOff(Limit):
     """The controller's gain is at most ``gain`` at and above ``frequency`` (rad/s), in the plant's units."""
 
+    of_controller = True
     frequency: float
     gain: float
 
@@ -202,10 +214,9 @@ class RollOff(Limit):
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
         """See `Limit`; the peak between all frequencies at which the gain crosses the largest value met."""
-        loop = LoopMatrices(K.A, K.B, K.C, K.D)
-        return self._peak(loop, self.frequency, bool(K.dt), K.dt)[0] / self.gain - 1
+        return self._peak(Realisation.of(K), self.frequency, bool(K.dt), K.dt)[0] / self.gain - 1
 
-    def _peak(self, K: LoopMatrices, frequency: float, discrete: bool, dt: float) -> tuple[float, float]:
+    def _peak(self, K: Realisation, frequency: float, discrete: bool, dt: float) -> tuple[float, float]:
         """Largest gain from this frequency on, and where (frequencies of the continuous or `bilinear` controller)."""
         if not len(K.A):
             return float(np.linalg.norm(K.D, 2)), np.inf
@@ -233,21 +244,23 @@ class RollOff(Limit):
             omega = np.concatenate([cross, 0.5 * (cross[:-1] + cross[1:])])
         return best, at
 
-    def evaluate(self, family: LoopFamily, theta: AnyArray, rate: float, dt: float) -> tuple[float, AnyArray] | None:
-        """See `Limit`; theta is the controller in the plant's own signals but in the time unit ``1/rate``."""
-        k = family.order
-        K = LoopMatrices(theta[:k, :k], theta[:k, k:], theta[k:, :k], theta[k:, k:])
+    def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
+        """See `Limit`."""
+        # In the plant's own signals, but in the scaled plant's time.
+        k, rate = family.order, scaling.rate
+        back = np.concatenate([np.ones(k), scaling.u])[:, None] * np.concatenate([np.ones(k), scaling.y])[None, :]
+        K = Realisation(*unpacked(theta * back, k))
         value, omega = self._peak(K, self.frequency if dt else self.frequency / rate, bool(dt), dt)
-        if not np.isfinite(value):
-            return None
         G = np.zeros_like(theta)
+        if not np.isfinite(value):
+            return np.inf, G
         if not k or (not np.isfinite(omega) and not dt):
             left, _, right = np.linalg.svd(K.D)
             G[k:, k:] = np.outer(left[:, 0], right[0])
-            return value / self.gain - 1, G / self.gain
+            return value / self.gain - 1, G / self.gain * back
         shifted = resolvent_point(omega, bool(dt)) * np.eye(k) - K.A
         left, _, right = np.linalg.svd(K.C @ np.linalg.solve(shifted, K.B + 0j) + K.D)
         u, v = left[:, 0], right[0].conj()
         row = np.append(np.linalg.solve(shifted.T, K.C.T @ u.conj()), u.conj())
         column = np.append(np.linalg.solve(shifted, K.B @ v), v)
-        return value / self.gain - 1, np.real(np.outer(row, column)) / self.gain
+        return value / self.gain - 1, np.real(np.outer(row, column)) / self.gain * back

@@ -11,16 +11,13 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.synthesis.laws.controller_laws import Law, Parameter
 from robustlab.synthesis.nonsmooth.descent_methods import Piece
-from robustlab.synthesis.nonsmooth.design_limits import Limit, RollOff, StableController
+from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
 
 __all__ = ["DesignProblem"]
-
-
-# Share of the range between two bounds that a start keeps away from them.
-INSIDE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -30,6 +27,7 @@ class _Coordinate:
     parameter: Parameter
     size: float
     logarithmic: bool
+    inside: float
 
     def value(self, v: float) -> tuple[float, float]:
         """The parameter and its derivative."""
@@ -53,10 +51,10 @@ class _Coordinate:
         if np.isfinite(q.low) and np.isfinite(q.high):
             low, high = (np.log(q.low), np.log(q.high)) if self.logarithmic else (q.low, q.high)
             share = ((np.log(p) if self.logarithmic else p) - low) / (high - low)
-            t = float(np.arcsin(2 * np.clip(share, INSIDE, 1 - INSIDE) - 1))
+            t = float(np.arcsin(2 * np.clip(share, self.inside, 1 - self.inside) - 1))
             return t if self.logarithmic else t / min(self.size / (0.5 * (high - low)), 1.0)
         if np.isfinite(q.low) or np.isfinite(q.high):
-            away = max((p - q.low) if np.isfinite(q.low) else (q.high - p), INSIDE * self.size) / self.size
+            away = max((p - q.low) if np.isfinite(q.low) else (q.high - p), self.inside * self.size) / self.size
             return float(np.sqrt((1 + away) ** 2 - 1))
         return p / self.size
 
@@ -85,8 +83,9 @@ class DesignProblem:
         objective: str,
         limits: Sequence[Limit],
         budget: Budget | None = None,
+        tuning: NonsmoothTuning = TUNING,
     ) -> None:
-        self.budget = Budget() if budget is None else budget
+        self.tuning, self.budget = tuning, Budget() if budget is None else budget
         self.plants, self.law, self.objective, self.limits = tuple(plants), law, objective, tuple(limits)
         self.dt = plants[0].model.dt
         scalings = common_scaling(plants)
@@ -97,7 +96,7 @@ class DesignProblem:
         self._rows = np.concatenate([np.full(k, 1 / rate), 1 / u])[:, None]
         self._columns = np.concatenate([np.ones(k), 1 / y])[None, :]
         self.families = [
-            LoopFamily(s.apply(plant.matrices()), plant.D22 * y[:, None] * u, k, self.dt > 0)
+            LoopFamily(s.apply(plant.matrices()), plant.D22 * y[:, None] * u, k, self.dt > 0, tuning)
             for s, plant in zip(scalings, plants, strict=True)
         ]
         self._set_coordinates()
@@ -124,7 +123,7 @@ class DesignProblem:
         for j in self.free:
             q = everything[j]
             logarithmic = bool(np.isfinite(q.high) and q.low > 0 and q.high > 10 * q.low)
-            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic))
+            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic, self.tuning.inside))
         self.start = np.array([c.variable(float(start[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
         self.centre = self.start + np.array([everything[j].centre for j in self.free])
 
@@ -187,27 +186,19 @@ class DesignProblem:
 
     def limit_values(self, theta: AnyArray) -> list[tuple[float, AnyArray]]:
         """The c and the gradient of every limit and plant; an infinite c where there is no value."""
-        found: list[tuple[float, AnyArray]] = []
-        nothing = np.inf, np.zeros_like(theta)
-        for limit in self.limits:
-            if isinstance(limit, StableController):
-                found.append(limit.evaluate(self.families[0], theta, self.scaling.rate, self.dt) or nothing)
-                continue
-            if isinstance(limit, RollOff):  # in the plant's own signals: undo the scaling of u and y
-                u, y = self.scaling.u, self.scaling.y
-                k = self.law.sizes[0]
-                back = np.concatenate([np.ones(k), u])[:, None] * np.concatenate([np.ones(k), y])[None, :]
-                value = limit.evaluate(self.families[0], theta * back, self.scaling.rate, self.dt)
-                found.append(nothing if value is None else (value[0], value[1] * back))
-                continue
-            for family in self.families:
-                value = limit.evaluate(family, theta, self.scaling.rate, self.dt)
-                found.append(nothing if value is None else value)
-        return found
+        return [limit.evaluate(family, theta, self.scaling, self.dt) for limit, family in self._limited()]
 
-    def values_of(self, limit: Limit) -> int:
-        """How many values a limit has in `limit_values`."""
-        return 1 if isinstance(limit, (RollOff, StableController)) else len(self.families)
+    def broken_limits(self, theta: AnyArray) -> list[Limit]:
+        """The limits that are not kept, one for each plant."""
+        values = zip(self._limited(), self.limit_values(theta), strict=True)
+        return [limit for (limit, _), (c, _) in values if c >= 0]
+
+    def _limited(self) -> list[tuple[Limit, LoopFamily]]:
+        return [
+            (limit, family)
+            for limit in self.limits
+            for family in (self.families[:1] if limit.of_controller else self.families)
+        ]
 
     def norm(self, v: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
         """Largest norm of the scaled loops with its gradient; infinite where a limit is not kept."""

@@ -18,18 +18,19 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.lapack import lapack
 from robustlab.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.objectives import (
-    LoopMatrices,
     PeakFinder,
     bilinear,
     bilinear_pullback,
     entropy,
     resolvent_point,
 )
-from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
-__all__ = ["LoopFamily", "Pole", "packed"]
+__all__ = ["LoopFamily", "Pole"]
 
 
 # An I - D22 Theta with a larger condition number is no loop to look at.
@@ -40,17 +41,25 @@ DEFECTIVE = 1e-14
 BLUR = 1e-13
 
 
-def packed(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> AnyArray:
-    """``[A, B; C, D]``."""
-    return np.vstack([np.hstack([A, B]), np.hstack([C, D])])
-
-
 @dataclass(frozen=True)
 class Pole:
     """A pole of the loop with ``G``: a change dTheta moves it by the sum of ``G * dTheta`` (complex)."""
 
     value: complex
     G: AnyArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Member:
+    """The loop with one controller, and how a change of Theta comes into it: as ``left dTheta right``."""
+
+    loop: Realisation
+    left: AnyArray | None
+    right: AnyArray | None
+
+    def by_theta(self, G: AnyArray) -> AnyArray:
+        """Gradient with respect to Theta from that with respect to what comes into the loop."""
+        return G if self.left is None or self.right is None else self.left.T @ G @ self.right.T
 
 
 class LoopFamily:
@@ -68,7 +77,14 @@ class LoopFamily:
         True for a sampled plant.
     """
 
-    def __init__(self, plant: PlantMatrices, D22: AnyArray, order: int, discrete: bool) -> None:
+    def __init__(
+        self,
+        plant: PlantMatrices,
+        D22: AnyArray,
+        order: int,
+        discrete: bool,
+        tuning: NonsmoothTuning = TUNING,
+    ) -> None:
         n, n_w, n_u, n_z, n_y = plant.sizes
         k = order
         zeros = np.zeros
@@ -87,31 +103,34 @@ class LoopFamily:
         if D22.any():
             self.D22 = zeros((k + n_y, k + n_u))
             self.D22[k:, k:] = D22
-        self._finder = PeakFinder()
+        self.tuning, self._finder = tuning, PeakFinder(tuning)
 
     # --- the loop ----------------------------------------------------------------------------------------------------
 
-    def without_direct_term(self, theta: AnyArray) -> tuple[AnyArray, AnyArray | None, AnyArray | None] | None:
-        """``(Theta (I - D22 Theta)^-1, L, R)``, its change ``L dTheta R``; None where the loop is not well posed."""
+    def _member(self, theta: AnyArray) -> _Member | None:
+        """The loop with ``Theta (I - D22 Theta)^-1``; None where that is not well posed."""
         if self.D22 is None:
-            return theta, None, None
+            return _Member(self._loop(theta), None, None)
         right = np.eye(self.D22.shape[0]) - self.D22 @ theta
         if not np.isfinite(right).all() or np.linalg.cond(right) > ILL_POSED:
             return None
         right = np.linalg.inv(right)
         left = np.eye(theta.shape[0]) + theta @ right @ self.D22
-        return theta @ right, left, right
+        return _Member(self._loop(theta @ right), left, right)
 
-    def loop(self, theta: AnyArray) -> LoopMatrices | None:
+    def loop(self, theta: AnyArray) -> Realisation | None:
         """The loop's matrices; None where it is not well posed."""
-        effective = self.without_direct_term(theta)
-        return None if effective is None else self._loop(effective[0])
+        member = self._member(theta)
+        return None if member is None else member.loop
 
-    def _loop(self, theta: AnyArray) -> LoopMatrices:
+    def _loop(self, theta: AnyArray) -> Realisation:
         tc, td = theta @ self.C, theta @ self.D21
-        return LoopMatrices(
+        return Realisation(
             self.A + self.B @ tc, self.B1 + self.B @ td, self.C1 + self.D12 @ tc, self.D11 + self.D12 @ td
         )
+
+    def _continuous(self, member: _Member) -> Realisation | None:
+        return bilinear(member.loop) if self.discrete else member.loop
 
     # --- poles -------------------------------------------------------------------------------------------------------
 
@@ -126,11 +145,8 @@ class LoopFamily:
         """The pole with the largest ``measure(poles)`` and its derivative; None where there is none."""
         from scipy.linalg import eig
 
-        effective = self.without_direct_term(theta)
-        if effective is None or not len(self.A):
-            return None
-        A = self._loop(effective[0]).A
-        if not np.isfinite(A).all():
+        member = self._member(theta) if len(self.A) else None
+        if member is None or not np.isfinite(A := member.loop.A).all():
             return None
         values, left, right = (np.asarray(x) for x in eig(A, left=True, check_finite=False))
         k = int(np.argmax(measure(values)))
@@ -139,7 +155,7 @@ class LoopFamily:
         if abs(product) < DEFECTIVE:
             product = DEFECTIVE
         G = np.outer(u.conj() @ self.B, self.C @ v) / product
-        return Pole(complex(values[k]), self._chained(G, effective[1], effective[2]))
+        return Pole(complex(values[k]), member.by_theta(G))
 
     def abscissa(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
         """Spectral abscissa (discrete: largest modulus minus one) and its gradient with respect to Theta."""
@@ -160,44 +176,36 @@ class LoopFamily:
 
         Above ``give_up_above`` the value may be a lower bound and the gradient is None.
         """
-        effective = self.without_direct_term(theta)
-        loop = None if effective is None else self._loop(effective[0])
-        continuous = bilinear(loop) if loop is not None and self.discrete else loop
-        if effective is None or loop is None or continuous is None:
+        member = self._member(theta)
+        continuous = None if member is None else self._continuous(member)
+        if member is None or continuous is None:
             return np.inf, None
         value, omega = self._finder.largest(continuous, give_up_above)
         if value >= give_up_above or not np.isfinite(value):
             return value, None
-        found = self._gradients(loop, effective, omega, 0.0)
+        found = self._gradients(member, omega, 0.0)
         if found is None or not np.isfinite(found[0][0]):
             return np.inf, None
         return max(value, found[0][0]), found[0][1]
 
     def active(self, theta: AnyArray, value: float, share: float, band: float) -> list[tuple[float, AnyArray]]:
         """Singular values near the norm ``value``, each with its gradient: all peaks above ``(1 - share) value``."""
-        effective = self.without_direct_term(theta)
-        loop = None if effective is None else self._loop(effective[0])
-        continuous = bilinear(loop) if loop is not None and self.discrete else loop
-        if effective is None or loop is None or continuous is None:
+        member = self._member(theta)
+        continuous = None if member is None else self._continuous(member)
+        if member is None or continuous is None:
             return []
         omegas = np.array(self._finder.peaks(continuous, value, share, band), dtype=float)
-        dynamic = np.isfinite(omegas) | self.discrete if len(loop.A) else np.zeros(len(omegas), dtype=bool)
-        found = self._stacked_gradients(loop, effective, omegas[dynamic], (1 - share) * value)
+        dynamic = np.isfinite(omegas) | self.discrete if len(self.A) else np.zeros(len(omegas), dtype=bool)
+        found = self._stacked_gradients(member, omegas[dynamic], (1 - share) * value)
         if not dynamic.all():
-            found += self._gradients(loop, effective, np.inf, (1 - share) * value) or []
+            found += self._gradients(member, np.inf, (1 - share) * value) or []
         return found
 
-    def _stacked_gradients(
-        self,
-        loop: LoopMatrices,
-        effective: tuple[AnyArray, AnyArray | None, AnyArray | None],
-        omegas: AnyArray,
-        least: float,
-    ) -> list[tuple[float, AnyArray]]:
+    def _stacked_gradients(self, member: _Member, omegas: AnyArray, least: float) -> list[tuple[float, AnyArray]]:
         """What `_gradients` gives, for many frequencies at once."""
         if not len(omegas):
             return []
-        a, b, c, d = loop
+        a, b, c, d = member.loop
         m = b.shape[1]
         points = np.array([resolvent_point(omega, self.discrete) for omega in omegas])
         try:
@@ -212,18 +220,12 @@ class LoopFamily:
         found: list[tuple[float, AnyArray]] = []
         for i, k in np.argwhere((s > least) & (s > 0.5 * s[:, :1])):
             row, column = left[i, :, k].conj() @ rows[i], columns[i] @ right[i, k].conj()
-            found.append((float(s[i, k]), np.real(self._chained(np.outer(row, column), effective[1], effective[2]))))
+            found.append((float(s[i, k]), np.real(member.by_theta(np.outer(row, column)))))
         return found
 
-    def _gradients(
-        self,
-        loop: LoopMatrices,
-        effective: tuple[AnyArray, AnyArray | None, AnyArray | None],
-        omega: float,
-        least: float,
-    ) -> list[tuple[float, AnyArray]] | None:
+    def _gradients(self, member: _Member, omega: float, least: float) -> list[tuple[float, AnyArray]] | None:
         """Singular values at one frequency above ``least`` (at least the largest one) with their gradients."""
-        a, b, c, d = loop
+        a, b, c, d = member.loop
         direct = not np.isfinite(omega) and not self.discrete
         if direct or not len(a):
             left, s, right = np.linalg.svd(d, full_matrices=False)
@@ -243,7 +245,7 @@ class LoopFamily:
             if lu is not None:
                 row = row + lapack().zgetrs(lu, piv, c.T @ u, trans=2)[0].conj() @ self.B
                 column = column + self.C @ lapack().zgetrs(lu, piv, b @ v)[0]
-            found.append((float(s[k]), np.real(self._chained(np.outer(row, column), effective[1], effective[2]))))
+            found.append((float(s[k]), np.real(member.by_theta(np.outer(row, column)))))
             if least == 0.0:
                 break
         return found
@@ -257,10 +259,10 @@ class LoopFamily:
         """
         from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-        effective = self.without_direct_term(theta)
-        if effective is None:
+        member = self._member(theta)
+        if member is None:
             return np.inf, None
-        a, b, c, d = self._loop(effective[0])
+        a, b, c, d = member.loop
         if not np.isfinite(a).all():
             return np.inf, None
         values = np.linalg.eigvals(a) if len(a) else np.zeros(0)
@@ -279,25 +281,17 @@ class LoopFamily:
         if not np.isfinite(square) or square < 0:
             return np.inf, None
         norm = np.sqrt(square)
-        return norm, self._chained(G / max(norm, 1e-300), effective[1], effective[2])
+        return norm, member.by_theta(G / max(norm, 1e-300))
 
     def entropy(self, theta: AnyArray, gamma: float) -> tuple[float, AnyArray, float] | None:
         """Entropy at this level with its gradients with respect to Theta and to gamma; None at or below the norm."""
-        effective = self.without_direct_term(theta)
-        loop = None if effective is None else self._loop(effective[0])
-        if effective is None or loop is None or not all(np.isfinite(part).all() for part in loop):
+        member = self._member(theta)
+        if member is None or not all(np.isfinite(part).all() for part in member.loop):
             return None
-        continuous = bilinear(loop) if self.discrete else loop
-        found = None if continuous is None else entropy(continuous, gamma)
+        continuous = self._continuous(member)
+        found = None if continuous is None else entropy(continuous, gamma, tuning=self.tuning)
         if found is None:
             return None
-        by_loop = LoopMatrices(found.A, found.B, found.C, found.D)
-        if self.discrete:
-            by_loop = bilinear_pullback(loop, by_loop)
-        a, b, c, d = by_loop
+        a, b, c, d = bilinear_pullback(member.loop, found.by_loop) if self.discrete else found.by_loop
         G = self.B.T @ (a @ self.C.T + b @ self.D21.T) + self.D12.T @ (c @ self.C.T + d @ self.D21.T)
-        return found.value, self._chained(G, effective[1], effective[2]), found.by_gamma
-
-    @staticmethod
-    def _chained(G: AnyArray, left: AnyArray | None, right: AnyArray | None) -> AnyArray:
-        return G if left is None or right is None else left.T @ G @ right.T
+        return found.value, member.by_theta(G), found.by_gamma

@@ -1,71 +1,35 @@
-r"""H-infinity norm as an objective: quick, warm-started, and free of the under-estimates that an optimiser walks into.
+r"""What a search makes small: the H-infinity norm of a loop, and its entropy as a smooth barrier of that norm.
 
-Not a proof: finished designs are verified with `robustlab.norms.hinf_norm`. Frequencies here are those of a continuous
-loop; a discrete loop is mapped by the bilinear rule first (`bilinear`).
-
-Entropy of a closed loop at a level above its H-infinity norm: a smooth barrier for the nonsmooth norm.
+The norm is quick, warm-started, and free of the under-estimates that an optimiser walks into; it is no proof: finished
+designs are verified with `robustlab.norms.hinf_norm`. The entropy at a level gamma,
 
 .. math::
     \varphi(T, \gamma) = -\frac{1}{2\pi} \int_{-\infty}^{\infty} \ln\det\left(I - \gamma^{-2} T(j\omega)^* T(j\omega)
-    \right) \frac{2 s_0}{s_0^2 + \omega^2}\,d\omega
+    \right) \frac{2 s_0}{s_0^2 + \omega^2}\,d\omega,
 
-is finite exactly where the norm of T is below gamma, and its slope grows without bound towards the norm. With the
-stabilising solution of
-
-.. math:: A^T X + X A + C^T C + F^T R F = 0, \qquad R = \gamma^2 I - D^T D, \quad F = R^{-1} (B^T X + D^T C)
-
-the factor :math:`R^{1/2} (I - F (sI - A)^{-1} B)` is outer, and Poisson's integral gives
-
-.. math:: \varphi = -\ln\det(R/\gamma^2) + 2 \ln\det(s_0 I - A) - 2 \ln\det(s_0 I - A - B F).
-
-References
-----------
-Mustafa, Glover, *Minimum entropy H-infinity control* (1990); the derivatives are those of this expression.
+is finite exactly where the norm of T is below gamma, and its slope grows without bound towards the norm. Frequencies
+here are those of a continuous loop; a discrete loop is mapped by the bilinear rule first (`bilinear`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.lapack import lapack
 from robustlab.matrix_equations import lapack
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
+from robustlab.synthesis.problem.partition import Realisation
 
-__all__ = [
-    "LoopMatrices",
-    "PeakFinder",
-    "bilinear",
-    "bilinear_pullback",
-    "crossings",
-    "resolvent_point",
-    "Entropy",
-    "entropy",
-]
+__all__ = ["Entropy", "PeakFinder", "bilinear", "bilinear_pullback", "crossings", "entropy", "resolvent_point"]
 
-
-# Relative height above the largest value met at which the Hamiltonian is asked for crossings.
-LEVEL = 1e-8
-MAX_LEVELS = 12
-GRID = 28
-# Eigenvalues of the Hamiltonian count as crossings up to this ratio of real part to modulus; sigma decides.
-NEAR_AXIS = 1e-3
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
-REFINEMENTS = 8
 
 
-class LoopMatrices(NamedTuple):
-    """Bare matrices of a closed loop from w to z."""
-
-    A: AnyArray
-    B: AnyArray
-    C: AnyArray
-    D: AnyArray
-
-
-def bilinear(loop: LoopMatrices) -> LoopMatrices | None:
+def bilinear(loop: Realisation) -> Realisation | None:
     """The continuous loop of a discrete one under ``s = (z - 1)/(z + 1)``; None where a pole lies at z = -1."""
     a, b, c, d = loop
     n = a.shape[0]
@@ -76,16 +40,16 @@ def bilinear(loop: LoopMatrices) -> LoopMatrices | None:
     except np.linalg.LinAlgError:
         return None
     root = np.sqrt(2.0)
-    return LoopMatrices(e @ (a - np.eye(n)), root * e @ b, root * c @ e, d - c @ e @ b)
+    return Realisation(e @ (a - np.eye(n)), root * e @ b, root * c @ e, d - c @ e @ b)
 
 
-def bilinear_pullback(loop: LoopMatrices, by: LoopMatrices) -> LoopMatrices:
+def bilinear_pullback(loop: Realisation, by: Realisation) -> Realisation:
     """Gradients with respect to a discrete loop from those with respect to its `bilinear` image."""
     a, b, c, _ = loop
     e = np.linalg.inv(np.eye(len(a)) + a)
     eb, ce, root = e @ b, c @ e, np.sqrt(2.0)
     by_a = 2 * e.T @ by.A @ e.T - root * (e.T @ by.B @ eb.T + ce.T @ by.C @ e.T) + ce.T @ by.D @ eb.T
-    return LoopMatrices(by_a, root * e.T @ by.B - ce.T @ by.D, root * by.C @ e.T - by.D @ eb.T, by.D)
+    return Realisation(by_a, root * e.T @ by.B - ce.T @ by.D, root * by.C @ e.T - by.D @ eb.T, by.D)
 
 
 def resolvent_point(omega: float, discrete: bool) -> complex:
@@ -95,13 +59,101 @@ def resolvent_point(omega: float, discrete: bool) -> complex:
     return -1.0 + 0j if np.isinf(omega) else (1 + 1j * omega) / (1 - 1j * omega)
 
 
+class PeakFinder:
+    """Finds the peaks of one loop after the other; the frequencies of the last ones are tried first.
+
+    ``largest`` gives the norm; ``peaks`` all frequencies near the norm, for methods that need every active one.
+    """
+
+    def __init__(self, tuning: NonsmoothTuning = TUNING) -> None:
+        self.tuning = tuning
+        self._warm: list[float] = []
+
+    def largest(self, loop: Realisation, give_up_above: float = np.inf) -> tuple[float, float]:
+        """``(norm, frequency)``; infinite for a loop that is not stable.
+
+        Above ``give_up_above`` the first value met is returned: a line search asks no more.
+        """
+        n = loop.A.shape[0]
+        direct = float(np.linalg.norm(loop.D, 2)) if loop.D.any() else 0.0
+        if not n or not loop.B.size or not loop.C.size:
+            return direct, 0.0
+        if not all(np.isfinite(m).all() for m in loop):
+            return np.inf, np.nan
+        modal = _Modal(loop, self.tuning.peak_refinements)
+        if not modal.stable:
+            return np.inf, np.nan
+        omega = self._frequencies(modal, self.tuning.peak_grid)
+        sigma = modal.sigma(omega)
+        if not np.isfinite(sigma).all():
+            return np.inf, np.nan
+        order = np.argsort(omega, kind="stable")
+        omega, sigma = omega[order], sigma[order]
+        k = int(sigma.argmax())
+        low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+        at = modal.refined(float(omega[k]), float(low), float(high)) if sigma[k] > direct else np.inf
+        value = _sigma_at(loop, at)
+        if value < direct:
+            value, at = direct, np.inf
+        if value < give_up_above:
+            value, at = self._above(loop, modal, value, at)
+        if np.isfinite(at) and at not in self._warm:
+            self._warm = [at, *self._warm[:3]]
+        return value, at
+
+    def _above(self, loop: Realisation, modal: _Modal, value: float, at: float) -> tuple[float, float]:
+        """Raise the value until the Hamiltonian shows no crossing above it."""
+        for _ in range(self.tuning.peak_levels):
+            level = value * (1 + self.tuning.peak_level)
+            crossing = crossings(loop, level, self.tuning.near_axis)
+            if not len(crossing):
+                break
+            points = np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0]]])
+            sigma = modal.sigma(points, level)
+            k = int(sigma.argmax())
+            found = _sigma_at(loop, float(points[k]))
+            if found <= level:
+                break
+            near = crossing[crossing < points[k]].max(initial=0.0), crossing[crossing > points[k]].min(initial=np.inf)
+            refined = modal.refined(float(points[k]), float(near[0]), float(min(near[1], 4 * points[k])))
+            better = _sigma_at(loop, refined)
+            value, at = (better, refined) if better > found else (found, float(points[k]))
+        return value, at
+
+    def peaks(self, loop: Realisation, value: float, share: float, band: float) -> list[float]:
+        """Frequencies of all local maxima above ``(1 - share) * value``, and of grid points above ``(1 - band)``."""
+        if not loop.A.shape[0]:
+            return [0.0]
+        modal = _Modal(loop, self.tuning.peak_refinements)
+        direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
+        if not modal.stable:
+            return direct
+        omega = np.unique(np.concatenate([self._frequencies(modal, 2 * self.tuning.peak_grid), self._warm]))
+        sigma = modal.sigma(omega, (1 - share) * value)
+        sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
+        left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
+        found = list(omega[sigma > (1 - band) * value])
+        for k in np.flatnonzero((sigma >= left) & (sigma >= right) & (sigma > 0)):
+            low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+            found.append(modal.refined(float(omega[k]), float(low), float(high)))
+        return [*dict.fromkeys(found), *direct]
+
+    def _frequencies(self, modal: _Modal, grid: int) -> AnyArray:
+        poles = modal.poles[modal.poles.imag >= 0]
+        size = np.abs(poles)
+        resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
+        wide = np.geomspace(size.min() / 10, size.max() * 10, grid)
+        omega = np.concatenate([[0.0], size, poles.imag, resonance, wide, self._warm])
+        return np.unique(omega)
+
+
 class _Modal:
     """A loop in modal coordinates: the gain at many frequencies costs little; good for searching, not for the value."""
 
-    def __init__(self, loop: LoopMatrices) -> None:
+    def __init__(self, loop: Realisation, refinements: int) -> None:
         a, b, c, d = loop
         n = a.shape[0]
-        self.loop, self.d = loop, d
+        self.loop, self.d, self.refinements = loop, d, refinements
         real, imag, _, right, info = lapack().dgeev(a, compute_vl=0)
         self.poles = real + 1j * imag
         self.stable = info == 0 and bool(real.max() < -BLUR * np.abs(a).max())
@@ -153,7 +205,7 @@ class _Modal:
         at, g_at = (high, self.slope(high)[1]) if g > 0 else (low, self.slope(low)[1])
         if g_at * g > 0:
             return omega
-        for _ in range(REFINEMENTS):
+        for _ in range(self.refinements):
             step = omega - g * (omega - at) / (g - g_at)
             inside = low + 0.02 * (high - low) <= step <= high - 0.02 * (high - low)
             new = step if inside else 0.5 * (low + high)
@@ -165,94 +217,7 @@ class _Modal:
         return omega
 
 
-class PeakFinder:
-    """Finds the peaks of one loop after the other; the frequencies of the last ones are tried first.
-
-    ``largest`` gives the norm; ``peaks`` all frequencies near the norm, for methods that need every active one.
-    """
-
-    def __init__(self) -> None:
-        self._warm: list[float] = []
-
-    def largest(self, loop: LoopMatrices, give_up_above: float = np.inf) -> tuple[float, float]:
-        """``(norm, frequency)``; infinite for a loop that is not stable.
-
-        Above ``give_up_above`` the first value met is returned: a line search asks no more.
-        """
-        n = loop.A.shape[0]
-        direct = float(np.linalg.norm(loop.D, 2)) if loop.D.any() else 0.0
-        if not n or not loop.B.size or not loop.C.size:
-            return direct, 0.0
-        if not all(np.isfinite(m).all() for m in loop):
-            return np.inf, np.nan
-        modal = _Modal(loop)
-        if not modal.stable:
-            return np.inf, np.nan
-        omega = self._frequencies(modal)
-        sigma = modal.sigma(omega)
-        if not np.isfinite(sigma).all():
-            return np.inf, np.nan
-        order = np.argsort(omega, kind="stable")
-        omega, sigma = omega[order], sigma[order]
-        k = int(sigma.argmax())
-        low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
-        at = modal.refined(float(omega[k]), float(low), float(high)) if sigma[k] > direct else np.inf
-        value = _sigma_at(loop, at)
-        if value < direct:
-            value, at = direct, np.inf
-        if value < give_up_above:
-            value, at = self._above(loop, modal, value, at)
-        if np.isfinite(at) and at not in self._warm:
-            self._warm = [at, *self._warm[:3]]
-        return value, at
-
-    def _above(self, loop: LoopMatrices, modal: _Modal, value: float, at: float) -> tuple[float, float]:
-        """Raise the value until the Hamiltonian shows no crossing above it."""
-        for _ in range(MAX_LEVELS):
-            level = value * (1 + LEVEL)
-            crossing = crossings(loop, level)
-            if not len(crossing):
-                break
-            points = np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0]]])
-            sigma = modal.sigma(points, level)
-            k = int(sigma.argmax())
-            found = _sigma_at(loop, float(points[k]))
-            if found <= level:
-                break
-            near = crossing[crossing < points[k]].max(initial=0.0), crossing[crossing > points[k]].min(initial=np.inf)
-            refined = modal.refined(float(points[k]), float(near[0]), float(min(near[1], 4 * points[k])))
-            better = _sigma_at(loop, refined)
-            value, at = (better, refined) if better > found else (found, float(points[k]))
-        return value, at
-
-    def peaks(self, loop: LoopMatrices, value: float, share: float, band: float) -> list[float]:
-        """Frequencies of all local maxima above ``(1 - share) * value``, and of grid points above ``(1 - band)``."""
-        if not loop.A.shape[0]:
-            return [0.0]
-        modal = _Modal(loop)
-        direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
-        if not modal.stable:
-            return direct
-        omega = np.unique(np.concatenate([self._frequencies(modal, 2 * GRID), self._warm]))
-        sigma = modal.sigma(omega, (1 - share) * value)
-        sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
-        left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
-        found = list(omega[sigma > (1 - band) * value])
-        for k in np.flatnonzero((sigma >= left) & (sigma >= right) & (sigma > 0)):
-            low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
-            found.append(modal.refined(float(omega[k]), float(low), float(high)))
-        return [*dict.fromkeys(found), *direct]
-
-    def _frequencies(self, modal: _Modal, grid: int = GRID) -> AnyArray:
-        poles = modal.poles[modal.poles.imag >= 0]
-        size = np.abs(poles)
-        resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
-        wide = np.geomspace(size.min() / 10, size.max() * 10, grid)
-        omega = np.concatenate([[0.0], size, poles.imag, resonance, wide, self._warm])
-        return np.unique(omega)
-
-
-def crossings(loop: LoopMatrices, level: float) -> AnyArray:
+def crossings(loop: Realisation, level: float, near_axis: float = TUNING.near_axis) -> AnyArray:
     """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
     a, b, c, d = loop
     root = np.sqrt(level)
@@ -275,11 +240,11 @@ def crossings(loop: LoopMatrices, level: float) -> AnyArray:
     if info:
         return np.zeros(0)
     size = np.hypot(real, imag)
-    near = (imag >= 0) & (np.abs(real) <= NEAR_AXIS * size + 1e-12 * size.max())
+    near = (imag >= 0) & (np.abs(real) <= near_axis * size + 1e-12 * size.max())
     return np.unique(imag[near])
 
 
-def _sigma_at(loop: LoopMatrices, omega: float) -> float:
+def _sigma_at(loop: Realisation, omega: float) -> float:
     """``sigma_max`` by a direct solve."""
     if not np.isfinite(omega):
         return float(np.linalg.norm(loop.D, 2))
@@ -291,24 +256,30 @@ def _sigma_at(loop: LoopMatrices, omega: float) -> float:
     return float(np.linalg.svd(gain, compute_uv=False)[0])
 
 
-# Residual of the Riccati equation relative to its terms above which a solution counts as none.
-RESIDUAL = 1e-7
+# --- entropy ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Entropy:
-    """The entropy, its derivative with respect to gamma, and its gradients with respect to A, B, C and D."""
+    """The entropy, its derivative with respect to gamma, and its gradients with respect to the loop's matrices."""
 
     value: float
     by_gamma: float
-    A: AnyArray
-    B: AnyArray
-    C: AnyArray
-    D: AnyArray
+    by_loop: Realisation
 
 
-def entropy(loop: LoopMatrices, gamma: float, s0: float = 1.0) -> Entropy | None:
-    """The entropy with its derivatives; None where the loop is not stable or its norm not below gamma.
+def entropy(loop: Realisation, gamma: float, s0: float = 1.0, tuning: NonsmoothTuning = TUNING) -> Entropy | None:
+    r"""The entropy with its derivatives; None where the loop is not stable or its norm not below gamma.
+
+    With the stabilising solution of
+
+    .. math:: A^T X + X A + C^T C + F^T R F = 0, \qquad R = \gamma^2 I - D^T D, \quad F = R^{-1} (B^T X + D^T C)
+
+    the factor :math:`R^{1/2} (I - F (sI - A)^{-1} B)` is outer, and Poisson's integral gives
+
+    .. math:: \varphi = -\ln\det(R/\gamma^2) + 2 \ln\det(s_0 I - A) - 2 \ln\det(s_0 I - A - B F),
+
+    whose derivatives these are.
 
     Parameters
     ----------
@@ -318,6 +289,10 @@ def entropy(loop: LoopMatrices, gamma: float, s0: float = 1.0) -> Entropy | None
         The level.
     s0
         Where the factor is evaluated, in rad/s: frequencies about it weigh most.
+
+    References
+    ----------
+    Mustafa, Glover, *Minimum entropy H-infinity control* (1990).
     """
     a, b, c, d = loop
     n, m = b.shape
@@ -331,8 +306,9 @@ def entropy(loop: LoopMatrices, gamma: float, s0: float = 1.0) -> Entropy | None
         nothing = np.zeros
         value = -float(np.linalg.slogdet(r)[1]) + 2 * m * np.log(gamma)
         by_gamma = -2 * gamma * float(np.trace(r_inv)) + 2 * m / gamma
-        return Entropy(value, by_gamma, nothing((0, 0)), nothing((0, m)), nothing((len(c), 0)), 2 * d @ r_inv)
-    x = _stabilising(a, b, c, d, r_inv)
+        by_loop = Realisation(nothing((0, 0)), nothing((0, m)), nothing((len(c), 0)), 2 * d @ r_inv)
+        return Entropy(value, by_gamma, by_loop)
+    x = _stabilising(loop, r_inv, tuning.entropy_residual)
     if x is None:
         return None
     f = r_inv @ (b.T @ x + d.T @ c)
@@ -349,18 +325,15 @@ def entropy(loop: LoopMatrices, gamma: float, s0: float = 1.0) -> Entropy | None
     q = v + y @ f.T
     fv = f @ v
     by_r = r_inv + fv + fv.T + f @ y @ f.T
-    return Entropy(
-        value,
-        -2 * gamma * float(np.trace(by_r)) + 2 * m / gamma,
-        2 * (w_f - w + y @ x).T,
-        2 * (f @ w_f).T + 2 * x @ q,
-        2 * d @ q.T + 2 * c @ y,
-        2 * c @ q + 2 * d @ by_r,
-    )
+    by_gamma = -2 * gamma * float(np.trace(by_r)) + 2 * m / gamma
+    by_a, by_b = 2 * (w_f - w + y @ x).T, 2 * (f @ w_f).T + 2 * x @ q
+    by_c, by_d = 2 * d @ q.T + 2 * c @ y, 2 * c @ q + 2 * d @ by_r
+    return Entropy(value, by_gamma, Realisation(by_a, by_b, by_c, by_d))
 
 
-def _stabilising(a: AnyArray, b: AnyArray, c: AnyArray, d: AnyArray, r_inv: AnyArray) -> AnyArray | None:
+def _stabilising(loop: Realisation, r_inv: AnyArray, tolerance: float) -> AnyArray | None:
     """X from the stable invariant subspace of the Hamiltonian; None where there is none or A is not stable."""
+    a, b, c, d = loop
     n = len(a)
     a1 = a + b @ (r_inv @ (d.T @ c)) if d.any() else a
     low = c.T @ (c + d @ (r_inv @ (d.T @ c))) if d.any() else c.T @ c
@@ -382,7 +355,7 @@ def _stabilising(a: AnyArray, b: AnyArray, c: AnyArray, d: AnyArray, r_inv: AnyA
         return None
     terms = x @ a1, x @ hamiltonian[:n, n:] @ x
     residual = np.abs(terms[0] + terms[0].T + low + terms[1]).max()
-    return x if residual <= RESIDUAL * max(np.abs(t).max() for t in (*terms, low)) else None
+    return x if residual <= tolerance * max(np.abs(t).max() for t in (*terms, low)) else None
 
 
 def _lyapunov(a: AnyArray, q: AnyArray) -> AnyArray | None:

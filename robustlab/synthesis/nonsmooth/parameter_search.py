@@ -2,11 +2,10 @@
 
 Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
 and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
-
 Every start goes through the same steps, and the budget of the problem counts evaluations, so that the same seed gives
 the same answer.
 
-Nonsmooth descent from a controller that is known: a seam for methods that want a last improvement.
+From a controller that is known, `descend` takes one start alone: a last improvement for other methods.
 """
 
 from __future__ import annotations
@@ -22,37 +21,12 @@ from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter, model_of
-from robustlab.synthesis.nonsmooth.descent_methods import Function, bfgs, sequential_linear
+from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
+from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-__all__ = [
-    "Start",
-    "central_path",
-    "multi_start",
-    "polished",
-    "stabilised",
-    "descend",
-    "law_around",
-]
-
-
-# The abscissa (in scaled time) at which a start counts as stable, and the steps that move it further inside.
-STABLE = -1e-6
-STABILISE_STEPS, DEEPER_STEPS, DEEP = 300, 15, -0.5
-# Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
-BARRIER = (3.0, 1.0, 0.3)
-CLOSER = (0.1, 0.03)
-BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
-DESCENT_STEPS, DESCENT_RTOL = 40, 1e-6
-# Steps down the norm that a round gives every start, and how many starts go on to the next round.
-ROUNDS = ((12, 8), (30, 4), (90, 3))
-ROUND_RTOL = 1e-5
-# Starts that are followed to the end of the path, and those of them that are polished.
-FOLLOWED, POLISHED, POLISH_ROUNDS, POLISH_STEPS = 3, 2, 8, 40
-HEADROOM = 1.5
-# Ends whose norms differ by less than this share count as the same optimum.
-SAME = 1e-4
+__all__ = ["Start", "central_path", "descend", "law_around", "multi_start", "polished", "stabilised"]
 
 
 @dataclass(frozen=True)
@@ -84,113 +58,6 @@ class Start:
         return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
 
-def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
-    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
-
-    The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
-    """
-
-    def loops(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
-        return problem.instability(x)
-
-    def limits(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
-        return problem.violation(x)
-
-    v, value = _below_zero(problem, loops, v)
-    if value >= STABLE or not problem.limits:
-        return v, value
-    return _below_zero(problem, limits, v)
-
-
-def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tuple[AnyArray, float]:
-    """Descent until the function is negative, and a few steps further."""
-    value = function(v, np.inf)[0]
-    if value < STABLE:
-        return v, value
-    found = bfgs(function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE, late=problem.late)
-    if found is None or found.value >= STABLE:
-        return (v, value) if found is None else (found.x, found.value)
-    deeper = bfgs(function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP, late=problem.late)
-    return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
-
-
-def central_path(
-    problem: DesignProblem, v: AnyArray, weights: Sequence[float] = BARRIER
-) -> tuple[AnyArray, list[float]]:
-    """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
-    best, at = problem.norm(v)[0], v
-    values = [best]
-    if not np.isfinite(best) or best <= 0:
-        return v, values
-    z = np.append(v, np.log(HEADROOM * best))
-    for mu in weights:
-
-        def function(x: AnyArray, _: float, mu: float = mu) -> tuple[float, AnyArray | None]:
-            return problem.barrier(x, mu)
-
-        found = bfgs(function, z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL, late=problem.late)
-        if found is None or problem.late():
-            break
-        z = found.x
-        value = problem.norm(z[:-1])[0]
-        values.append(value)
-        if value < best:
-            best, at = value, z[:-1]
-    return at, values
-
-
-def _descended(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
-    found = bfgs(problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL, late=problem.late)
-    return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
-
-
-def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
-    """Parameters improved by sequential linear programs and descents in turn."""
-    free = problem.free
-    low = np.array([c.parameter.low for c in problem.coordinates])
-    high = np.array([c.parameter.high for c in problem.coordinates])
-    p = p.copy()
-    value = problem.value_at(p[free])
-    for _ in range(POLISH_ROUNDS):
-        if problem.late():
-            break
-        q, reached = sequential_linear(
-            problem.value_at, problem.pieces, p[free], low, high, max_steps=POLISH_STEPS, late=problem.late
-        )
-        full = p.copy()
-        full[free] = q
-        v, descended = _descended(problem, problem.variables(full))
-        if descended < reached:
-            full, reached = problem.parameters(v)[0], descended
-        gained = reached < value * (1 - 3e-4)
-        if reached < value:
-            p, value = full, reached
-        if not gained:
-            break
-    return p, value
-
-
-def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> AnyArray:
-    """A random start; ``uneven`` ones spread their parameters over decades, because channels differ that much."""
-    count = len(problem.free)
-    spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
-    draw = rng.standard_normal(count)
-    centred = np.array([c.parameter.centre != 0 for c in problem.coordinates], dtype=bool)
-    bounded = np.array([c.logarithmic for c in problem.coordinates], dtype=bool)
-    return problem.centre + draw * np.select([centred, bounded], [0.5, 0.3], spread)
-
-
-@dataclass(frozen=True)
-class _Runner:
-    """A start on its way down: its variables, scaled norm, and the descent's inverse Hessian to go on with."""
-
-    start: Start
-    v: AnyArray
-    value: float
-    inverse: AnyArray | None = None
-    stands: bool = False
-
-
 def multi_start(
     problem: DesignProblem,
     given: Sequence[tuple[str, AnyArray]],
@@ -218,18 +85,39 @@ def multi_start(
         best = min(runner.start.gamma for runner in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {field[-1].start.gamma:.6g}, {text}")
-    for steps, keep in ROUNDS:
-        field = _distinct_first(field)
+    for steps, keep in problem.tuning.rounds:
+        field = _distinct_first(field, problem.tuning.same)
         field = [_further(problem, r, steps) if i < keep else r for i, r in enumerate(field)]
-    found = [r.start for r in _distinct_first(field)]
-    followed = [_followed(problem, s) if i < FOLLOWED else s for i, s in enumerate(found)]
+    found = [r.start for r in _distinct_first(field, problem.tuning.same)]
+    followed = [_followed(problem, s) if i < problem.tuning.followed else s for i, s in enumerate(found)]
     return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), progress)
+
+
+@dataclass(frozen=True)
+class _Runner:
+    """A start on its way down: its variables, scaled norm, and the descent's inverse Hessian to go on with."""
+
+    start: Start
+    v: AnyArray
+    value: float
+    inverse: AnyArray | None = None
+    stands: bool = False
+
+
+def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> AnyArray:
+    """A random start; ``uneven`` ones spread their parameters over decades, because channels differ that much."""
+    count = len(problem.free)
+    spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
+    draw = rng.standard_normal(count)
+    centred = np.array([c.parameter.centre != 0 for c in problem.coordinates], dtype=bool)
+    bounded = np.array([c.logarithmic for c in problem.coordinates], dtype=bool)
+    return problem.centre + draw * np.select([centred, bounded], [0.5, 0.3], spread)
 
 
 def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> _Runner:
     """A start made stable; with limits, or where it is not a random one, taken along the central path."""
     v, instability = stabilised(problem, v)
-    if instability >= STABLE:
+    if instability >= problem.tuning.stable:
         return _Runner(Start(kind, instability, np.inf, problem.parameters(v)[0], ()), v, np.inf, stands=True)
     value = problem.norm(v)[0]
     values = [value]
@@ -238,14 +126,15 @@ def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> _Runner:
         value = min(values)
     gammas = tuple(x / problem.gain for x in values)
     start = Start(kind, instability, value / problem.gain, problem.parameters(v)[0], gammas)
-    return _further(problem, _Runner(start, v, value), ROUNDS[0][0])
+    return _further(problem, _Runner(start, v, value), problem.tuning.rounds[0][0])
 
 
 def _further(problem: DesignProblem, runner: _Runner, steps: int) -> _Runner:
     """A start some steps further down the norm."""
     if runner.stands or not np.isfinite(runner.value) or runner.value == 0 or problem.late():
         return runner
-    found = bfgs(problem.norm, runner.v, max_steps=steps, rtol=ROUND_RTOL, inverse=runner.inverse, late=problem.late)
+    tuning = problem.tuning
+    found = _bfgs(problem, problem.norm, runner.v, max_steps=steps, rtol=tuning.round_rtol, inverse=runner.inverse)
     if found is None or not found.value < runner.value:
         return replace(runner, stands=True)
     p, gamma = problem.parameters(found.x)[0], found.value / problem.gain
@@ -253,13 +142,13 @@ def _further(problem: DesignProblem, runner: _Runner, steps: int) -> _Runner:
     return _Runner(start, found.x, found.value, found.inverse, found.steps < steps)
 
 
-def _distinct_first(field: list[_Runner]) -> list[_Runner]:
+def _distinct_first(field: list[_Runner], same: float) -> list[_Runner]:
     """By norm, but those that ended where a better one has ended come last."""
     first: list[_Runner] = []
     again: list[_Runner] = []
     for runner in sorted(field, key=lambda r: r.value):
-        same = any(abs(r.value - runner.value) <= SAME * runner.value for r in first if np.isfinite(runner.value))
-        (again if same else first).append(runner)
+        known = any(abs(r.value - runner.value) <= same * runner.value for r in first if np.isfinite(runner.value))
+        (again if known else first).append(runner)
     return first + again
 
 
@@ -267,7 +156,7 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
     """A start taken along the path from where it is, and down the norm itself."""
     if not np.isfinite(start.gamma) or start.gamma == 0 or problem.late():
         return start
-    v, values = central_path(problem, problem.variables(start.p), CLOSER)
+    v, values = central_path(problem, problem.variables(start.p), problem.tuning.barrier_closer)
     v, value = _descended(problem, v)
     norms = (*start.values, *(x / problem.gain for x in (*values[1:], value)))
     gamma = value / problem.gain
@@ -278,10 +167,11 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
 
 def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
     done: list[Start] = []
+    same = problem.tuning.same
     ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
     for start in found:
-        new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > SAME * start.gamma for end in ends)
-        if len(ends) == POLISHED or not new or start.gamma == 0 or problem.late():
+        new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > same * start.gamma for end in ends)
+        if len(ends) == problem.tuning.polished or not new or start.gamma == 0 or problem.late():
             done.append(start)
             continue
         ends.append(start.gamma)
@@ -293,24 +183,119 @@ def _best_polished(problem: DesignProblem, found: list[Start], progress: Callabl
     return sorted(done, key=lambda s: s.gamma)
 
 
-# Condition number of the modes of A_K up to which they are taken as coordinates.
-MODES_WELL_APART = 1e6
-# Dense quasi-Newton steps are quick up to this number of parameters.
-MANY = 700
-# The controller is near its optimum already: the path starts where the barrier is weak.
-WEIGHTS = (0.3, 0.1, 0.03)
+def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any) -> Descent | None:
+    return bfgs(function, v, late=problem.late, tuning=problem.tuning, **steps)
+
+
+def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
+    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
+
+    The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
+    """
+
+    def loops(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
+        return problem.instability(x)
+
+    def limits(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
+        return problem.violation(x)
+
+    v, value = _below_zero(problem, loops, v)
+    if value >= problem.tuning.stable or not problem.limits:
+        return v, value
+    return _below_zero(problem, limits, v)
+
+
+def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tuple[AnyArray, float]:
+    """Descent until the function is negative, and a few steps further."""
+    tuning, value = problem.tuning, function(v, np.inf)[0]
+    if value < tuning.stable:
+        return v, value
+    found = _bfgs(problem, function, v, max_steps=tuning.stabilise_steps, stop_below=10 * tuning.stable)
+    if found is None or found.value >= tuning.stable:
+        return (v, value) if found is None else (found.x, found.value)
+    deeper = _bfgs(problem, function, found.x, max_steps=tuning.deeper_steps, stop_below=tuning.deep)
+    return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
+
+
+def central_path(
+    problem: DesignProblem, v: AnyArray, weights: Sequence[float] | None = None
+) -> tuple[AnyArray, list[float]]:
+    """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
+    tuning = problem.tuning
+    best, at = problem.norm(v)[0], v
+    values = [best]
+    if not np.isfinite(best) or best <= 0:
+        return v, values
+    z = np.append(v, np.log(tuning.headroom * best))
+    for mu in tuning.barrier if weights is None else weights:
+
+        def function(x: AnyArray, _: float, mu: float = mu) -> tuple[float, AnyArray | None]:
+            return problem.barrier(x, mu)
+
+        found = _bfgs(problem, function, z, max_steps=tuning.barrier_steps, rtol=tuning.barrier_rtol)
+        if found is None or problem.late():
+            break
+        z = found.x
+        value = problem.norm(z[:-1])[0]
+        values.append(value)
+        if value < best:
+            best, at = value, z[:-1]
+    return at, values
+
+
+def _descended(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
+    tuning = problem.tuning
+    found = _bfgs(problem, problem.norm, v, max_steps=tuning.descent_steps, rtol=tuning.descent_rtol)
+    return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
+
+
+def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
+    """Parameters improved by sequential linear programs and descents in turn."""
+    free, tuning = problem.free, problem.tuning
+    low = np.array([c.parameter.low for c in problem.coordinates])
+    high = np.array([c.parameter.high for c in problem.coordinates])
+    p = p.copy()
+    value = problem.value_at(p[free])
+    for _ in range(tuning.polish_rounds):
+        if problem.late():
+            break
+        q, reached = sequential_linear(
+            problem.value_at,
+            problem.pieces,
+            p[free],
+            low,
+            high,
+            max_steps=tuning.polish_steps,
+            late=problem.late,
+            tuning=tuning,
+        )
+        full = p.copy()
+        full[free] = q
+        v, descended = _descended(problem, problem.variables(full))
+        if descended < reached:
+            full, reached = problem.parameters(v)[0], descended
+        gained = reached < value * (1 - 3e-4)
+        if reached < value:
+            p, value = full, reached
+        if not gained:
+            break
+    return p, value
+
+
+# --- from a controller that is known ----------------------------------------------------------------------------------
 
 
 def descend(
     plant: GeneralizedPlant,
     K0: StateSpaceModel,
     budget: Budget,
-    weights: tuple[float, ...] = WEIGHTS,
+    weights: tuple[float, ...] | None = None,
+    tuning: NonsmoothTuning = TUNING,
 ) -> StateSpaceModel:
     """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
 
-    K0 is written in modal coordinates (or keeps its own where the modes almost coincide) and all its entries move. With
-    more than 700 of them only its inputs, outputs and direct term do.
+    K0 is written in modal coordinates (or keeps its own where the modes almost coincide) and all its entries move. Of
+    very many (`NonsmoothTuning.many`) only its inputs, outputs and direct term do.
 
     Parameters
     ----------
@@ -321,7 +306,7 @@ def descend(
     budget
         Evaluations are counted there; once it is over the descent ends.
     weights
-        Weights of the barrier, largest first: larger ones look further around.
+        Weights of the barrier, largest first: larger ones look further around. Left out: K0 is near its optimum.
 
     Returns
     -------
@@ -331,22 +316,22 @@ def descend(
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
         raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")
-    law, p = law_around(K0)
-    problem = DesignProblem([plant], law, "hinf", (), budget)
+    law, p = law_around(K0, tuning)
+    problem = DesignProblem([plant], law, "hinf", (), budget, tuning)
     v = problem.variables(p)
     before = problem.norm(v)[0]
     if not np.isfinite(before) or budget.over:
         return K0
-    v, _ = central_path(problem, v, weights)
+    v, _ = central_path(problem, v, tuning.barrier_known if weights is None else weights)
     q, after = polished(problem, problem.parameters(v)[0])
     if not after < before:
         return K0
     return model_of(law, q, K0.dt, K0.inputs, K0.outputs)
 
 
-def law_around(K: StateSpaceModel) -> tuple[AffineLaw, AnyArray]:
+def law_around(K: StateSpaceModel, tuning: NonsmoothTuning = TUNING) -> tuple[AffineLaw, AnyArray]:
     """A law that contains K, in coordinates with few parameters, and its parameters for K."""
-    A, B, C = _modal(K)
+    A, B, C = _modal(K, tuning.modes_well_apart)
     k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs
     builder = AffineBuilder(k, n_u, n_y)
     values: list[float] = []
@@ -354,7 +339,7 @@ def law_around(K: StateSpaceModel) -> tuple[AffineLaw, AnyArray]:
     moves = (theta != 0) | (np.arange(k + n_u)[:, None] >= k) | (np.arange(k + n_y)[None, :] >= k)
     near = np.abs(np.subtract.outer(np.arange(k), np.arange(k))) <= 1
     moves[:k, :k] |= near
-    if moves.sum() > MANY:
+    if moves.sum() > tuning.many:
         builder.base[:k, :k], moves[:k, :k] = A, False
     for i, j in np.argwhere(moves):
         builder.parameter(Parameter(f"Theta[{i + 1},{j + 1}]"), (int(i), int(j), 1.0))
@@ -362,7 +347,7 @@ def law_around(K: StateSpaceModel) -> tuple[AffineLaw, AnyArray]:
     return builder.law(), np.array(values)
 
 
-def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
+def _modal(K: StateSpaceModel, well_apart: float) -> tuple[AnyArray, AnyArray, AnyArray]:
     """A, B, C with A in real modal form, or as given where the modes are not well apart."""
     if not K.n_states:
         return K.A, K.B, K.C
@@ -374,7 +359,7 @@ def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
         elif value.imag == 0:
             columns.append(vector.real)
     T = np.column_stack(columns)
-    if np.linalg.cond(T) > MODES_WELL_APART:
+    if np.linalg.cond(T) > well_apart:
         return K.A, K.B, K.C
     inverse = np.linalg.inv(T)
     A, B, C = inverse @ K.A @ T, inverse @ K.B, K.C @ T

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
@@ -75,14 +75,14 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
         )
 
 
-def _like(matrix: NDArray[Any], axis: int, size: float) -> NDArray[Any]:
+def _like(matrix: AnyArray, axis: int, size: float) -> AnyArray:
     """Columns (axis 0) or rows (axis 1) that are too weak beside ``size`` to be told from rounding, made as large."""
     norms = np.linalg.norm(matrix, axis=axis, keepdims=True)
     weak = (norms > 0) & (norms < WEAK * size)
     return matrix * np.where(weak, size / np.where(weak, norms, 1.0), 1.0)
 
 
-def _null_state(matrix: NDArray[Any]) -> int | None:
+def _null_state(matrix: AnyArray) -> int | None:
     """Index of the largest entry of the null vector of a tall matrix, or None where it has full column rank."""
     n = matrix.shape[1]
     _, sigma, vh = np.linalg.svd(matrix)
@@ -143,7 +143,7 @@ def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 
     return tuple(found)
 
 
-def _free_channels(D: NDArray[np.float64], names: list[str], kind: str) -> list[str]:
+def _free_channels(D: Array, names: list[str], kind: str) -> list[str]:
     """Channels, or combinations of channels, in the null space of the columns of D."""
     _, sigma, vh = np.linalg.svd(D)
     rank = int((sigma > DIRECT * max(1.0, sigma.max(initial=0.0))).sum())

@@ -23,12 +23,11 @@ from robustlab.arrays import AnyArray
 from robustlab.magnitude import LARGEST, is_moderate
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["GammaBound", "point_in_words", "pointwise_bound"]
 
 
-RADII, ANGLES = 48, (0.0, 0.5, 1.0, 1.35, 1.5, np.pi / 2)
-REFINEMENTS, REFINED, CONFIRMED = 4, 3, 12
 # Taken off every bound for rounding; an error of eps over CONDITION is far below it.
 MARGIN = 1e-7
 # In the plant's own time unit, a point nearer to zero than this is called zero.
@@ -60,7 +59,9 @@ class GammaBound:
         return vars(self).copy()
 
 
-def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0) -> GammaBound:
+def pointwise_bound(
+    p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0, tuning: ProblemTuning = TUNING
+) -> GammaBound:
     """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones.
 
     Parameters
@@ -75,13 +76,13 @@ def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0
     """
     first = scalings[0]
     scaled = first.apply(p)
-    points = _points(scaled)
+    points = _points(scaled, tuning)
     values = _bounds(scaled, points)
-    for _ in range(REFINEMENTS):
-        order = np.argsort(-values)[:REFINED]
+    for _ in range(tuning.refinements):
+        order = np.argsort(-values)[: tuning.refined]
         around = np.concatenate([_around(complex(points[k]), points) for k in order])
         points, values = np.concatenate([points, around]), np.concatenate([values, _bounds(scaled, around)])
-    top = np.argsort(-values)[:CONFIRMED]
+    top = np.argsort(-values)[: tuning.confirmed]
     points, values = points[top], values[top] / first.gain
     for scaling in scalings[1:]:
         values = np.minimum(values, _bounds(scaling.apply(p), points * first.rate / scaling.rate) / scaling.gain)
@@ -112,12 +113,12 @@ def point_in_words(s: complex, dt: float = 0.0) -> str:
     return f"s = {text} rad/s: no stable loop can do better at this point of the right half plane"
 
 
-def _points(p: PlantMatrices) -> AnyArray:
+def _points(p: PlantMatrices, tuning: ProblemTuning) -> AnyArray:
     """Points of the closed right half plane: polar grid, mirror images and neighbours of the poles."""
     poles = np.linalg.eigvals(p.A) if p.A.size else np.zeros(0)
     size = np.abs(poles)[np.abs(poles) > AT_ZERO]
     low, high = (size.min() / 30, size.max() * 30) if len(size) else (1e-2, 1e2)
-    polar = np.geomspace(low, high, RADII)[:, None] * np.exp(1j * np.array(ANGLES))
+    polar = np.geomspace(low, high, tuning.radii)[:, None] * np.exp(1j * np.array(tuning.angles))
     near = np.abs(poles.real) * 1.001 + 1j * np.abs(poles.imag)
     return np.concatenate([polar.ravel(), near, 1j * np.abs(poles), [0.0]])
 

@@ -22,6 +22,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.separate_loop import ROUCHE, SeparateLoop, SeparateValues, frobenius, poles_in_s
 from robustlab.synthesis.problem.stability import proved_stable
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["AGREEMENT", "SecondVoice", "first_confirmed", "h2_voice", "hinf_voice", "norm_doubt", "separate_responses"]
 
@@ -31,14 +32,6 @@ AGREEMENT = 1e-3
 FLOOR = 6e-14
 # Share of its terms above which what is left of a direct term is more than rounding: the H2 norm is infinite then.
 CANCELLED = 1e-10
-# Zooms into the highest local maxima of the frequencies evaluated.
-ZOOMS, ZOOM_PEAKS, ZOOM_POINTS, PEAK_SHARE = 2, 3, 7, 0.9
-# How far quadrature goes beyond the slowest and the fastest pole.
-BEYOND = 1e4
-# From so many states of the loop on the rebuilt loop's response is compared in place of quadrature.
-MANY_STATES = 30
-# Points of a panel, rounds of bisection, change of a panel (share of the whole) that ends it, most points.
-NODES, ROUNDS, QUADRATURE, MOST_NODES = 8, 30, 1e-6, 20_000
 
 _Candidate = TypeVar("_Candidate")
 
@@ -149,7 +142,11 @@ def separate_responses(
 
 
 def hinf_voice(
-    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, peaks: Iterable[float] = ()
+    plant: GeneralizedPlant,
+    K: StateSpaceModel,
+    loop: StateSpaceModel,
+    peaks: Iterable[float] = (),
+    tuning: ProblemTuning = TUNING,
 ) -> SecondVoice:
     """The H-infinity norm of the loop of P and K at 0, at infinity, at ``peaks``, at the frequencies of the poles of P,
     K and the rebuilt loop, on a grid between them, and between the highest of these.
@@ -163,12 +160,12 @@ def hinf_voice(
     peaks
         Frequencies in rad/s at which the norm is claimed to be attained.
     """
-    separate = SeparateLoop(plant, K, loop)
+    separate = SeparateLoop(plant, K, loop, tuning)
     omega = separate.frequencies(times_power(np.asarray(list(peaks), dtype=float), -separate.rate))
     found = separate.values(omega, polynomial=True)
     rouche, stable = float(np.max(found.rouche, initial=0.0)), proved_stable(loop.A, loop.is_discrete)
-    for _ in range(ZOOMS):
-        between = _between(found.omega, found.gain)
+    for _ in range(tuning.zooms):
+        between = _between(found.omega, found.gain, tuning)
         if not len(between):
             break
         found = found.joined(separate.values(between, scale=float(found.gain.max())))
@@ -183,23 +180,30 @@ def hinf_voice(
     return SecondVoice(low, high, value, error, frequency, rouche, stable, len(found.omega), floor)
 
 
-def _between(omega: AnyArray, gain: AnyArray) -> AnyArray:
+def _between(omega: AnyArray, gain: AnyArray, tuning: ProblemTuning) -> AnyArray:
     """Frequencies between the highest local maxima and their neighbours."""
     if len(omega) < 3 or not np.isfinite(gain).all():
         return np.zeros(0)
     left, right = np.append(-np.inf, gain[:-1]), np.append(gain[1:], -np.inf)
-    peaks = np.flatnonzero((gain >= left) & (gain >= right) & (gain >= PEAK_SHARE * gain.max()) & np.isfinite(omega))
-    peaks = peaks[np.argsort(-gain[peaks], kind="stable")][:ZOOM_PEAKS]
+    high_enough = gain >= tuning.peak_share * gain.max()
+    peaks = np.flatnonzero((gain >= left) & (gain >= right) & high_enough & np.isfinite(omega))
+    peaks = peaks[np.argsort(-gain[peaks], kind="stable")][: tuning.zoom_peaks]
     low, high = omega[np.maximum(peaks - 1, 0)], omega[np.minimum(peaks + 1, len(omega) - 1)]
     high = np.where(np.isfinite(high), high, 10 * omega[peaks] + 1)
-    share = np.arange(1, ZOOM_POINTS + 1) / (ZOOM_POINTS + 1)
+    share = np.arange(1, tuning.zoom_points + 1) / (tuning.zoom_points + 1)
     return np.setdiff1d(low[:, None] + (high - low)[:, None] * share, omega)
 
 
 # --- the H2 norm -----------------------------------------------------------------------------------------------------
 
 
-def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, claimed: float) -> SecondVoice:
+def h2_voice(
+    plant: GeneralizedPlant,
+    K: StateSpaceModel,
+    loop: StateSpaceModel,
+    claimed: float,
+    tuning: ProblemTuning = TUNING,
+) -> SecondVoice:
     r"""The H2 norm of the loop of P and K by quadrature, adaptive around the loop's poles.
 
     .. math:: \|T\|_2^2 = \frac1\pi \int_0^\infty \|T(j\omega) - T(\infty)\|_F^2 d\omega, \qquad
@@ -209,7 +213,7 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
     the norm ``claimed`` is taken, give or take the H2 norm of the difference to the rebuilt loop's response. Squares
     are taken in units of ``claimed``.
     """
-    separate = SeparateLoop(plant, K, loop)
+    separate = SeparateLoop(plant, K, loop, tuning)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows in these units is no confirmation
         norm, blur, rouche, count = _by_quadrature(separate, claimed)
     stable = proved_stable(loop.A, loop.is_discrete)
@@ -218,10 +222,11 @@ def h2_voice(plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel,
 
 def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float, float, int]:
     """The H2 norm, the bound of its error, Rouche's relative difference, and the number of frequencies."""
+    tuning = separate.tuning
     grid = separate.values(separate.frequencies(()), polynomial=True, everywhere=True)
     rouche = float(np.max(grid.rouche, initial=0.0))
     corners = separate.corners()
-    low, high = corners[0] / BEYOND, corners[-1] * BEYOND
+    low, high = corners[0] / tuning.beyond, corners[-1] * tuning.beyond
     if separate.dt:
         high = np.pi / separate.dt
         corners = corners[corners < high]
@@ -236,7 +241,7 @@ def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float
     exponent = np.frexp(claimed)[1] if 0 < claimed < np.inf else 0
     # Of T as it is evaluated, a power of two near the claimed norm.
     unit = int(exponent + separate.gain - np.floor(power))
-    if separate.loop.n_states > MANY_STATES:
+    if separate.loop.n_states > tuning.many_states:
         blur = float(np.sqrt(scale * _difference(grid, direct, separate.loop, unit)))
         return claimed, _in_units_given(blur, unit, separate.gain, power), rouche, len(grid.omega)
 
@@ -246,7 +251,7 @@ def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float
         return times_power(T, -unit) ** 2, times_power(error, -unit) ** 2
 
     edges = np.unique(np.concatenate([[np.log(low)], np.log(corners), [np.log(high)]]))
-    value, error, open_, count = _integral_over_decades(squares, edges)
+    value, error, open_, count = _integral_over_decades(squares, edges, tuning)
     ends, ends_error = squares(np.array([low, high]))
     value += low * ends[0] + (0.0 if separate.dt else high * ends[1])
     error += low * ends_error[0] + (0.0 if separate.dt else high * ends_error[1])
@@ -257,13 +262,13 @@ def _by_quadrature(separate: SeparateLoop, claimed: float) -> tuple[float, float
 
 
 def _integral_over_decades(
-    squares: Callable[[AnyArray], tuple[AnyArray, AnyArray]], edges: AnyArray
+    squares: Callable[[AnyArray], tuple[AnyArray, AnyArray]], edges: AnyArray, tuning: ProblemTuning
 ) -> tuple[float, float, float, int]:
     """Integrals over omega between the edges (logarithms) of both functions, what is open of the first, evaluations.
 
     Gauss-Legendre on panels of ln omega, each bisected until its halves change next to nothing.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = np.polynomial.legendre.leggauss(tuning.nodes)
 
     def panels(left: AnyArray, right: AnyArray) -> tuple[AnyArray, AnyArray]:
         half = 0.5 * (right - left)[:, None]
@@ -274,19 +279,19 @@ def _integral_over_decades(
 
     left, right = edges[:-1], edges[1:]
     coarse, _ = panels(left, right)
-    value, error, left_open, count = 0.0, 0.0, 0.0, NODES * len(left)
-    for _ in range(ROUNDS):
+    value, error, left_open, count = 0.0, 0.0, 0.0, tuning.nodes * len(left)
+    for _ in range(tuning.rounds):
         middle = 0.5 * (left + right)
         # Interleaved, so that frequencies go up.
         starts, stops = np.stack([left, middle], axis=1).ravel(), np.stack([middle, right], axis=1).ravel()
         fine, fine_error = panels(starts, stops)
-        count += NODES * len(starts)
+        count += tuning.nodes * len(starts)
         both, both_error = fine.reshape(-1, 2).sum(axis=1), fine_error.reshape(-1, 2).sum(axis=1)
         if not (np.isfinite(both).all() and np.isfinite(coarse).all()):
             return float("nan"), float("inf"), float("inf"), count
         change = np.abs(both - coarse)
-        done = change <= QUADRATURE * (value + both.sum())
-        last = count > MOST_NODES
+        done = change <= tuning.panel_change * (value + both.sum())
+        last = count > tuning.most_nodes
         done |= last
         value, error = value + float(both[done].sum()), error + float(both_error[done].sum())
         left_open += float(change[done].sum())

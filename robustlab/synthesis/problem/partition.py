@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
@@ -27,16 +26,17 @@ __all__ = [
     "as_generalized_plant",
     "generalized_plant",
     "require_performance",
+    "signal_positions",
 ]
 
 
 class Realisation(NamedTuple):
     """Bare matrices of a loop or a controller inside a search."""
 
-    A: NDArray[Any]
-    B: NDArray[Any]
-    C: NDArray[Any]
-    D: NDArray[Any]
+    A: AnyArray
+    B: AnyArray
+    C: AnyArray
+    D: AnyArray
 
     @classmethod
     def of(cls, model: StateSpaceModel) -> Realisation:
@@ -238,9 +238,11 @@ def generalized_plant(
     else:
         (q, p), m, blocks = (0, 0), as_model(model, "generalized_plant"), ()
     ins, outs = m.input_names[q:], m.output_names[p:]
-    u, y = _positions(controls, ins, "input"), _positions(measurements, outs, "output")
-    w = [i for i in range(len(ins)) if i not in u] if disturbances is None else _positions(disturbances, ins, "input")
-    z = list(range(len(outs))) if performance is None else _positions(performance, outs, "output")
+    an_input, an_output = "generalized_plant: input", "generalized_plant: output"
+    u, y = signal_positions(controls, ins, an_input), signal_positions(measurements, outs, an_output)
+    w = [i for i in range(len(ins)) if i not in u]
+    w = w if disturbances is None else signal_positions(disturbances, ins, an_input)
+    z = list(range(len(outs))) if performance is None else signal_positions(performance, outs, an_output)
     if set(u) & set(w):
         raise InputError(
             "generalized_plant", "an input is both disturbance and control", "two inputs (add one to the model)"
@@ -256,14 +258,11 @@ def generalized_plant(
     return GeneralizedPlant(model, len(y), len(u), blocks)
 
 
-def _positions(names: Sequence[str], known: tuple[str, ...], kind: str) -> list[int]:
+def signal_positions(names: str | Sequence[str], known: Sequence[str], where: str) -> list[int]:
+    """Where the named signals stand among the known ones; ``where`` begins the message about one that does not."""
     names = [names] if isinstance(names, str) else list(names)
     for name in names:
         if name not in known:
-            raise InputError(
-                f"generalized_plant: {kind} {name!r}",
-                "no such signal",
-                f"one of {', '.join(known)}",
-                did_you_mean(name, known),
-            )
-    return [known.index(name) for name in names]
+            hint = did_you_mean(name, tuple(known))
+            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(known)}", hint)
+    return [list(known).index(name) for name in names]

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, RobustlabError, told_as
 from robustlab.matrix_equations import lyapunov
 from robustlab.norms import bilinear_to_continuous
@@ -330,7 +329,7 @@ def _loses_rank(g: StateSpaceModel, s: complex) -> bool:
     return bool(at[-1] / at[0] < RANK_LOSS * max(beside[-1] / beside[0], 1e-12) / 1e-2)
 
 
-def _outside(values: AnyArray, discrete: bool) -> NDArray[np.bool_]:
+def _outside(values: AnyArray, discrete: bool) -> Mask:
     if discrete:
         return np.abs(values) > 1 + BOUNDARY
     return np.real(values) > BOUNDARY * np.abs(values).max(initial=0.0)
@@ -412,7 +411,7 @@ def _zero_part(m: StateSpaceModel, zeros: list[Mode]) -> tuple[AnyArray, AnyArra
     every = transmission_zeros(m)
     edge = BOUNDARY * float(np.abs(every).max(initial=0.0)) / size
 
-    def chosen(alpha: AnyArray, beta: AnyArray) -> NDArray[np.bool_]:
+    def chosen(alpha: AnyArray, beta: AnyArray) -> Mask:
         finite = np.abs(beta) > np.abs(alpha) / FAR
         value = np.divide(alpha, beta, out=np.zeros_like(alpha), where=finite)
         return finite & (np.real(value) > edge)

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.budget import MILLION, Budget, dense
+from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.margin import Margin
@@ -28,6 +28,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -44,10 +45,6 @@ __all__ = [
 MeasureName = Literal["hinf", "h2", "mu"]
 Evidence = HinfNorm | H2Norm | Margin
 Scalings = tuple[StateSpaceModel, StateSpaceModel]
-
-# Points of the grid on which candidates are compared before one of them is proved.
-GRID = 60
-MARGIN_WORK = 30 * MILLION  # at most, of the proof of one candidate without scalings
 
 
 @dataclass(frozen=True)
@@ -90,6 +87,7 @@ class PerformanceMeasure:
     blocks: tuple[Block, ...] = ()
     scaled: GeneralizedPlant | None = None
     budget: Budget = field(default_factory=Budget)
+    tuning: ProblemTuning = TUNING
 
     @property
     def text(self) -> str:
@@ -125,7 +123,7 @@ class PerformanceMeasure:
 
     def _margin(self, loop: StateSpaceModel, K: StateSpaceModel) -> Performance:
         try:
-            part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
+            part = self.budget.share(min(1.0, self.tuning.margin_work / max(self.budget.left, 1.0)))
             margin = margin_within(with_performance(UncertainModel(loop, self.blocks)), part, tolerance=1e-3)
         except NoTrustworthyNumber:  # the nominal loop is not stable
             norm = hinf_norm(loop)
@@ -143,7 +141,7 @@ class PerformanceMeasure:
                 return np.inf
             if self.name == "h2":
                 return h2_norm(loop).value
-            omega = default_grid(loop, GRID)
+            omega = default_grid(loop, self.tuning.measure_grid)
             response = frequency_response(loop, omega)
         except (InputError, NoTrustworthyNumber):
             return np.inf

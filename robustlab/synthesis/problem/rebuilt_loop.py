@@ -11,9 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.magnitude import balancing_factors, refuse_overflow
 from robustlab.statespace import StateSpaceModel
@@ -42,7 +41,7 @@ NO_BASIS = 1e12
 HIDDEN = 1e6
 
 
-def with_direct_term(K: StateSpaceModel, D22: NDArray[np.float64]) -> StateSpaceModel:
+def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
     r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without.
 
     Raises
@@ -129,7 +128,7 @@ def moderate_states(model: StateSpaceModel) -> tuple[StateSpaceModel, StateSpace
     return balanced, modes
 
 
-def _cancellation(A: NDArray[np.float64]) -> float:
+def _cancellation(A: Array) -> float:
     """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
     try:
         return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max())
@@ -161,7 +160,7 @@ def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
 
 
 def rebuilt_loop(
-    plant: GeneralizedPlant, K: StateSpaceModel, D22: NDArray[np.float64]
+    plant: GeneralizedPlant, K: StateSpaceModel, D22: Array
 ) -> tuple[StateSpaceModel, StateSpaceModel] | None:
     """K with D22 taken back in and named, and the loop that it closes; None where that is not well posed or not
     stable.

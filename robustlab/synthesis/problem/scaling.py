@@ -181,8 +181,8 @@ def in_ordinary_units(
     try:
         s = by_magnitude(matrices, m.is_discrete)
         k, w, z, t, u, y = (_exponent(x) for x in (s.rate, s.w, s.z, s.states, s.u, s.y))
-        into = np.concatenate([np.full(m.n_inputs - plant.n_con, w), u])
-        out = np.concatenate([np.full(m.n_outputs - plant.n_meas, z), y])
+        into = np.concatenate([np.full(plant.n_w, w), u])
+        out = np.concatenate([np.full(plant.n_z, z), y])
         P, rebuilt = _exactly(m, k, t, into, out), _exactly(loop, k, 0, w, z)
         return replace(plant, model=P), _exactly(K, k, 0, -y, -u), rebuilt, int(k), int(w + z)
     except (NoTrustworthyNumber, InputError):

@@ -31,18 +31,12 @@ from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import balanced_states
 from robustlab.synthesis.problem.scaling import in_ordinary_units
+from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 
 __all__ = ["ROUCHE", "SeparateLoop", "SeparateValues", "frobenius", "poles_in_s"]
 
 # Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
 ROUCHE = 0.1
-# A value whose error bound exceeds this share of the largest gain, or of the polynomial, is computed with more digits.
-QUICK, QUICK_EVERYWHERE, QUICK_ROUCHE = 1e-6, 1e-5, 2e-2
-PER_DECADE, MOST_POINTS = 5, 120
-# Frequencies that hit a pole move by this share of the distance to the loop's poles, which T cannot feel.
-ASIDE = 1e-6
-# Work with many digits that one check may do, in points times states cubed; numbers of a stack that is kept in memory.
-CAREFUL_WORK, CHUNK = 2e6, 4_000_000
 # Steps towards an enclosure of the error.
 ENCLOSING = 12
 EPS = float(np.finfo(float).eps)
@@ -78,14 +72,15 @@ class SeparateLoop:
     gains ``2^-gain`` times what is found here.
     """
 
-    def __init__(self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel) -> None:
+    def __init__(
+        self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, tuning: ProblemTuning = TUNING
+    ) -> None:
+        self.tuning = tuning
         plant, K, loop, self.rate, self.gain = in_ordinary_units(plant, K, loop)
         self.dt = plant.model.dt
         self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
-        self.n_y, self.n_u = plant.n_meas, plant.n_con
-        self.n_z, self.n_w = plant.model.n_outputs - self.n_y, plant.model.n_inputs - self.n_u
         self.poles = [poles_in_s(m.poles(), self.dt) for m in (self.loop, self.P, self.K)]
-        self.log_direct = complex(np.log(complex(np.linalg.det(np.eye(self.n_u) - K.D @ plant.D22))))
+        self.log_direct = complex(np.log(complex(np.linalg.det(np.eye(plant.n_con) - K.D @ plant.D22))))
 
     # --- where -------------------------------------------------------------------------------------------------------
 
@@ -101,7 +96,8 @@ class SeparateLoop:
     def frequencies(self, peaks: Iterable[float]) -> AnyArray:
         """Increasing; infinity last where time is continuous, else the Nyquist frequency."""
         own = self.corners()
-        points = int(np.clip(PER_DECADE * np.log10(own[-1] / own[0] * 1e3), 8, MOST_POINTS))
+        tuning = self.tuning
+        points = int(np.clip(tuning.per_decade * np.log10(own[-1] / own[0] * 1e3), 8, tuning.most_points))
         grid = np.geomspace(own[0] / 30, own[-1] * 30, points)
         # Corners that lie closer than eigenvalues are known tell nothing new.
         own = own[np.append(True, np.diff(own) > 1e-9 * own[1:])]
@@ -120,16 +116,17 @@ class SeparateLoop:
 
         ``scale`` is the largest gain known so far: smaller ones need no digits, unless they are asked for everywhere.
         """
+        quick = self.tuning.quick
 
         def wide(found: SeparateValues) -> AnyArray:
             if everywhere:
-                return np.asarray(~(found.error <= QUICK_EVERYWHERE * found.gain))
+                return np.asarray(~(found.error <= self.tuning.quick_everywhere * found.gain))
             top = max(np.max(found.gain[np.isfinite(found.gain)], initial=0.0), scale)
-            return np.asarray(~((found.error <= QUICK * top) | (found.gain + found.error < (1 - QUICK) * top)))
+            return np.asarray(~((found.error <= quick * top) | (found.gain + found.error < (1 - quick) * top)))
 
         with np.errstate(all="ignore"):
             found = self._evaluated(omega, _Doubles, polynomial)
-            apart = ~(found.rouche <= QUICK_ROUCHE)
+            apart = ~(found.rouche <= self.tuning.quick_rouche)
             doubtful = wide(found) | apart
             if not doubtful.any():
                 return found
@@ -151,7 +148,7 @@ class SeparateLoop:
     def _affordable(self, found: SeparateValues, which: AnyArray, polynomial: bool) -> AnyArray:
         """All of them; of too many those at the ends and those of the largest gains, the others are left out."""
         n = self.loop.n_states if polynomial else max(self.P.n_states, self.K.n_states)
-        most = int(max(CAREFUL_WORK / max(n, 1) ** 3, 12))
+        most = int(max(self.tuning.careful_work / max(n, 1) ** 3, 12))
         if len(which) <= most:
             return which
         omega, gain = found.omega[which], np.nan_to_num(found.gain[which], nan=np.inf)
@@ -161,22 +158,21 @@ class SeparateLoop:
     def _aside(self, omega: AnyArray) -> AnyArray:
         poles = self.poles[0]
         distance = np.abs(1j * omega[:, None] - poles).min(axis=1) if len(poles) else np.ones(len(omega))
-        moved = np.maximum(omega + ASIDE * distance, omega * (1 + 1e-12))
-        return np.where(moved < np.pi / self.dt, moved, omega * (1 - ASIDE)) if self.dt else moved
+        moved = np.maximum(omega + self.tuning.aside * distance, omega * (1 + 1e-12))
+        return np.where(moved < np.pi / self.dt, moved, omega * (1 - self.tuning.aside)) if self.dt else moved
 
     def _evaluated(
         self, omega: AnyArray, kind: type[_Doubles] | type[DoubleDouble], polynomial: bool
     ) -> SeparateValues:
         size = max(self.P.n_states, self.K.n_states, self.loop.n_states * polynomial, 1)
-        step = max(1, int(CHUNK / size**2))
+        step = max(1, int(self.tuning.chunk / size**2))
         parts = [self._chunk(omega[i : i + step], kind, polynomial) for i in range(0, len(omega), step)]
         return parts[0] if len(parts) == 1 else SeparateValues(*(np.concatenate(p) for p in zip(*parts, strict=True)))
 
     def _chunk(self, omega: AnyArray, kind: Any, polynomial: bool) -> SeparateValues:
         s = np.exp(1j * omega * self.dt) if self.dt else _on_axis(omega)
         P, K = _response(self.P, s, kind), _response(self.K, s, kind)
-        z, w, y, u = slice(0, self.n_z), slice(0, self.n_w), slice(self.n_z, None), slice(self.n_w, None)
-        T, T_error, size, log_det, log_det_error = _closed(P, K, z, w, y, u, kind)
+        T, T_error, size, log_det, log_det_error = _closed(P, K, kind)
         rouche = np.zeros(len(omega))
         if polynomial:
             finite = np.isfinite(s)
@@ -310,11 +306,11 @@ def _chosen(where: AnyArray, one: Any, other: Any) -> Any:
     return np.where(where[:, None, None], one, other)
 
 
-def _closed(
-    P: _Response, K: _Response, z: slice, w: slice, y: slice, u: slice, kind: Any
-) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
+def _closed(P: _Response, K: _Response, kind: Any) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
     """T with the bounds of its entries' errors and the sizes of its terms, and log det(I - P22 K) with its error."""
-    (k, n_u, n_y), (n_z, n_w) = K.error.shape, P.error[0, z, w].shape
+    k, n_u, n_y = K.error.shape
+    n_z, n_w = P.error.shape[1] - n_y, P.error.shape[2] - n_u
+    z, w, y, u = slice(0, n_z), slice(0, n_w), slice(n_z, None), slice(n_w, None)
     n = n_y + n_u
     # Unknowns y, u; no products are formed.
     matrix, error = kind.of(np.broadcast_to(np.eye(n), (k, n, n)).copy()), np.zeros((k, n, n))
