@@ -9,6 +9,10 @@ an equation for beta that can be differentiated, eigenvalue by eigenvalue: with 
 
 where M_X is the matrix of the Riccati equation's quadratic form at X held fixed and ``A_X = A + B F``. One Lyapunov
 equation for each of X and Y therefore gives the derivative by *all* parameters.
+
+References
+----------
+Doyle, Glover, Khargonekar, Francis (1989), theorem 3 (X, Y >= 0 and rho(X Y) < gamma^2); Glover, Doyle (1988) for D11.
 """
 
 from __future__ import annotations
