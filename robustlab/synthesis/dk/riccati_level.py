@@ -33,11 +33,7 @@ from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = [
-    "Branches",
-    "Level",
-    "LevelSearch",
-]
+__all__ = ["Branches", "Level", "LevelSearch"]
 
 
 # Work of a test and of a pair of frozen forms beside that of their factorisations, as measured.

@@ -37,13 +37,7 @@ from robustlab.synthesis.nonsmooth.performance_measure import (
 )
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
-from robustlab.synthesis.reduction.balancing import (
-    Balancing,
-    Projection,
-    block_factor,
-    gramian_factors,
-    split_stable,
-)
+from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.synthesis.reduction.model_reduction import CoprimeReduction, weighted_factors
 from robustlab.uncertainty.blocks.base import Block
 

@@ -15,13 +15,7 @@ from robustlab.magnitude import Moderated, moderated
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm, norm_as_given
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.synthesis.reduction.balancing import (
-    Balancing,
-    Projection,
-    block_factor,
-    gramian_factors,
-    split_stable,
-)
+from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 
 __all__ = [
