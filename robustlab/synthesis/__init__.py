@@ -3,6 +3,7 @@
 Rooms, each importing from those above it only:
 
 problem         generalised plants, assumptions, scaling; the rebuilt loop and the second voice
+specifications  weights, tracking problems, loop functions
 laws            what a controller may look like
 nonsmooth       nonsmooth optimisation of loops
 hinf            H-infinity, mixed sensitivity, loop shaping
@@ -11,7 +12,6 @@ dk              robust performance
 reduction       models and controllers of lower order
 fixed           fixed structure, for one plant, several, or an uncertain set
 sampled         digital controllers
-specifications  weights, tracking problems, loop functions
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import default_grid
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis
+from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE
 from robustlab.mu_analysis.matrix.certificate import project
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
@@ -37,8 +38,6 @@ from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
 
 __all__ = ["dk", "structure_with_performance"]
-
-PERFORMANCE = "performance"
 
 
 @told_as("synth dk")

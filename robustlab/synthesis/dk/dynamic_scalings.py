@@ -41,7 +41,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 __all__ = [
@@ -49,15 +49,12 @@ __all__ = [
     "CoprimePair",
     "DynamicScalings",
     "Factor",
-    "Realisation",
     "loop_at_level",
     "plant_at_level",
     "proved_level",
     "reference_block",
     "unit_scalings",
 ]
-
-Realisation = tuple[AnyArray, AnyArray, AnyArray, AnyArray]
 
 
 @dataclass(frozen=True)
@@ -120,24 +117,25 @@ def _realised(factor: Factor) -> Realisation:
         C[:, before] *= d
         C[:, here] = c
         D, at = d * D, at + len(a)
-    return A, B, C, D
+    return Realisation(A, B, C, D)
 
 
 @lru_cache(maxsize=4096)
 def _inverse(factor: Factor) -> Realisation:
     A, B, C, D = _realised(factor)
-    return A - B @ C / D, B / D, -C / D, 1 / D
+    return Realisation(A - B @ C / D, B / D, -C / D, 1 / D)
 
 
 def _section(values: tuple[float, ...]) -> Realisation:
     if len(values) == 2:
         zero, pole = np.exp(values)
         d = pole / zero
-        return np.array([[-pole]]), np.array([[pole]]), np.array([[1 - d]]), np.array([[d]])
+        return Realisation(np.array([[-pole]]), np.array([[pole]]), np.array([[1 - d]]), np.array([[d]]))
     w_z, two_z, w_p, two_p = np.exp(values)
     d = (w_p / w_z) ** 2
     A = np.array([[0.0, w_p], [-w_p, -two_p * w_p]])
-    return A, np.array([[0.0], [w_p]]), np.array([[1 - d, two_z * w_p / w_z - d * two_p]]), np.array([[d]])
+    C = np.array([[1 - d, two_z * w_p / w_z - d * two_p]])
+    return Realisation(A, np.array([[0.0], [w_p]]), C, np.array([[d]]))
 
 
 def _log_modulus(values: tuple[float, ...], omega: AnyArray) -> AnyArray:
@@ -305,11 +303,12 @@ class DynamicScalings:
             for block, part, (_, z) in self._with_slices()
             for factor, i in _channels(block, part, z.start, block.cols)
         ]
-        A, B, C, D = self._diagonal(pieces, 1)
+        scaling = self._diagonal(pieces, 1)
         if not self._mixes:
-            return A, B, C, D
+            return scaling
+        A, B, C, D = scaling
         T = self._mixing(1)
-        return A, B @ T, C, D @ T
+        return Realisation(A, B @ T, C, D @ T)
 
     def on_inputs(self) -> Realisation:
         """``D_w(s)^{-1}``, shape (q, q)."""
@@ -318,11 +317,12 @@ class DynamicScalings:
             for block, part, (w, _) in self._with_slices()
             for factor, i in _channels(block, part, w.start, block.rows)
         ]
-        A, B, C, D = self._diagonal(pieces, 0)
+        scaling = self._diagonal(pieces, 0)
         if not self._mixes:
-            return A, B, C, D
+            return scaling
+        A, B, C, D = scaling
         back = np.linalg.inv(self._mixing(0))
-        return A, B, back @ C, back @ D
+        return Realisation(A, B, back @ C, back @ D)
 
     def coprime(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """``(A, B, F, C)`` with ``G_M = I + F (sI - A)^-1 B`` (q x q) and ``G_N = C (sI - A)^-1 B`` (p x q)."""
@@ -355,7 +355,7 @@ class DynamicScalings:
             here = slice(at, at + len(a))
             A[here, here], B[here, i], C[i, here], D[i, i] = a, b[:, 0], c[0], d[0, 0]
             at += len(a)
-        return A, B, C, D
+        return Realisation(A, B, C, D)
 
     @property
     def _mixes(self) -> bool:
@@ -467,7 +467,7 @@ def _padded(system: Realisation, extra: int) -> Realisation:
     n, m = len(A), len(D)
     direct = np.eye(m + extra)
     direct[:m, :m] = D
-    return A, np.hstack([B, np.zeros((n, extra))]), np.vstack([C, np.zeros((extra, n))]), direct
+    return Realisation(A, np.hstack([B, np.zeros((n, extra))]), np.vstack([C, np.zeros((extra, n))]), direct)
 
 
 def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:

@@ -9,6 +9,10 @@ an equation for beta that can be differentiated, eigenvalue by eigenvalue: with 
 
 where M_X is the matrix of the Riccati equation's quadratic form at X held fixed and ``A_X = A + B F``. One Lyapunov
 equation for each of X and Y therefore gives the derivative by *all* parameters.
+
+References
+----------
+Doyle, Glover, Khargonekar, Francis (1989), theorem 3 (X, Y >= 0 and rho(X Y) < gamma^2); Glover, Doyle (1988) for D11.
 """
 
 from __future__ import annotations
@@ -29,11 +33,7 @@ from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 
-__all__ = [
-    "Branches",
-    "Level",
-    "LevelSearch",
-]
+__all__ = ["Branches", "Level", "LevelSearch"]
 
 
 # Work of a test and of a pair of frozen forms beside that of their factorisations, as measured.

@@ -115,9 +115,7 @@ class RobustProblem:
 
     def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None, tuning: DKTuning = TUNING) -> None:
         self.plant, self.budget, self.tuning = plant, Budget() if budget is None else budget, tuning
-        model = plant.model
-        mapped = bilinear_to_continuous(model) if model.is_discrete else model
-        self._continuous = GeneralizedPlant(mapped, plant.n_meas, plant.n_con)
+        self._continuous = GeneralizedPlant(_mapped(plant.model), plant.n_meas, plant.n_con)
         self.bare = self._continuous.matrices()
         self.matrices = self.bare
         self.scale = paths_first(self.bare)
@@ -193,9 +191,8 @@ class RobustProblem:
         start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
         if start is not None:
             soften(trials, start, 1.0)
-        for candidate in sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)[
-            : self.tuning.calmest
-        ]:
+        calm = sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)
+        for candidate in calm[: self.tuning.calmest]:
             best = self._slower(StateSpaceModel(*candidate.K), best, limit)
         return best
 
@@ -221,7 +218,7 @@ class RobustProblem:
             loop = self.plant.close(K)
             if not loop.is_stable():
                 return None
-            loop = bilinear_to_continuous(loop) if loop.is_discrete else loop
+            loop = _mapped(loop)
             self.budget.spend(dense(loop.n_states + scalings.n_states, 20 * 10 if scalings.mixed else 10))
             level, _ = proved_level(loop, scalings, guess)
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
@@ -238,7 +235,7 @@ class RobustProblem:
         prove the level where the scalings alone do not.
         """
         doubt = hinf_voice(self.plant, iterate.K, loop).doubt(0.0, np.inf)
-        K = self._mapped(iterate.K)
+        K = _mapped(iterate.K)
         if not pieces:
             # The norm of the scaled loop: with G at the level, where it is at most one, without it at one.
             beta = iterate.level if iterate.scalings.mixed else 1.0
@@ -278,10 +275,9 @@ class RobustProblem:
         n, n_w, n_u, n_z, n_y = self.bare.sizes
         into = self.scale.states * self.scale.rate
         try:
-            open_loop = plant_at_level(
-                self.bare.with_channels(1.0, 1.0, 1 / self.scale.states, into), iterate.scalings, 1.0
-            ).model()
-            K = with_direct_term(self._mapped(iterate.K), -self._continuous.D22)  # taken out again
+            wide = self.bare.with_channels(1.0, 1.0, 1 / self.scale.states, into)
+            open_loop = plant_at_level(wide, iterate.scalings, 1.0).model()
+            K = with_direct_term(_mapped(iterate.K), -self._continuous.D22)  # taken out again
             loop = lower_lft(open_loop, K)
             response = frequency_response(loop, default_grid(loop, 80))
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
@@ -302,5 +298,7 @@ class RobustProblem:
             state_level / max(back, least) * into,
         )
 
-    def _mapped(self, K: StateSpaceModel) -> StateSpaceModel:
-        return bilinear_to_continuous(K) if K.is_discrete else K
+
+def _mapped(model: StateSpaceModel) -> StateSpaceModel:
+    """In continuous time."""
+    return bilinear_to_continuous(model) if model.is_discrete else model

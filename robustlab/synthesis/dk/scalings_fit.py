@@ -243,7 +243,7 @@ def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Fac
     if before is None:
         return Factor(float(np.average(log_d, weights=weights)))
     log_omega = np.log(omega)
-    heard = log_omega[weights > tuning.heard * weights.max()]
+    heard = log_omega[weights > tuning.counted * weights.max()]
     low, high = heard[0] - tuning.reach, heard[-1] + tuning.reach
     error = weights * (log_d - before.log_modulus(omega))
     best: tuple[float, Factor] | None = None

@@ -47,7 +47,7 @@ class DKTuning:
     sharpness: int = 24  # exponent of the mean that stands for the peak: smaller rewards lowering other peaks too
     room: float = 0.1  # error of log d at the peak that counts as one where mu is lower by e; larger: even weights
     tried: int = 6  # factors tried in a round, those whose fit is worst
-    heard: float = 0.04  # zeros and poles lie where the weight is above this share of the largest one ...
+    counted: float = 0.04  # zeros and poles lie where the weight is above this share of the largest one ...
     reach: float = 2.3  # ... and so far (logarithm) beyond: farther ones cost the synthesis digits, bring nothing
     fit_evaluations: int = 60  # of one least-squares fit
     # --- the smallest level by two Riccati equations (riccati_level) ---

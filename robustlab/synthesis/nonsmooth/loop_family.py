@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.lapack import lapack
 from robustlab.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.objectives import (
     PeakFinder,

@@ -17,8 +17,9 @@ Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (198
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from robustlab.synthesis.problem.performance_measure import (
 from robustlab.synthesis.reduction.balancing import (
     Balancing,
     Projection,
+    SplitModel,
     block_factor,
     gramian_factors,
     split_stable,
@@ -50,8 +52,6 @@ from robustlab.uncertainty.blocks import Block
 __all__ = ["OrderTried", "ReducedController", "ReductionTuning", "reduce_controller"]
 
 WHERE = "reduce_controller"
-PROJECTIONS: tuple[Projection, ...] = ("truncation", "residualisation")
-T = TypeVar("T")
 Improvement = Callable[[GeneralizedPlant, StateSpaceModel, Budget], StateSpaceModel]
 Found = tuple[str, StateSpaceModel, Performance]
 
@@ -480,24 +480,38 @@ class CandidateFamily:
 
 def candidate_families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFamily]:
     """All ways that K and the loop admit; ``plant`` carries the weights and scalings that count."""
+    K = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
+    return _tried(
+        lambda: _projected("closed-loop Gramians", _of_loop(plant.close(K), K), K),
+        lambda: _projected("loop from measurement noise to control", _of_loop(_signal_loop(plant, K), K), K),
+        lambda: [_coprime(K)],
+        lambda: _weighted(plant, K),
+    )
+
+
+def _tried(*ways: Callable[[], list[CandidateFamily]]) -> list[CandidateFamily]:
+    """What the ways give; nothing for one whose Gramians do not exist for this K, or lost their digits."""
     families: list[CandidateFamily] = []
-    for name, bases in (
-        ("closed-loop Gramians", lambda: [_of_loop(plant.close(K), K)]),
-        ("loop from measurement noise to control", lambda: [_of_loop(_signal_loop(plant, K), K)]),
-    ):
-        for balancing in _tried(bases):
-            families += [_projected(f"{name}, {kind}", balancing, K, kind) for kind in PROJECTIONS]
-    families += _tried(lambda: [_coprime(K)])
-    families += _tried(lambda: _weighted(plant, K))
+    for way in ways:
+        with suppress(NoTrustworthyNumber, InputError):
+            families += way()
     return families
 
 
-def _tried(make: Callable[[], list[T]]) -> list[T]:
-    """The list, or none where the Gramians of this way do not exist for this K, or lost their digits."""
-    try:
-        return make()
-    except (NoTrustworthyNumber, InputError):
-        return []
+def _projected(
+    name: str, balancing: Balancing, model: StateSpaceModel, split: SplitModel | None = None
+) -> list[CandidateFamily]:
+    """Both projections of a balanced model; ``split``: of which it is the stable part."""
+    apart = 0 if split is None else split.apart.n_states
+
+    def family(kind: Projection) -> CandidateFamily:
+        def make(order: int) -> StateSpaceModel:
+            small = balancing.reduced(model, order - apart, kind)
+            return small if split is None else split.joined(small)
+
+        return CandidateFamily(f"{name}, {kind}", apart, apart + len(balancing.left), make)
+
+    return [family("truncation"), family("residualisation")]
 
 
 def _of_loop(loop: StateSpaceModel, K: StateSpaceModel) -> Balancing:
@@ -505,10 +519,6 @@ def _of_loop(loop: StateSpaceModel, K: StateSpaceModel) -> Balancing:
     reach, see = gramian_factors(loop)
     k = slice(loop.n_states - K.n_states, None)
     return Balancing.of(block_factor(reach[k]), block_factor(see[k]))
-
-
-def _projected(name: str, balancing: Balancing, K: StateSpaceModel, kind: Projection) -> CandidateFamily:
-    return CandidateFamily(name, 0, len(balancing.left), lambda order: balancing.reduced(K, order, kind))
 
 
 def _signal_loop(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel:
@@ -519,32 +529,27 @@ def _signal_loop(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel
         m.A, np.hstack([np.zeros((m.n_states, n_y)), b]), np.vstack([np.zeros((n_u, m.n_states)), c]),
         np.block([[np.zeros((n_u, n_y)), np.eye(n_u)], [np.eye(n_y), plant.D22]]), m.dt,
     )  # fmt: skip
-    return lower_lft(P, StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
+    return lower_lft(P, K)
 
 
 def _coprime(K: StateSpaceModel) -> CandidateFamily:
-    reduction = CoprimeReduction(StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
+    reduction = CoprimeReduction(K)
     return CandidateFamily("normalised coprime factors", 0, len(reduction.balancing.left), reduction.reduced)
 
 
 def _weighted(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFamily]:
     """Balanced truncation of K's stable part, plain and with the loop as weights on either side."""
-    bare = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
-    split = split_stable(bare)
+    split = split_stable(K)
     if not split.stable.n_states:
         return []
     stable = StateSpaceModel(split.stable.A, split.stable.B, split.stable.C, split.stable.D, K.dt)
-    into, out = _sensitivity_weights(plant, bare)
-    apart, families = split.apart.n_states, list[CandidateFamily]()
-    for name, weights in (("balanced", (None, None)), ("weighted by the loop on both sides", (into, out))):
-        for balancing in _tried(lambda weights=weights: [Balancing.of(*weighted_factors(stable, *weights))]):
-            for kind in PROJECTIONS:
-
-                def make(order: int, kind: Projection = kind, balancing: Balancing = balancing) -> StateSpaceModel:
-                    return split.joined(balancing.reduced(stable, order - apart, kind))
-
-                families.append(CandidateFamily(f"{name}, {kind}", apart, apart + len(balancing.left), make))
-    return families
+    into, out = _sensitivity_weights(plant, K)
+    return _tried(
+        lambda: _projected("balanced", Balancing.of(*weighted_factors(stable, None, None)), stable, split),
+        lambda: _projected(
+            "weighted by the loop on both sides", Balancing.of(*weighted_factors(stable, into, out)), stable, split
+        ),
+    )
 
 
 def _sensitivity_weights(plant: GeneralizedPlant, K: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel]:

@@ -15,13 +15,7 @@ from robustlab.magnitude import Moderated, moderated
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm, norm_as_given
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.synthesis.reduction.balancing import (
-    Balancing,
-    Projection,
-    block_factor,
-    gramian_factors,
-    split_stable,
-)
+from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 
 __all__ = [
@@ -34,6 +28,7 @@ __all__ = [
     "weighted_factors",
 ]
 
+Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 Method = Literal["truncation", "residualisation", "coprime"]
 METHODS = ("truncation", "residualisation", "coprime")
 
@@ -282,7 +277,7 @@ def _check_request(full: StateSpaceModel, order: int | None, tolerance: float | 
         raise InputError("reduce_model", f"method {method!r}", f"one of {', '.join(METHODS)}")
 
 
-def _weights(full: StateSpaceModel, into: Any, out: Any) -> tuple[StateSpaceModel | None, StateSpaceModel | None]:
+def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
     found: list[StateSpaceModel | None] = []
     for name, weight, fits, size in (
         ("input_weight", into, "n_outputs", full.n_inputs),
@@ -305,9 +300,7 @@ def _weights(full: StateSpaceModel, into: Any, out: Any) -> tuple[StateSpaceMode
 Candidates = tuple[Callable[[int], ReducedModel], int, int]
 
 
-def _balanced_reduction(
-    full: StateSpaceModel, method: Projection, weights: tuple[StateSpaceModel | None, StateSpaceModel | None]
-) -> Candidates:
+def _balanced_reduction(full: StateSpaceModel, method: Projection, weights: Weights) -> Candidates:
     """What makes the candidate of a given order, and the least and largest order there are."""
     weighted = weights != (None, None)
     unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))  # a weight has the units of the model
@@ -383,7 +376,7 @@ def _checked(
     bound: float,
     values: Array,
     apart: int,
-    weights: tuple[StateSpaceModel | None, StateSpaceModel | None],
+    weights: Weights,
 ) -> ReducedModel:
     """The result; the models as given and as returned are compared at frequencies of the full one."""
     named = StateSpaceModel(
@@ -403,9 +396,7 @@ def _checked(
     return ReducedModel(named, method, error, bound, values, apart, full, status, reason)
 
 
-def _seen_difference(
-    full: StateSpaceModel, model: StateSpaceModel, weights: tuple[StateSpaceModel | None, StateSpaceModel | None]
-) -> tuple[float, float]:
+def _seen_difference(full: StateSpaceModel, model: StateSpaceModel, weights: Weights) -> tuple[float, float]:
     """Largest weighted difference of the two responses on a grid away from poles, and the size of the responses."""
     if not full.n_inputs or not full.n_outputs or not full.n_states:
         return 0.0, 0.0

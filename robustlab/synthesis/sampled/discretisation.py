@@ -111,7 +111,8 @@ def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
     if method == "impulse" and m.D.any():
         raise InputError("discretise", "a direct term with method 'impulse'", "a model without one, or another method")
     with np.errstate(over="ignore", invalid="ignore"):
-        a, b, c, d, _ = cont2discrete((m.A, m.B, m.C, m.D), dt, method=method)
+        made: Any = cont2discrete((m.A, m.B, m.C, m.D), dt, method=method)
+    a, b, c, d = made[:4]
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         fastest = m.spectral_abscissa()
         found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"

@@ -151,16 +151,12 @@ class _Forward:
         n, k = m.n_states, len(free)
         self.n, self.k, self.degree = n, k, degree
         width = n + degree * k + len(constant)
-        N, out = np.zeros((width, width)), np.zeros((n_z, width))
-        N[:n, :n] = m.A * length
-        N[:n, n : n + k] = m.B[:, free] * length
-        N[:n, width - len(constant) :] = m.B[:, constant] * length
-        for j in range(degree - 1):
-            N[n + j * k : n + (j + 1) * k, n + (j + 1) * k : n + (j + 2) * k] = np.eye(k)
+        N, start, out = np.zeros((width, width)), np.eye(width), np.zeros((n_z, width))
+        inner = slice(0, n + degree * k)
+        N[inner, inner], start[n : inner.stop, n : inner.stop] = _driven(m.A, m.B[:, free], length, degree)
+        N[:n, inner.stop :] = m.B[:, constant] * length
         out[:, :n], out[:, n : n + k] = m.C[:n_z], m.D[:n_z][:, free]
         out[:, width - len(constant) :] = m.D[:n_z][:, constant]
-        start = np.eye(width)
-        start[n : n + degree * k, n : n + degree * k] = np.kron(_derivatives(degree) / np.sqrt(length), np.eye(k))
         self.N, self.out, self.start, self.B = N, out, start, m.B[:, free]
         self.state_out = np.zeros_like(out)
         self.state_out[:, :n] = m.C[:n_z]
@@ -186,16 +182,21 @@ class _Forward:
             raise NoTrustworthyNumber(WHERE, found, hint=SLOWER)
 
 
+def _driven(A: AnyArray, B: AnyArray, length: float, degree: int) -> tuple[AnyArray, AnyArray]:
+    """Generator, in the time sigma, of ``x' = A x + B w`` with w and its derivatives as further states, and what these
+    are at the start for each coefficient of w.
+    """
+    n, k = B.shape
+    N = np.zeros((n + degree * k,) * 2)
+    N[:n, :n], N[:n, n : n + k] = A * length, B * length
+    N[n : len(N) - k, n + k :] = np.eye((degree - 1) * k)
+    return N, np.kron(_derivatives(degree) / np.sqrt(length), np.eye(k))
+
+
 def _backward(m: StateSpaceModel, n_z: int, length: float, degree: int, nodes: _Nodes) -> tuple[AnyArray, AnyArray]:
     r"""At the nodes :math:`\int_0^s \varphi_k(t)\, e^{A^T (s-t)} C^T dt` (g, m, n, n_z), and ``e^(A s)`` (g, n, n)."""
     n = m.n_states
-    width = n + degree * n_z
-    N = np.zeros((width, width))
-    N[:n, :n] = m.A.T * length
-    N[:n, n : n + n_z] = m.C[:n_z].T * length
-    for j in range(degree - 1):
-        N[n + j * n_z : n + (j + 1) * n_z, n + (j + 1) * n_z : n + (j + 2) * n_z] = np.eye(n_z)
-    start = np.kron(_derivatives(degree) / np.sqrt(length), np.eye(n_z))
+    N, start = _driven(m.A.T, m.C[:n_z].T, length, degree)
     flow, _ = nodes.flow(N)
     driven = flow[:, :n, n:] @ start
     return driven.reshape(len(flow), n, degree, n_z).transpose(0, 2, 1, 3), flow[:, :n, :n].transpose(0, 2, 1)

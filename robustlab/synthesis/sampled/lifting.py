@@ -121,16 +121,9 @@ class LiftedPlant:
         """The discrete plant for synthesis: without the kick."""
         keep = [*range(self.n_w), *range(self.n_w + self.n_kick, self.model.n_inputs)]
         m = self.model
+        inputs = [m.inputs[i] for i in keep]
         model = StateSpaceModel(
-            m.A,
-            m.B[:, keep],
-            m.C,
-            m.D[:, keep],
-            m.dt,
-            [m.inputs[i] for i in keep],
-            m.outputs,
-            m.states,
-            where="lifting",
+            m.A, m.B[:, keep], m.C, m.D[:, keep], m.dt, inputs, m.outputs, m.states, where="lifting"
         )
         return GeneralizedPlant(model, self.n_meas, self.n_con)
 

@@ -26,7 +26,7 @@ from robustlab.budget import dense, one_thread
 from robustlab.errors import InputError, told_as
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.reduction.balancing import triangular_root
@@ -184,24 +184,19 @@ def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str)
     r"""The plant with :math:`1 / (s / \omega_f + 1)` on the measurements that w or u reach directly (D21, D22)."""
     if corner is None:
         return plant
-    m, n_y = plant.model, plant.n_meas
-    rows = np.flatnonzero(m.D[m.n_outputs - n_y :].any(axis=1))
+    m, n_z = plant.model, plant.model.n_outputs - plant.n_meas
+    rows = n_z + np.flatnonzero(m.D[n_z:].any(axis=1))
     if not 0 < corner < np.inf:
         raise InputError(where, f"antialiasing is {corner}", "a positive corner frequency in rad/s")
     if not len(rows):
         return plant
     k = len(rows)
-    select = np.zeros((n_y, k))
+    select = np.zeros((m.n_outputs, k))
     select[rows, range(k)] = 1.0
-    straight = np.eye(n_y) - select @ select.T
+    straight = np.eye(m.n_outputs) - select @ select.T
     filters = StateSpaceModel(-corner * np.eye(k), corner * select.T, select, straight)
-    n_z = m.n_outputs - n_y
-    gain = StateSpaceModel(
-        np.zeros((0, 0)), np.zeros((0, n_z)), np.zeros((n_z, 0)), np.eye(n_z),
-        inputs=[f"z{i}" for i in range(n_z)], outputs=[f"z{i}" for i in range(n_z)],
-    )  # fmt: skip
-    behind = series(StateSpaceModel(m.A, m.B, m.C, m.D), append(gain, filters))
-    return GeneralizedPlant(behind.renamed(m.inputs, m.outputs), n_y, plant.n_con, plant.blocks)
+    behind = series(StateSpaceModel(m.A, m.B, m.C, m.D), filters)
+    return GeneralizedPlant(behind.renamed(m.inputs, m.outputs), plant.n_meas, plant.n_con, plant.blocks)
 
 
 def norm_work(plant: GeneralizedPlant, K: StateSpaceModel) -> int:
