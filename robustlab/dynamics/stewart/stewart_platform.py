@@ -257,10 +257,9 @@ class StewartPlatform(NonlinearPlant):
         code = motion_kernels()
         run, accuracy = (code.integrate, rtol) if step is None else (code.integrate_fixed, step)
         low, high = self.geometry.limits
-        outcome, time, _ = run(
-            start, np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken, self.geometry.legs,
-            self._numbers[0], self.motors, low - SLACK, high + SLACK, accuracy, z, states,
-        )  # fmt: skip
+        inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
+        machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
+        outcome, time, _ = run(start, inputs, machine, accuracy, z, states)
         if outcome == code.LEFT_WORKSPACE:
             raise NoTrustworthyNumber(
                 self.name,
