@@ -11,10 +11,8 @@ p_k + r_k \delta_k`
 and a parameter whose :math:`[F_k\; G_k\; {-E_k}; C_k\; D_k\; 0] = l_k r_k^T` has rank one costs one channel, wherever
 it stands.
 
-Parameters of a linear plant that move together: a fit that scales them all by one factor knows that factor only.
-
-The inertias of a drive train are an example: a record shows their sum. A range for each alone would say what nobody
-measured; one block for the common factor says what was measured, and nothing else.
+Parameters may be tied (`tied_plant`): of the inertias of a drive train a record shows the sum, and a fit their common
+factor. A range for each alone would say what nobody measured; one block for the factor says what was, and nothing else.
 """
 
 from __future__ import annotations

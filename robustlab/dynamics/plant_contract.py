@@ -1,8 +1,6 @@
-r"""What every plant is: named parameters and signals, and its equations of motion.
+r"""What every plant is: named parameters and signals, and its equations of motion under sampled inputs.
 
 .. math:: \dot x = f(x, u), \qquad y = h(x, u)
-
-Sampled inputs as functions of time: held, straight between the samples, or a spline through them.
 """
 
 from __future__ import annotations

@@ -25,7 +25,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, NonlinearPlant, Trim
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
-from robustlab.dynamics.stewart.direct_kinematics import LIMIT, direct_kinematics, poses_array
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
     Geometry,
@@ -34,6 +33,7 @@ from robustlab.dynamics.stewart.geometry import (
     geometry,
     machine_parameters,
 )
+from robustlab.dynamics.stewart.kinematics import LIMIT, direct_kinematics, poses_array
 from robustlab.dynamics.stewart.workspace import SLACK, check_pose
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
