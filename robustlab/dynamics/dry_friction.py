@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.simulation import CLOCK_ROUNDING, Hold, sampled_inputs
+from robustlab.dynamics.simulation import CLOCK_ROUNDING, Hold, recorded, sampled_inputs
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.result import Status
@@ -204,14 +204,7 @@ def simulate_with_friction(
     with np.errstate(over="ignore", invalid="ignore"):
         x, force, sliding = motion.run(clock, samples, start, hold)
     y = x @ model.C.T + samples @ model.D.T
-    record = Record(
-        clock,
-        dict(zip(model.input_names, samples.T, strict=True)),
-        dict(zip(model.output_names, y.T, strict=True)),
-        {s.name: s.unit for s in (*model.inputs, *model.outputs)},
-        title,
-    )
-    return StickSlip(record, x, force, sliding, tuple(motion.events))
+    return StickSlip(recorded(model, clock, samples, y, title), x, force, sliding, tuple(motion.events))
 
 
 def _places(plant: Any, model: StateSpaceModel, joints: tuple[DryFriction, ...]) -> tuple[list[int], Array]:

@@ -14,7 +14,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["Hold", "sampled_inputs", "simulate", "transition"]
+__all__ = ["CLOCK_ROUNDING", "Hold", "recorded", "sampled_inputs", "simulate", "transition"]
 
 Hold = Literal["zoh", "foh"]
 
@@ -111,13 +111,7 @@ def simulate(
         )
         y = x @ model.C.T + force @ model.D.T
     _check_finite(np.hstack([x, y]), clock, title)
-    return Record(
-        clock,
-        dict(zip(model.input_names, force.T, strict=True)),
-        dict(zip(model.output_names, y.T, strict=True)),
-        {s.name: s.unit for s in (*model.inputs, *model.outputs)},
-        title,
-    )
+    return recorded(model, clock, force, y, title)
 
 
 def _simulate_nonlinear(
@@ -150,13 +144,7 @@ def _simulate_nonlinear(
         force = np.vstack([signal.coefficients[:, 0], signal.at(clock[-1], len(clock) - 2)[None]])
         y = plant.outputs_along(x, force)
     _check_finite(np.hstack([x, y]), clock, plant.name)
-    return Record(
-        clock,
-        dict(zip((s.name for s in plant.inputs), force.T, strict=True)),
-        dict(zip((s.name for s in plant.outputs), y.T, strict=True)),
-        {s.name: s.unit for s in (*plant.inputs, *plant.outputs)},
-        name or plant.name,
-    )
+    return recorded(plant, clock, force, y, name or plant.name)
 
 
 def _stepped(
@@ -282,6 +270,15 @@ def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | Arra
         hint = f"the inputs are {', '.join(names)}; a dict of name -> samples leaves no doubt about their order"
         raise InputError("simulate", f"u has shape {samples.shape}", f"{(n, count)}", hint)
     return samples
+
+
+def recorded(plant: Plant | StateSpaceModel, t: Array, u: Array, y: Array, name: str) -> Record:
+    """Inputs (n, n_u) and outputs (n, n_y) of a plant or model as a record with their units."""
+    inputs, outputs = (
+        {s.name: column for s, column in zip(signals, samples.T, strict=True)}
+        for signals, samples in ((plant.inputs, u), (plant.outputs, y))
+    )
+    return Record(t, inputs, outputs, {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}, name)
 
 
 def _check_finite(values: Array, t: Array, where: str) -> None:

@@ -152,10 +152,9 @@ class Simulator:
         start = np.zeros((count, n))
         start[:, : model.own] = x0
         kernel.quiet_first_class_functions()
-        kernel.step_windows(
-            functions, len(laws), phi, np.ascontiguousarray(psi @ model.B), columns, velocity, position, parameters,
-            memory, u, start, model.own, windows.starts, windows.length, self.sub, h, self.t0, states, forces,
-        )  # fmt: skip
+        step = kernel.HeldStep(phi, np.ascontiguousarray(psi @ model.B), columns, velocity, position)
+        run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own)
+        kernel.step_windows(functions, len(laws), step, parameters, memory, run, states, forces)
         return states, forces
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array]:

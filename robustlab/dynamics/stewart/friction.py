@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.dynamics.dry_friction import DryFriction, FrictionEvent, StickSlip
 from robustlab.dynamics.plant_contract import Trim
-from robustlab.dynamics.simulation import sampled_inputs
+from robustlab.dynamics.simulation import recorded, sampled_inputs
 from robustlab.dynamics.stewart.rigid_body import bias_torque, mass_matrix
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
@@ -113,13 +113,7 @@ def simulate_platform_with_friction(
         x[k + 1] = state
     torque[-1] = torque[-2]
     at = [_nut(plant, joint) for joint in joints]
-    record = Record(
-        clock,
-        dict(zip([s.name for s in plant.inputs], samples.T, strict=True)),
-        dict(zip([s.name for s in plant.outputs], x.T, strict=True)),
-        {s.name: s.unit for s in (*plant.inputs, *plant.outputs)},
-        name or plant.name,
-    )
+    record = recorded(plant, clock, samples, x, name or plant.name)
     return StickSlip(record, x, torque[:, at], np.sign(x[:, 6:])[:, at].astype(np.int8), tuple(events))
 
 
