@@ -9,8 +9,7 @@ import numpy as np
 
 import robustlab as rl
 from robustlab.dynamics.plant_contract import input_signal
-from robustlab.dynamics.stewart import inverse_kinematics, linear_models, workspace_grid
-from robustlab.dynamics.stewart import kinematics as direct_kinematics
+from robustlab.dynamics.stewart import direct_kinematics, inverse_kinematics, linear_models, workspace_grid
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
 
 

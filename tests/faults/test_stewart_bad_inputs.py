@@ -10,11 +10,11 @@ from robustlab.dynamics.stewart import (
     acceleration_bias,
     assembly_poses,
     condition_map,
+    direct_kinematics,
     inverse_kinematics,
     linear_models,
     mass_matrix,
 )
-from robustlab.dynamics.stewart import kinematics as direct_kinematics
 
 PLANT = rl.plant("stewart-platform")
 HOME = PLANT.geometry.home

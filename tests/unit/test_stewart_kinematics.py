@@ -10,13 +10,13 @@ from robustlab.dynamics.stewart import (
     acceleration_bias,
     assembly_poses,
     condition_map,
+    direct_kinematics,
     inside,
     inverse_kinematics,
     singularity,
     velocity_jacobian,
     workspace_grid,
 )
-from robustlab.dynamics.stewart import kinematics as direct_kinematics
 from robustlab.dynamics.stewart.kinematics import nut_angles, rotation, twist
 
 MACHINE = rl.plant("stewart-platform")
