@@ -13,6 +13,7 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footpri
 from robustlab.dynamics.extended.law_forces import extrapolated
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import real_array
 
@@ -20,8 +21,6 @@ __all__ = ["AttachedEffect", "attach"]
 
 # Amplitude at which footprints are given where none was asked for.
 DEFAULT_AMPLITUDE = 1.0
-# Share of the signal over which the slope of an input or output map is taken, and the least level it is a share of.
-SIGNAL_STEP, LEAST_LEVEL = 1e-3, 1e-3
 # What a map is asked for a constant signal: so many samples of so many seconds.
 ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
 
@@ -126,7 +125,7 @@ class AttachedEffect:
 
     def slope(self, level: float) -> float:
         """Slope of `mapped` at a level."""
-        step = SIGNAL_STEP * max(abs(level), LEAST_LEVEL)
+        step = TUNING.signal_step * max(abs(level), TUNING.least_level)
         return extrapolated(lambda h: (self.mapped(level + h) - self.mapped(level - h)) / (2 * h), step)
 
     def gain(self, level: float, amplitude: Mapping[str, float]) -> float:

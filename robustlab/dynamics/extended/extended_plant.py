@@ -27,6 +27,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import PortModel, linear_plant_of
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
@@ -34,9 +35,6 @@ from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["ExtendedPlant", "with_effects", "without_signals"]
-
-# Entries that differ by less than this share of their matrix' largest are equal.
-ROUNDING = 1e-9
 
 
 class ExtendedPlant(ExtendedEquations):
@@ -259,7 +257,7 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
             if not std:
                 continue
             first, second = (_changed(plant, e, {parameter.name: share * value}) for share in (1.25, 1.5))
-            if not np.allclose(second, 2.0 * first, rtol=ROUNDING, atol=0.0):
+            if not np.allclose(second, 2.0 * first, rtol=TUNING.form_rounding, atol=0.0):
                 continue
             label = f"{e.key}.{parameter.name}"
             tolerance = width * std / abs(value)
@@ -373,7 +371,7 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
         found = whole.evaluate({block.name: delta for block in whole.blocks})
         for name in "ABCD":
             off = np.abs(getattr(found, name) - getattr(other, name)).max(initial=0.0)
-            if off > ROUNDING * np.abs(getattr(other, name)).max(initial=0.0):
+            if off > TUNING.form_rounding * np.abs(getattr(other, name)).max(initial=0.0):
                 raise NoTrustworthyNumber(
                     f"{plant.name}: uncertain",
                     f"the form is not exact: {name} is off by {off:.2g} at delta = {delta:g}",

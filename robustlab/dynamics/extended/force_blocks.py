@@ -34,6 +34,7 @@ from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import Port
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean
 
 __all__ = [
@@ -49,8 +50,6 @@ __all__ = [
 
 Amplitude = float | tuple[float, float]
 Dry = Literal["gain", "load", "both"]
-
-STRETCHES = (0.5, 1.0, 2.0)  # amplitudes at which a sector that is the same is taken for one of all amplitudes
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +230,7 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
     """Whether the law becomes a gain, and whether a bounded force."""
     has_gain = seen.signal == "force" or any(
         f is not None and f.gain_upper > f.gain_lower
-        for a in STRETCHES
+        for a in TUNING.stretches
         for f in [e.footprint(1e3 * a)]
     ) or seen.gain_upper > seen.gain_lower  # fmt: skip
     if not seen.offset:
@@ -245,7 +244,7 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
 
 
 def _same_everywhere(e: AttachedEffect) -> bool:
-    found = [e.footprint(a) for a in STRETCHES]
+    found = [e.footprint(a) for a in TUNING.stretches]
     return len({(f.gain_lower, f.gain_upper) for f in found if f is not None}) == 1 and found[0] is not None
 
 
