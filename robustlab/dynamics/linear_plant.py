@@ -347,7 +347,8 @@ def _rank_factors(matrix: Array) -> tuple[Array, Array]:
     would not.
     """
     rest = matrix.copy()
-    columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
+    columns: list[Array] = [np.zeros((len(matrix), 0))]
+    rows: list[Array] = [np.zeros((0, matrix.shape[1]))]
     smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
     while np.abs(rest).max(initial=0.0) > smallest:
         i, j = np.unravel_index(np.argmax(np.abs(rest)), rest.shape)

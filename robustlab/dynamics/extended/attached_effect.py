@@ -86,6 +86,11 @@ class AttachedEffect:
         return f"{self.effect.id}@{self.site.name}"
 
     @property
+    def load_name(self) -> str:
+        """Name of an input that stands for it as a bounded force or error."""
+        return f"load {self.site.name}: {self.effect.id}"
+
+    @property
     def in_words(self) -> str:
         """Title and site."""
         return f"{self.effect.title} at {self.site.name}"
@@ -135,6 +140,10 @@ class AttachedEffect:
             return 0.5 * (seen.gain_lower + seen.gain_upper)
         constant = self.constant_gain  # perhaps with a delay or an offset
         return constant if constant is not None else self.slope(level) or 1.0
+
+    def input_error(self, width: float = 0.0) -> float | None:
+        """Bound of what it adds to any input, fitted values ``width`` standard deviations up; None: there is none."""
+        return self.effect.input_error({n: v + width * self.std.get(n, 0.0) for n, v in self.values.items()})
 
     # --- footprints --------------------------------------------------------------------------------------------------
 

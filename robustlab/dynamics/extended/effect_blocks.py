@@ -256,7 +256,7 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
 def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
     """Whether a driver adds no more than a bounded error to an input that nothing else scales."""
     others = [o for o in plant.effects if o.site == e.site and o is not e and o.scale is not None]
-    return e.site.kind == "input" and e.effect.input_error(e.values) is not None and not others
+    return e.site.kind == "input" and e.input_error() is not None and not others
 
 
 def _driver_errors(
@@ -268,11 +268,10 @@ def _driver_errors(
         if e.site.name in amplitude or not _is_bounded_error(plant, e):
             continue
         k = [s.name for s in plant.inputs].index(e.site.name)
-        largest = {n: v + width * e.std.get(n, 0.0) for n, v in e.values.items()}
-        bound = e.effect.input_error(largest)
+        bound = e.input_error(width)
         assert bound is not None
         words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
-        found.append((NoiseInput(f"load {e.site.name}: {e.effect.id}", bound, plant.inputs[k].unit, words), k))
+        found.append((NoiseInput(e.load_name, bound, plant.inputs[k].unit, words), k))
     return found
 
 
@@ -281,7 +280,7 @@ def _loads(parts: ForceParts) -> list[tuple[NoiseInput, Any]]:
     found, taken = [], []
     for b in parts.bounded:
         e = b.effect
-        (name,) = _free([f"load {e.site.name}: {e.effect.id}"], taken)
+        (name,) = _free([e.load_name], taken)
         taken.append(name)
         words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
         found.append((NoiseInput(name, b.bound, b.port.unit, words), b.port))
@@ -308,13 +307,10 @@ def with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[Forc
     """The plant with a force at each port as further inputs, and what the first ones' sectors see as outputs, too."""
     if not ports:
         return plant
-    nominal = np.asarray(plant.matrices(plant.values)[0], dtype=np.float64)
-    original = plant.equations
+    nominal = plant.matrices(plant.values)[0]
 
     def equations(p: Mapping[str, float]) -> Descriptor:
-        given = original(p)
-        e, f, g, c = (np.asarray(m, dtype=np.float64) for m in (given.E, given.F, given.G, given.C))
-        d = np.zeros((len(c), g.shape[1])) if given.D is None else np.asarray(given.D, dtype=np.float64)
+        e, f, g, c, d = plant.matrices(p)
         push, seen_c, seen_d = force_columns((nominal, f, g), ports, sectors)
         wide = np.vstack([np.hstack([d, np.zeros((len(c), len(ports)))]), seen_d])
         return Descriptor(e, f, np.hstack([g, push]), np.vstack([c, seen_c]), wide)

@@ -239,8 +239,7 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
         if e in linear or not e.effect.nameable:
             continue
         bound, unit, way = _load(plant, ports, e, sigmas)
-        name = f"load {e.site.name}: {e.effect.id}"
-        loads.append(NoiseInput(name, bound, unit, f"{e.in_words}; {e.values_in_words}"))
+        loads.append(NoiseInput(e.load_name, bound, unit, f"{e.in_words}; {e.values_in_words}"))
         acts.append((e, way))
     ways = [way for _, way in acts]
     pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
@@ -288,7 +287,7 @@ def _load(plant: ExtendedPlant, ports: Any, e: AttachedEffect, sigmas: float) ->
     where = f"effect_loads: {e.in_words}"
     hint = "rl.uncertain_from has sectors and weights for such effects"
     if e.site.kind == "input":
-        bound = e.effect.input_error({name: v + sigmas * e.std.get(name, 0.0) for name, v in e.values.items()})
+        bound = e.input_error(sigmas)
         k = [s.name for s in plant.inputs].index(e.site.name)
         if bound is not None:
             return float(bound), plant.inputs[k].unit, k

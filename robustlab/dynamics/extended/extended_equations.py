@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint, Law
@@ -284,7 +284,7 @@ class ExtendedEquations(SteppedPlant):
             "give an input that what holds the plant can bear, or leave the input to be found",
         )
 
-    def _asked_rest(self, where: Mapping[str, Any]) -> tuple[Array, Array, dict[int, float]]:
+    def _asked_rest(self, where: Mapping[str, Any]) -> tuple[Array, NDArray[np.intp], dict[int, float]]:
         """State and input with what is given in place, the indices of the others, and outputs that are wanted."""
         n = len(self.states)
         states, inputs, outputs = ([s.name for s in kind] for kind in (self.states, self.inputs, self.outputs))

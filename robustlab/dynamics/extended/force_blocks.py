@@ -149,7 +149,7 @@ def force_parts(
     missing: dict[str, str] = {}
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
-        reason = _no_part(seen, port)
+        reason = _no_part(e, seen, port)
         if reason or seen is None:
             left[f"{e!r}"] = reason
             continue
@@ -215,11 +215,11 @@ def _pair(value: Amplitude) -> tuple[float, ...]:
     return tuple(value) if isinstance(value, (tuple, list)) else (value, value)
 
 
-def _no_part(seen: Footprint | None, port: Port) -> str:
+def _no_part(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
     """Why nothing can stand in for a law, or nothing."""
     if seen is None or seen.signal not in ("speed", "current", "position", "force"):
         return "only its slope at the point is in the model"
-    if seen.signal == "position" and seen.gain_upper == seen.gain_lower != 0.0:
+    if e.effect.structural:
         return "it divides the joint: no force of one joint stands for it"
     if seen.signal == "force" and np.count_nonzero(port.force) != 1:
         return "only its slope at the point is in the model: its joint shares its inertia with others"
