@@ -37,11 +37,12 @@ from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_si
 from robustlab.dynamics.extended.force_blocks import (
     Amplitude,
     Dry,
-    ForceParts,
     ForceSector,
+    NoiseInput,
     check_amplitudes,
     force_columns,
     force_parts,
+    free_names,
 )
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.ports.port_model import port_model
@@ -56,30 +57,6 @@ from robustlab.uncertainty.blocks.base import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["EffectBlocks", "NoiseInput", "effect_blocks", "with_forces"]
-
-
-@dataclass(frozen=True)
-class NoiseInput:
-    """An input of the set that stands for a bounded error: its signal is at most one.
-
-    Attributes
-    ----------
-    name
-        Of the input.
-    bound, unit
-        What one stands for.
-    origin
-        Where it comes from.
-    """
-
-    name: str
-    bound: float
-    unit: str
-    origin: str
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +190,7 @@ def _of_extended(
     linear = plant.linear_model(None, levels, stand_in=parts.stand_in)
     point = linear.operating_point
     assert point is not None
-    loads = [*_loads(parts), *_unnamed(plant.model, unnamed)]
+    loads = [*parts.bounded, *_unnamed(plant.model, unnamed)]
     drivers = _driver_errors(plant, amplitude, width)
     inner = tied_plant(without_signals(plant, linear, width), tied)
     ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
@@ -272,18 +249,6 @@ def _driver_errors(
         assert bound is not None
         words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
         found.append((NoiseInput(e.load_name, bound, plant.inputs[k].unit, words), k))
-    return found
-
-
-def _loads(parts: ForceParts) -> list[tuple[NoiseInput, Any]]:
-    """An input for every bounded force."""
-    found, taken = [], []
-    for b in parts.bounded:
-        e = b.effect
-        (name,) = _free([e.load_name], taken)
-        taken.append(name)
-        words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
-        found.append((NoiseInput(name, b.bound, b.port.unit, words), b.port))
     return found
 
 
@@ -350,7 +315,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
     rows = [*range(p), *seen, *range(p, p + n_y - k)]
     scale = np.ones(m.n_inputs)
     scale[q : q + k] = [s.radius if s.signal == "force" else -s.radius for s in sectors]
-    names = _free([s.effect.key for s in sectors], [b.name for b in whole.blocks])
+    names = free_names([s.effect.key for s in sectors], [b.name for b in whole.blocks])
     ins, outs = list(m.inputs), list(m.outputs)
     model = StateSpaceModel(
         m.A, m.B[:, columns] * scale, m.C[rows], m.D[np.ix_(rows, columns)] * scale, m.dt,
@@ -466,15 +431,6 @@ def _with_noise(
 
 def _bounded(e: AttachedEffect) -> str:
     return f"{e.in_words} as a bounded error; {e.values_in_words}"
-
-
-def _free(names: list[str], taken: Sequence[str]) -> list[str]:
-    found: list[str] = []
-    for name in names:
-        while name in taken or name in found:
-            name += "'"
-        found.append(name)
-    return found
 
 
 # --- is it so? -------------------------------------------------------------------------------------------------------

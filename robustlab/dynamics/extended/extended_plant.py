@@ -38,19 +38,7 @@ __all__ = ["ExtendedPlant", "with_effects", "without_signals"]
 
 
 class ExtendedPlant(ExtendedEquations):
-    """A linear plant with effects; made by `with_effects`.
-
-    Attributes
-    ----------
-    plant
-        The plant without them.
-    effects
-        In the order in which they were attached.
-    model
-        Linear equations and ports with the effects that are linear.
-    laws
-        Every force law with its effect and its port.
-    """
+    """A linear plant with effects; made by `with_effects`."""
 
     def to_model(self) -> StateSpaceModel:
         """The linear model at the rest with the smallest inputs; functions that take a model call it."""

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,13 +39,14 @@ from robustlab.errors import InputError, did_you_mean
 
 __all__ = [
     "Amplitude",
-    "BoundedForce",
+    "NoiseInput",
     "Dry",
     "ForceParts",
     "ForceSector",
     "check_amplitudes",
     "force_parts",
     "force_columns",
+    "free_names",
 ]
 
 Amplitude = float | tuple[float, float]
@@ -95,13 +96,28 @@ class ForceSector:
         return f"{self.port.unit}/({below})"
 
 
-@dataclass(frozen=True, eq=False)
-class BoundedForce:
-    """A law as an input of size at most ``bound`` at its port."""
+@dataclass(frozen=True)
+class NoiseInput:
+    """An input of the set that stands for a bounded error: its signal is at most one.
 
-    effect: AttachedEffect
-    port: Port
+    Attributes
+    ----------
+    name
+        Of the input.
+    bound, unit
+        What one stands for.
+    origin
+        Where it comes from.
+    """
+
+    name: str
     bound: float
+    unit: str
+    origin: str
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +127,7 @@ class ForceParts:
     Attributes
     ----------
     sectors, bounded
-        The gains; the bounded forces.
+        The gains; the bounded forces as inputs, each with its port.
     stand_in
         Index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope.
     left_out
@@ -119,7 +135,7 @@ class ForceParts:
     """
 
     sectors: tuple[ForceSector, ...]
-    bounded: tuple[BoundedForce, ...]
+    bounded: tuple[tuple[NoiseInput, Port], ...]
     stand_in: Mapping[int, Array]
     left_out: Mapping[str, str]
 
@@ -144,7 +160,9 @@ def force_parts(
     InputError
         A law that needs an amplitude has none.
     """
-    sectors, bounded, left = [], [], {}
+    sectors: list[ForceSector] = []
+    bounded: list[tuple[NoiseInput, Port]] = []
+    left: dict[str, str] = {}
     stand_in: dict[int, Array] = {}
     missing: dict[str, str] = {}
     for j, (e, _, port) in enumerate(plant.laws):
@@ -168,7 +186,9 @@ def force_parts(
             if found.radius > 0:
                 sectors.append(found)
         if as_load:
-            bounded.append(BoundedForce(e, port, e.largest_offset(width)))
+            (name,) = free_names([e.load_name], [load.name for load, _ in bounded])
+            words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
+            bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
         stand_in[j] = row
     if missing:
         name, title = next(iter(missing.items()))
@@ -291,3 +311,13 @@ def force_columns(
         others[:, k] = 0.0
         c[k], d[k] = dual @ f, np.concatenate([dual @ g, dual @ others])
     return push, c, d
+
+
+def free_names(names: list[str], taken: Sequence[str]) -> list[str]:
+    """The names, with primes where they are taken already."""
+    found: list[str] = []
+    for name in names:
+        while name in taken or name in found:
+            name += "'"
+        found.append(name)
+    return found
