@@ -39,7 +39,7 @@ order has a smaller one, proved by alternation; of best: the weight over the bes
 def thesis_sets(cases: list[str]) -> dict[str, list[rl.StateSpaceModel]]:
     from robustlab.dynamics import linearise, trim
     from robustlab.dynamics.stewart.stewart_platform import stewart_platform
-    from robustlab.thesis.thesis_runs import ALL, LINK
+    from robustlab.thesis.runs import ALL, LINK
 
     plant = stewart_platform()
     made: dict[str, list[rl.StateSpaceModel]] = {}

@@ -36,26 +36,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.simulation import CLOCK_ROUNDING, Hold, sampled_inputs
+from robustlab.dynamics.simulation import Hold, recorded, sampled_inputs
+from robustlab.dynamics.tuning import TUNING, DynamicsTuning
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 __all__ = ["DryFriction", "FrictionEvent", "StickSlip", "simulate_with_friction"]
-
-
-# An event is located to this many halvings of a sample step.
-HALVINGS = 46
-# A sample step is divided until a mode turns or decays by no more than this (rad or powers of e) in a piece.
-PIECE = 0.5
-MOST_PIECES = 2**12
-# A sticking joint holds forces up to F_s (1 + this): above the rounding of the force that is asked for.
-HOLD_ROUNDING = 1e-12
-# The exponential's series to this order is exact to rounding for a matrix whose rows sum up to this: 0.01^8/8! = 2e-21.
-SMALL, SERIES = 1e-2, 7
-# More changes than this within one sample step are no mechanics.
-MOST_CHANGES = 1000
 
 
 @dataclass(frozen=True)
@@ -158,6 +146,7 @@ def simulate_with_friction(
     *,
     hold: Hold = "zoh",
     name: str | None = None,
+    tuning: DynamicsTuning = TUNING,
 ) -> StickSlip:
     """Response of a linear plant with dry friction on some of its velocities, exact at the samples.
 
@@ -170,6 +159,8 @@ def simulate_with_friction(
         One for each joint that has any.
     t, u, x0, hold, name
         As in `robustlab.dynamics.simulate`; ``hold`` is "zoh" or "foh".
+    tuning
+        How finely changes are located.
 
     Raises
     ------
@@ -200,18 +191,11 @@ def simulate_with_friction(
     if len(start) != model.n_states:
         raise InputError("simulate_with_friction", f"x0 has {len(start)} entries", f"{model.n_states}")
     places, columns = _places(plant, model, joints)
-    motion = _Motion(model, joints, places, columns)
+    motion = _Motion(model, joints, (places, columns), tuning)
     with np.errstate(over="ignore", invalid="ignore"):
         x, force, sliding = motion.run(clock, samples, start, hold)
     y = x @ model.C.T + samples @ model.D.T
-    record = Record(
-        clock,
-        dict(zip(model.input_names, samples.T, strict=True)),
-        dict(zip(model.output_names, y.T, strict=True)),
-        {s.name: s.unit for s in (*model.inputs, *model.outputs)},
-        title,
-    )
-    return StickSlip(record, x, force, sliding, tuple(motion.events))
+    return StickSlip(recorded(model, clock, samples, y, title), x, force, sliding, tuple(motion.events))
 
 
 def _places(plant: Any, model: StateSpaceModel, joints: tuple[DryFriction, ...]) -> tuple[list[int], Array]:
@@ -265,7 +249,7 @@ class _Mode:
         self.matrix[:n] += motion.columns @ force
         for j in stuck:
             self.matrix[motion.places[j]] = 0.0
-        self.sliding, self.force, self.stuck = sliding, force, stuck
+        self.sliding, self.force, self.stuck, self.tuning = sliding, force, stuck, motion.tuning
         guards = []
         for j, s in enumerate(sliding):
             row = np.zeros(size)
@@ -273,7 +257,7 @@ class _Mode:
                 row[motion.places[j]], row[-1] = s, -s * motion.surface[j]
                 guards.append(row)
             else:
-                row[-1] = motion.holding[j] * (1 + HOLD_ROUNDING)
+                row[-1] = motion.holding[j] * (1 + motion.tuning.hold_rounding)
                 guards += [row - force[j], row + force[j]]
         guard = np.array(guards).reshape(-1, size)
         self.guard = np.vstack([guard, guard @ self.matrix])
@@ -285,7 +269,7 @@ class _Mode:
         """exp(M h / 2^halvings)."""
         key = (h, halvings)
         if key not in self.steps:
-            self.steps[key] = _exponential(self.matrix * (h / 2.0**halvings))
+            self.steps[key] = _exponential(self.matrix * (h / 2.0**halvings), self.tuning)
         return self.steps[key]
 
     def changes_within(self, z: Array, h: float, halvings: int) -> bool:
@@ -304,9 +288,13 @@ class _Motion:
     """The motion of one plant with friction, piece by piece."""
 
     def __init__(
-        self, model: StateSpaceModel, joints: Sequence[DryFriction], places: list[int], columns: Array
+        self,
+        model: StateSpaceModel,
+        joints: Sequence[DryFriction],
+        at: tuple[list[int], Array],
+        tuning: DynamicsTuning,
     ) -> None:
-        self.a, self.b, self.columns, self.places = model.A, model.B, columns, places
+        self.a, self.b, (self.places, self.columns), self.tuning = model.A, model.B, at, tuning
         self.n, self.n_u = model.n_states, model.n_inputs
         self.size = self.n + 2 * self.n_u + 1
         self.names = [joint.velocity for joint in joints]
@@ -326,7 +314,7 @@ class _Motion:
     def run(self, t: Array, u: Array, x0: Array, hold: Hold) -> tuple[Array, Array, NDArray[np.int8]]:
         """States, friction forces and sliding directions at the samples."""
         n, m = self.n, self.n_u
-        lengths = _equal_lengths(t)
+        lengths = _equal_lengths(t, self.tuning.clock_rounding)
         z = np.concatenate([x0, u[0], np.zeros(m), [1.0]])
         x, force = np.empty((len(t), n)), np.empty((len(t), len(self.names)))
         sliding = np.empty((len(t), len(self.names)), dtype=np.int8)
@@ -354,8 +342,8 @@ class _Motion:
 
     def pieces(self, h: float) -> int:
         """Halvings of h in whose pieces no velocity turns twice."""
-        turn = self.fastest * h / PIECE
-        if turn > MOST_PIECES:
+        turn = self.fastest * h / self.tuning.piece
+        if turn > self.tuning.most_pieces:
             found = f"steps of {h:g} s for a mode of {self.fastest:g} /s"
             raise InputError("simulate_with_friction", found, "finer samples, or a plant without that mode")
         return math.ceil(math.log2(turn)) if turn > 1 else 0
@@ -367,14 +355,14 @@ class _Motion:
         fails = (after[:count] < 0).any()
         if not fails and not _dips(before, after, count, h / 2.0**halvings).any():
             return end, mode
-        if halvings < HALVINGS:
+        if halvings < self.tuning.halvings:
             start = self.time
             z, mode = self.advance(z, mode, h, halvings + 1)
             self.time = start + h / 2.0 ** (halvings + 1)
             return self.advance(z, mode, h, halvings + 1)
         if not fails:
             return end, mode
-        self.time += h / 2.0**HALVINGS
+        self.time += h / 2.0**self.tuning.halvings
         return end, self.changed(mode, self.settled(end, self._stopped(end, mode)))
 
     def held(self, mode: _Mode, z: Array) -> Array:
@@ -411,29 +399,29 @@ class _Motion:
             if old != new:
                 self.events.append(FrictionEvent(self.time, name, new))
         self.changes += 1
-        if self.changes > MOST_CHANGES:
+        if self.changes > self.tuning.most_changes:
             raise NoTrustworthyNumber(
-                "dry friction", f"more than {MOST_CHANGES} changes in the step to {self.time:.9g} s"
+                "dry friction", f"more than {self.tuning.most_changes} changes in the step to {self.time:.9g} s"
             )
         return after
 
 
-def _exponential(x: Array) -> Array:
+def _exponential(x: Array, tuning: DynamicsTuning) -> Array:
     """exp(x); of a small x, as most are, by the few terms of its series that count."""
-    if np.abs(x).sum(axis=1).max() > SMALL:
+    if np.abs(x).sum(axis=1).max() > tuning.small:
         from scipy.linalg import expm
 
         return np.asarray(expm(x), dtype=np.float64)
     total = one = np.eye(len(x))
-    for order in range(SERIES, 0, -1):
+    for order in range(tuning.series, 0, -1):
         total = one + x @ total / order
     return total
 
 
-def _equal_lengths(t: Array) -> Array:
+def _equal_lengths(t: Array, rounding: float) -> Array:
     """Steps of the clock, with those that differ by its rounding made equal."""
     step = np.diff(t)
-    _, kind = np.unique(np.round(step / (CLOCK_ROUNDING * step.mean())), return_inverse=True)
+    _, kind = np.unique(np.round(step / (rounding * step.mean())), return_inverse=True)
     return (np.bincount(kind, weights=step) / np.bincount(kind))[kind]
 
 

@@ -11,10 +11,8 @@ p_k + r_k \delta_k`
 and a parameter whose :math:`[F_k\; G_k\; {-E_k}; C_k\; D_k\; 0] = l_k r_k^T` has rank one costs one channel, wherever
 it stands.
 
-Parameters of a linear plant that move together: a fit that scales them all by one factor knows that factor only.
-
-The inertias of a drive train are an example: a record shows their sum. A range for each alone would say what nobody
-measured; one block for the common factor says what was measured, and nothing else.
+Parameters may be tied (`tied_plant`): of the inertias of a drive train a record shows the sum, and a fit their common
+factor. A range for each alone would say what nobody measured; one block for the factor says what was, and nothing else.
 """
 
 from __future__ import annotations
@@ -150,7 +148,7 @@ class LinearPlant(Plant):
 
     def state_space(self) -> StateSpaceModel:
         """``A = E^-1 F, B = E^-1 G, C, D`` at the nominal parameters, with the plant's signals."""
-        e, f, g, c, d = self._matrices(self.values)
+        e, f, g, c, d = self.matrices(self.values)
         solved = self._solve(e, np.hstack([f, g]))
         n = len(self.states)
         return StateSpaceModel(
@@ -158,12 +156,32 @@ class LinearPlant(Plant):
         )
 
     def matrices(self, values: Mapping[str, float]) -> list[Array]:
-        """E, F, G, C, D of the descriptor form at the given parameter values (name -> value, all of them)."""
-        return self._matrices(values)
+        """E, F, G, C, D of the descriptor form at these parameter values (name -> value, all of them), checked."""
+        try:
+            form = self.equations(values)
+        except ZeroDivisionError:
+            raise InputError(
+                f"{self.name}: equations",
+                "a division by a parameter",
+                "matrices that are affine in the parameters",
+                "bring the quotient to the left-hand side (into E)",
+            ) from None
+        n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
+        shapes = {"E": (n, n), "F": (n, n), "G": (n, n_u), "C": (n_y, n), "D": (n_y, n_u)}
+        matrices = []
+        for name, shape in shapes.items():
+            given = getattr(form, name)
+            matrix = np.zeros(shape) if given is None else np.array(given, dtype=float)
+            if matrix.shape != shape:
+                raise InputError(f"{self.name}: equations", f"{name} is {matrix.shape}", f"{shape}")
+            if not np.isfinite(matrix).all():
+                raise InputError(f"{self.name}: equations", f"{name} has NaN or infinite entries", "finite numbers")
+            matrices.append(matrix)
+        return matrices
 
     def affine_equations(self) -> AffineEquations:
         """The equations as numbers, which a file can hold."""
-        constant = self._matrices(self._cleared)
+        constant = self.matrices(self._cleared)
         names = tuple(name for name in self.parameters if name not in self.exact)
         terms = [constant, *(self._coefficients(name, constant) for name in names)]
         stacked = {key: np.stack([term[i] for term in terms]) for i, key in enumerate("EFGCD")}
@@ -223,7 +241,7 @@ class LinearPlant(Plant):
         coefficients when the deltas are absolute, which is what comes out here.
         """
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
-        e, _, _, c, d = self._matrices(self.values)
+        e, _, _, c, d = self.matrices(self.values)
         nominal = self.state_space()
         left, right, blocks = self._channels(self._ranges(ranges or {}))
         into_x = self._solve(e, left[:n]) + 0.0  # no negative zeros
@@ -270,7 +288,7 @@ class LinearPlant(Plant):
     def _channels(self, ranges: Mapping[str, ParameterRange]) -> tuple[Array, Array, tuple[RealScalar, ...]]:
         """L (n_x + n_y, q), R (q, n_x + n_u + n_x) and the blocks; R is scaled by the widths above nominal."""
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
-        constant = self._matrices(self._cleared)
+        constant = self.matrices(self._cleared)
         left, right, blocks = [np.zeros((n + n_y, 0))], [np.zeros((0, 2 * n + n_u))], []
         for name, span in ranges.items():
             e, f, g, c, d = self._coefficients(name, constant)
@@ -290,12 +308,12 @@ class LinearPlant(Plant):
 
     def _coefficients(self, name: str, constant: list[Array]) -> list[Array]:
         """What the named parameter is multiplied with in E, F, G, C, D; ``constant`` is their part without any."""
-        at_unit = self._matrices({**self._cleared, name: 1.0})
+        at_unit = self.matrices({**self._cleared, name: 1.0})
         return [there - here for there, here in zip(at_unit, constant, strict=True)]
 
     def _check_affine(self) -> None:
         """The equations must equal their own affine form at two points (two, so that a power of a parameter shows)."""
-        constant = self._matrices(self._cleared)
+        constant = self.matrices(self._cleared)
         linear = [np.zeros_like(m) for m in constant]
         size = [np.abs(m) for m in constant]
         varied = {name: value for name, value in self.values.items() if name not in self.exact}
@@ -304,7 +322,7 @@ class LinearPlant(Plant):
                 total += value * term
                 bound += np.abs(value * term)
         for scale in (1.0, 1.75):
-            there = self._matrices(self.values | {name: scale * value for name, value in varied.items()})
+            there = self.matrices(self.values | {name: scale * value for name, value in varied.items()})
             for name, found, fixed, varying, bound in zip("EFGCD", there, constant, linear, size, strict=True):
                 if (np.abs(found - fixed - scale * varying) > ROUNDING * scale * bound).any():
                     raise InputError(
@@ -313,30 +331,6 @@ class LinearPlant(Plant):
                         "sums of constant multiples of parameters",
                         "bring a quotient to the left-hand side (into E); give a product a parameter of its own",
                     )
-
-    def _matrices(self, values: Mapping[str, float]) -> list[Array]:
-        """E, F, G, C, D of the equations at these parameter values, with their shapes checked."""
-        try:
-            form = self.equations(values)
-        except ZeroDivisionError:
-            raise InputError(
-                f"{self.name}: equations",
-                "a division by a parameter",
-                "matrices that are affine in the parameters",
-                "bring the quotient to the left-hand side (into E)",
-            ) from None
-        n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
-        shapes = {"E": (n, n), "F": (n, n), "G": (n, n_u), "C": (n_y, n), "D": (n_y, n_u)}
-        matrices = []
-        for name, shape in shapes.items():
-            given = getattr(form, name)
-            matrix = np.zeros(shape) if given is None else np.array(given, dtype=float)
-            if matrix.shape != shape:
-                raise InputError(f"{self.name}: equations", f"{name} is {matrix.shape}", f"{shape}")
-            if not np.isfinite(matrix).all():
-                raise InputError(f"{self.name}: equations", f"{name} has NaN or infinite entries", "finite numbers")
-            matrices.append(matrix)
-        return matrices
 
     def _solve(self, e: Array, right: Array) -> Array:
         """``E^-1 right``; a small inductance in one row and a large mass in another say nothing of the rank of E."""
@@ -353,7 +347,8 @@ def _rank_factors(matrix: Array) -> tuple[Array, Array]:
     would not.
     """
     rest = matrix.copy()
-    columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
+    columns: list[Array] = [np.zeros((len(matrix), 0))]
+    rows: list[Array] = [np.zeros((0, matrix.shape[1]))]
     smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
     while np.abs(rest).max(initial=0.0) > smallest:
         i, j = np.unravel_index(np.argmax(np.abs(rest)), rest.shape)

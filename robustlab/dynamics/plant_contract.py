@@ -1,8 +1,6 @@
-r"""What every plant is: named parameters and signals, and its equations of motion.
+r"""What every plant is: named parameters and signals, and its equations of motion under sampled inputs.
 
 .. math:: \dot x = f(x, u), \qquad y = h(x, u)
-
-Sampled inputs as functions of time: held, straight between the samples, or a spline through them.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
@@ -35,9 +34,6 @@ __all__ = [
 
 
 NonlinearHold = Literal["zoh", "foh", "spline"]
-
-# Slopes that differ by less than this share of the largest one are one straight line.
-STRAIGHT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +82,7 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
     elif hold == "foh":
         slope = np.diff(samples, axis=0) / np.diff(t)[:, None]
         coefficients[:, 0], coefficients[:, 1] = samples[:-1], slope
-        broken[1:] = (np.abs(np.diff(slope, axis=0)) > STRAIGHT * np.abs(slope).max(initial=0.0)).any(axis=1)
+        broken[1:] = (np.abs(np.diff(slope, axis=0)) > TUNING.straight * np.abs(slope).max(initial=0.0)).any(axis=1)
     elif hold == "spline":
         if len(t) < 6:
             raise InputError("simulate: hold", f"'spline' through {len(t)} samples", "at least 6")

@@ -10,19 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-__all__ = ["Hold", "sampled_inputs", "simulate", "transition"]
+__all__ = ["Hold", "recorded", "sampled_inputs", "simulate", "transition"]
 
 Hold = Literal["zoh", "foh"]
-
-# Steps of the clock that differ by less than this share of the mean step count as equal: the rounding of time stamps.
-CLOCK_ROUNDING = 1e-9
-# A discrete model's clock may jitter by this share of its sample time.
-SAMPLE_TIME_TOLERANCE = 1e-6
-DEFAULT_RTOL = 1e-8
 
 
 def simulate(
@@ -111,13 +106,7 @@ def simulate(
         )
         y = x @ model.C.T + force @ model.D.T
     _check_finite(np.hstack([x, y]), clock, title)
-    return Record(
-        clock,
-        dict(zip(model.input_names, force.T, strict=True)),
-        dict(zip(model.output_names, y.T, strict=True)),
-        {s.name: s.unit for s in (*model.inputs, *model.outputs)},
-        title,
-    )
+    return recorded(model, clock, force, y, title)
 
 
 def _simulate_nonlinear(
@@ -146,17 +135,11 @@ def _simulate_nonlinear(
     if isinstance(plant, SteppedPlant):
         x, force, y = _stepped(plant, clock, sampled_inputs(plant.inputs, u, len(clock)), start, hold, options)
     else:
-        x = plant.trajectory(signal, start, **(options or {"rtol": DEFAULT_RTOL}))
+        x = plant.trajectory(signal, start, **(options or {"rtol": TUNING.rtol}))
         force = np.vstack([signal.coefficients[:, 0], signal.at(clock[-1], len(clock) - 2)[None]])
         y = plant.outputs_along(x, force)
     _check_finite(np.hstack([x, y]), clock, plant.name)
-    return Record(
-        clock,
-        dict(zip((s.name for s in plant.inputs), force.T, strict=True)),
-        dict(zip((s.name for s in plant.outputs), y.T, strict=True)),
-        {s.name: s.unit for s in (*plant.inputs, *plant.outputs)},
-        name or plant.name,
-    )
+    return recorded(plant, clock, force, y, name or plant.name)
 
 
 def _stepped(
@@ -212,7 +195,7 @@ def _states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -
     """States of a continuous model at the times t, shape (n, n_x); one matrix exponential for each length of step."""
     step = np.diff(t)
     mean = step.mean()
-    _, first, kind = np.unique(np.round(step / (CLOCK_ROUNDING * mean)), return_index=True, return_inverse=True)
+    _, first, kind = np.unique(np.round(step / (TUNING.clock_rounding * mean)), return_index=True, return_inverse=True)
     length = np.bincount(kind, weights=step) / np.bincount(kind)
     phi = np.empty((len(first), model.n_states, model.n_states))
     forced = np.empty((len(step), model.n_states))
@@ -233,7 +216,7 @@ def _discrete_states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold
             "simulate: hold", "'foh' for a discrete model", "'zoh': a discrete model sees the samples only"
         )
     step = np.diff(t)
-    wrong = np.abs(step - model.dt) > SAMPLE_TIME_TOLERANCE * model.dt
+    wrong = np.abs(step - model.dt) > TUNING.clock_jitter * model.dt
     if wrong.any():
         k = int(np.argmax(wrong))
         raise InputError(
@@ -282,6 +265,15 @@ def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | Arra
         hint = f"the inputs are {', '.join(names)}; a dict of name -> samples leaves no doubt about their order"
         raise InputError("simulate", f"u has shape {samples.shape}", f"{(n, count)}", hint)
     return samples
+
+
+def recorded(plant: Plant | StateSpaceModel, t: Array, u: Array, y: Array, name: str) -> Record:
+    """Inputs (n, n_u) and outputs (n, n_y) of a plant or model as a record with their units."""
+    inputs, outputs = (
+        {s.name: column for s, column in zip(signals, samples.T, strict=True)}
+        for signals, samples in ((plant.inputs, u), (plant.outputs, y))
+    )
+    return Record(t, inputs, outputs, {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}, name)
 
 
 def _check_finite(values: Array, t: Array, where: str) -> None:

@@ -76,7 +76,7 @@ def test_what_the_thesis_recipe_says_was_chosen_is_what_the_code_has():
 
     from robustlab.dynamics.control.controllers import two_layer
     from robustlab.dynamics.stewart.geometry import machine_parameters
-    from robustlab.thesis.thesis_runs import UP_TO
+    from robustlab.thesis.runs import UP_TO
 
     assert UP_TO == 0.0577
     defaults = signature(two_layer).parameters

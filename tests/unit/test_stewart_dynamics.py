@@ -17,7 +17,7 @@ from robustlab.dynamics.stewart import (
     potential_energy,
     trim_torque,
 )
-from robustlab.dynamics.stewart.direct_kinematics import nut_angles
+from robustlab.dynamics.stewart.kinematics import nut_angles
 
 THESIS = rl.plant("stewart-platform")
 PHYSICAL = rl.plant("stewart-platform", preset="physical")

@@ -9,7 +9,7 @@ import robustlab as rl
 from robustlab.dynamics.control.trajectory_following import MotorLimits, TrajectoryFollowing
 from robustlab.dynamics.stewart import condition_map
 from robustlab.report.figures import save_figure
-from robustlab.thesis.stewart_figures import (
+from robustlab.thesis.figures import (
     case_figure,
     condition_figure,
     excitation_figure,
@@ -19,7 +19,7 @@ from robustlab.thesis.stewart_figures import (
     tracking_error_figure,
     tracking_path_figure,
 )
-from robustlab.thesis.thesis_runs import sine_run
+from robustlab.thesis.runs import sine_run
 
 T = np.linspace(0.0, 1.0, 51)
 

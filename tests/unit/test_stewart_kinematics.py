@@ -17,7 +17,7 @@ from robustlab.dynamics.stewart import (
     velocity_jacobian,
     workspace_grid,
 )
-from robustlab.dynamics.stewart.direct_kinematics import nut_angles, rotation, twist
+from robustlab.dynamics.stewart.kinematics import nut_angles, rotation, twist
 
 MACHINE = rl.plant("stewart-platform")
 G = MACHINE.geometry

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.thesis import thesis_numbers
-from robustlab.thesis.thesis_numbers import PublishedNumber, published_numbers
-from robustlab.thesis.thesis_runs import sine_run
+from robustlab.thesis import numbers as thesis_numbers
+from robustlab.thesis.numbers import PublishedNumber, published_numbers
+from robustlab.thesis.runs import sine_run
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,4 @@
-r"""The nonlinear machine under control, following a trajectory.
-
-Poses that a platform is to follow: a lift, then a sine on every axis.
+r"""The nonlinear machine under control, following a trajectory: a lift, then a sine on every axis.
 
 .. math::
     q(t) = q_0 + \Delta\, e(t / T) + a\, e\bigl((t - T) / T_r\bigr) \sin \omega (t - T), \qquad
@@ -27,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
-from robustlab.dynamics.stewart.direct_kinematics import nut_angles
+from robustlab.dynamics.stewart.kinematics import nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.dynamics.stewart.workspace import check_pose, inside
 from robustlab.errors import InputError, NoTrustworthyNumber

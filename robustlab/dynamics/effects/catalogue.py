@@ -86,6 +86,11 @@ def effect_names() -> tuple[str, ...]:
     tuple
         Sorted; those of `add_effect` among them.
 
+    Raises
+    ------
+    InputError
+        Two files with one id.
+
     Examples
     --------
     >>> "coulomb-friction" in effect_names()

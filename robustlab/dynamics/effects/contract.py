@@ -185,71 +185,40 @@ class Footprint:
 class Effect(ABC):
     """One physical effect; the instance ``EFFECT`` of each file of this folder. All that is known of it stands here:
     who looks for effects, fits them, builds sets of them or advises on experiments asks the effect.
-
-    Attributes
-    ----------
-    id
-        Name in the catalogue.
-    title
-        In words.
-    equation
-        One line, in the field's notation, with the symbols of the parameters.
-    site_kind
-        Where it sits.
-    independently
-        What to do to settle it without any record of the plant's motion, as an instruction; empty: nothing is known.
-    person
-        After whom the title begins, empty otherwise: a name keeps its capital within a sentence.
-    refines
-        Id of the parent on top of which alone it is looked for, or None. A refinement contains its parent.
-    substeps
-        Smallest number of steps per sample (at 1 ms) that its law needs.
-    nameable
-        False for what is known noise and never a name (quantisation).
-    needs_position
-        True where it sits only at joints whose position is a state.
-    spatial
-        True where its period over the position is a parameter; it is then tried at each strong spatial line
-        (``scales.orders`` holds the one line of a trial).
-    gain_like
-        True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
-        tolerances tell the two apart.
-    scale
-        Of an effect that multiplies a signal, or parameters of the plant, and does no more: the parameter by which.
-    delay
-        Of an effect that delays a signal: the parameter that is the delay in s.
-    constant_loss
-        Balance of a steady point (``"torque"``, ``"voltage"``) from which it takes an amount of its own.
-    tolerance
-        Relative tolerance of the plant's parameters with the role `id`, where the plant states none.
-    long_memory
-        True where its memory outlasts a window (heat), so that windows cannot be simulated out of order.
-    structural
-        True where it splits the joint in two (backlash, a flexible coupling); a plant carries one of these.
-    force
-        Its force law at the port of its site (`robustlab.dynamics.ports.law_kernel.law`), where it has one.
-    memory
-        Number of memory cells of that law.
     """
 
-    id: str
-    title: str
-    equation: str
-    site_kind: SiteKind
+    id: str  # name in the catalogue
+    title: str  # in words
+    equation: str  # one line, in the field's notation, with the symbols of the parameters
+    site_kind: SiteKind  # where it sits
+    # What to do to settle it without any record of the plant's motion, as an instruction; empty: nothing is known.
     independently: str = ""
+    # After whom the title begins, empty otherwise: a name keeps its capital within a sentence.
     person: str = ""
+    # Id of the parent on top of which alone it is looked for. A refinement contains its parent.
     refines: str | None = None
+    # Smallest number of steps per sample (at 1 ms) that its law needs.
     substeps: int = 1
-    nameable: bool = True
-    needs_position: bool = False
+    nameable: bool = True  # False for what is known noise and never a name (quantisation)
+    needs_position: bool = False  # True where it sits only at joints whose position is a state
+    # True where its period over the position is a parameter; it is then tried at each strong spatial line
+    # (``scales.orders`` holds the one line of a trial).
     spatial: bool = False
+    # True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
+    # tolerances tell the two apart.
     gain_like: bool = False
+    # Of an effect that multiplies a signal, or parameters of the plant, and does no more: the parameter by which.
     scale: str = ""
-    delay: str = ""
+    delay: str = ""  # of an effect that delays a signal: the parameter that is the delay in s
+    # Balance of a steady point from which it takes an amount of its own.
     constant_loss: Literal["", "torque", "voltage"] = ""
+    # Relative tolerance of the plant's parameters with the role `id`, where the plant states none.
     tolerance: float = 0.10
+    # True where it splits the joint in two (backlash, a flexible coupling); a plant carries one of these.
     structural: bool = False
+    # True where its memory outlasts a window (heat), so that windows cannot be simulated out of order.
     long_memory: bool = False
+    # Its force law at the port of its site (`robustlab.dynamics.ports.law_kernel.law`), and that law's memory cells.
     force: Any = None
     memory: int = 0
 

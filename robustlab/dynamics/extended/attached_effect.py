@@ -13,6 +13,7 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footpri
 from robustlab.dynamics.extended.law_forces import extrapolated
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import real_array
 
@@ -20,8 +21,6 @@ __all__ = ["AttachedEffect", "attach"]
 
 # Amplitude at which footprints are given where none was asked for.
 DEFAULT_AMPLITUDE = 1.0
-# Share of the signal over which the slope of an input or output map is taken, and the least level it is a share of.
-SIGNAL_STEP, LEAST_LEVEL = 1e-3, 1e-3
 # What a map is asked for a constant signal: so many samples of so many seconds.
 ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
 
@@ -87,6 +86,11 @@ class AttachedEffect:
         return f"{self.effect.id}@{self.site.name}"
 
     @property
+    def load_name(self) -> str:
+        """Name of an input that stands for it as a bounded force or error."""
+        return f"load {self.site.name}: {self.effect.id}"
+
+    @property
     def in_words(self) -> str:
         """Title and site."""
         return f"{self.effect.title} at {self.site.name}"
@@ -126,7 +130,7 @@ class AttachedEffect:
 
     def slope(self, level: float) -> float:
         """Slope of `mapped` at a level."""
-        step = SIGNAL_STEP * max(abs(level), LEAST_LEVEL)
+        step = TUNING.signal_step * max(abs(level), TUNING.least_level)
         return extrapolated(lambda h: (self.mapped(level + h) - self.mapped(level - h)) / (2 * h), step)
 
     def gain(self, level: float, amplitude: Mapping[str, float]) -> float:
@@ -136,6 +140,10 @@ class AttachedEffect:
             return 0.5 * (seen.gain_lower + seen.gain_upper)
         constant = self.constant_gain  # perhaps with a delay or an offset
         return constant if constant is not None else self.slope(level) or 1.0
+
+    def input_error(self, width: float = 0.0) -> float | None:
+        """Bound of what it adds to any input, fitted values ``width`` standard deviations up; None: there is none."""
+        return self.effect.input_error({n: v + width * self.std.get(n, 0.0) for n, v in self.values.items()})
 
     # --- footprints --------------------------------------------------------------------------------------------------
 

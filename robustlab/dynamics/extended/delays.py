@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.dynamics.tuning import TUNING, DynamicsTuning
 from robustlab.errors import InputError
 from robustlab.frequency import frequency_response
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
@@ -26,10 +27,6 @@ __all__ = ["HIGHEST_PADE", "delay_block", "delayed", "pade_delay"]
 
 # The order up to which a rational delay is better than its own rounding.
 HIGHEST_PADE = 8
-# The weight of a delay need not go below this: far beneath any other error.
-LEAST_ERROR = 1e-3
-# The error grows with the power 2 n + 1 of the frequency: the weight's order over that of the Padé part.
-WEIGHT_EXTRA = 2
 
 
 def pade_delay(delay: float, order: int) -> tuple[Array, Array, Array, Array]:
@@ -82,7 +79,9 @@ def _settled(bank: StateSpaceModel, levels: Array) -> Array:
     return np.asarray(-np.linalg.solve(bank.A, bank.B @ levels), dtype=np.float64)
 
 
-def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[UncertainModel, Overbound]:
+def delay_block(
+    delay: float, spread: float, pade: int, name: str, tuning: DynamicsTuning = TUNING
+) -> tuple[UncertainModel, Overbound]:
     r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`.
 
     .. math:: |w(j\omega)| \ge \max_{d} |e^{-j \omega d} - P(j\omega)| = 2 \sin\bigl(\tfrac12 \min(\pi,
@@ -96,6 +95,8 @@ def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[Unce
         Order of P.
     name
         Of the block.
+    tuning
+        How far the weight goes down, and its order.
 
     Returns
     -------
@@ -114,10 +115,10 @@ def delay_block(delay: float, spread: float, pade: int, name: str) -> tuple[Unce
         lag = -2.0 * np.angle((zeros - s) / zeros).sum(axis=1)
         low, high = omega * max(delay - spread, 0.0), omega * (delay + spread)
         off = np.maximum(np.abs(low - lag), np.abs(high - lag))
-        return np.hypot(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), LEAST_ERROR)
+        return np.hypot(2.0 * np.sin(0.5 * np.minimum(off, np.pi)), tuning.least_delay_error)
 
     omega = np.geomspace(1e-3, 1e3, 160) / delay
-    fit = overbound(omega, error(omega), pade + WEIGHT_EXTRA, 0.1, exact=error)
+    fit = overbound(omega, error(omega), pade + tuning.delay_weight_extra, 0.1, exact=error)
     fit = _above_beyond(fit, np.geomspace(1e3, 1e8, 200) / delay, error)
     w, n = fit.weight, pade
     model = StateSpaceModel(

@@ -37,14 +37,16 @@ from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_si
 from robustlab.dynamics.extended.force_blocks import (
     Amplitude,
     Dry,
-    ForceParts,
     ForceSector,
+    NoiseInput,
     check_amplitudes,
     force_columns,
     force_parts,
+    free_names,
 )
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.result import Status
@@ -55,34 +57,6 @@ from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["EffectBlocks", "NoiseInput", "effect_blocks", "with_forces"]
-
-
-# The nominal set must be the plant's own linear model to this share of its largest response.
-EXACT = 1e-8
-
-
-@dataclass(frozen=True)
-class NoiseInput:
-    """An input of the set that stands for a bounded error: its signal is at most one.
-
-    Attributes
-    ----------
-    name
-        Of the input.
-    bound, unit
-        What one stands for.
-    origin
-        Where it comes from.
-    """
-
-    name: str
-    bound: float
-    unit: str
-    origin: str
-
-    def to_json(self) -> dict[str, Any]:
-        """All fields."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +190,7 @@ def _of_extended(
     linear = plant.linear_model(None, levels, stand_in=parts.stand_in)
     point = linear.operating_point
     assert point is not None
-    loads = [*_loads(parts), *_unnamed(plant.model, unnamed)]
+    loads = [*parts.bounded, *_unnamed(plant.model, unnamed)]
     drivers = _driver_errors(plant, amplitude, width)
     inner = tied_plant(without_signals(plant, linear, width), tied)
     ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
@@ -259,7 +233,7 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
 def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
     """Whether a driver adds no more than a bounded error to an input that nothing else scales."""
     others = [o for o in plant.effects if o.site == e.site and o is not e and o.scale is not None]
-    return e.site.kind == "input" and e.effect.input_error(e.values) is not None and not others
+    return e.site.kind == "input" and e.input_error() is not None and not others
 
 
 def _driver_errors(
@@ -271,23 +245,10 @@ def _driver_errors(
         if e.site.name in amplitude or not _is_bounded_error(plant, e):
             continue
         k = [s.name for s in plant.inputs].index(e.site.name)
-        largest = {n: v + width * e.std.get(n, 0.0) for n, v in e.values.items()}
-        bound = e.effect.input_error(largest)
+        bound = e.input_error(width)
         assert bound is not None
         words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
-        found.append((NoiseInput(f"load {e.site.name}: {e.effect.id}", bound, plant.inputs[k].unit, words), k))
-    return found
-
-
-def _loads(parts: ForceParts) -> list[tuple[NoiseInput, Any]]:
-    """An input for every bounded force."""
-    found, taken = [], []
-    for b in parts.bounded:
-        e = b.effect
-        (name,) = _free([f"load {e.site.name}: {e.effect.id}"], taken)
-        taken.append(name)
-        words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
-        found.append((NoiseInput(name, b.bound, b.port.unit, words), b.port))
+        found.append((NoiseInput(e.load_name, bound, plant.inputs[k].unit, words), k))
     return found
 
 
@@ -311,13 +272,10 @@ def with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[Forc
     """The plant with a force at each port as further inputs, and what the first ones' sectors see as outputs, too."""
     if not ports:
         return plant
-    nominal = np.asarray(plant.matrices(plant.values)[0], dtype=np.float64)
-    original = plant.equations
+    nominal = plant.matrices(plant.values)[0]
 
     def equations(p: Mapping[str, float]) -> Descriptor:
-        given = original(p)
-        e, f, g, c = (np.asarray(m, dtype=np.float64) for m in (given.E, given.F, given.G, given.C))
-        d = np.zeros((len(c), g.shape[1])) if given.D is None else np.asarray(given.D, dtype=np.float64)
+        e, f, g, c, d = plant.matrices(p)
         push, seen_c, seen_d = force_columns((nominal, f, g), ports, sectors)
         wide = np.vstack([np.hstack([d, np.zeros((len(c), len(ports)))]), seen_d])
         return Descriptor(e, f, np.hstack([g, push]), np.vstack([c, seen_c]), wide)
@@ -357,7 +315,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
     rows = [*range(p), *seen, *range(p, p + n_y - k)]
     scale = np.ones(m.n_inputs)
     scale[q : q + k] = [s.radius if s.signal == "force" else -s.radius for s in sectors]
-    names = _free([s.effect.key for s in sectors], [b.name for b in whole.blocks])
+    names = free_names([s.effect.key for s in sectors], [b.name for b in whole.blocks])
     ins, outs = list(m.inputs), list(m.outputs)
     model = StateSpaceModel(
         m.A, m.B[:, columns] * scale, m.C[rows], m.D[np.ix_(rows, columns)] * scale, m.dt,
@@ -475,15 +433,6 @@ def _bounded(e: AttachedEffect) -> str:
     return f"{e.in_words} as a bounded error; {e.values_in_words}"
 
 
-def _free(names: list[str], taken: Sequence[str]) -> list[str]:
-    found: list[str] = []
-    for name in names:
-        while name in taken or name in found:
-            name += "'"
-        found.append(name)
-    return found
-
-
 # --- is it so? -------------------------------------------------------------------------------------------------------
 
 
@@ -494,7 +443,7 @@ def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
     omega = np.geomspace(max(size[size > 0].min(initial=1.0), 1e-6), max(size.max(initial=1.0), 1e-5), 7) * 1.0371
     a, b = (frequency_response(m, omega) for m in (found, own))
     off = float(np.abs(a - b).max() / max(float(np.abs(b).max()), 1e-300))
-    if off > EXACT:
+    if off > TUNING.nominal_exact:
         raise NoTrustworthyNumber(
             f"{name}: effect_blocks", f"the nominal member is off the linear model by {off:.2g} of its response"
         )

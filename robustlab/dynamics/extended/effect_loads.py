@@ -25,22 +25,13 @@ from robustlab.dynamics.extended.law_forces import is_set_valued, rest_band, ste
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, port_model
 from robustlab.dynamics.simulation import transition
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["EffectLoads", "effect_loads", "resting_start"]
-
-
-# The simulated states must be those of the linear part under the loads to this share of their size.
-EXACT = 1e-6
-# Points of a sample at which a response is looked at.
-STEPS = 16
-# Of what the laws at one port leave open, one that position and speed tell takes so much less than the others.
-TOLD = 1e-3
-# Samples, those of the largest force, at which a law is asked with other values of its parameters.
-MOST = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +93,7 @@ class EffectLoads:
         u, states = self._motion(record)
         told, e = self._told(j, states), self.acts[j][0]
         if told is not None:  # for all its values, along the motion of the nominal ones
-            largest, port = states[np.argsort(-np.abs(told))[:MOST]], self._law(j)[1]
+            largest, port = states[np.argsort(-np.abs(told))[: TUNING.told_samples]], self._law(j)[1]
             laws = [law for values in e.corners(sigmas) for law in e.effect.laws(e.site, values)]
             return max(float(np.abs(_law_along(law, port, largest)).max()) for law in laws)
         signals, others = self._signals(record, u, states), self._sharing().get(j, [])
@@ -143,7 +134,7 @@ class EffectLoads:
         for j in self._sharing():
             told = self._told(j, states)
             if told is not None:
-                prior[:, j], share[j] = 0.5 * (told[1:] + told[:-1]) / self.loads[j].bound, TOLD
+                prior[:, j], share[j] = 0.5 * (told[1:] + told[:-1]) / self.loads[j].bound, TUNING.told_share
         return prior, share
 
     def _signals(self, record: Record, u: Array, states: Array) -> Array:
@@ -173,7 +164,7 @@ class EffectLoads:
         reach = max(1.0, float(np.abs(signals).max(initial=0.0)))
         within = 2.0 * reach * _spread(nominal.A, nominal.B[:, :k], h)
         off = float(((np.abs(rest) - within) / size).max(initial=0.0))
-        if off > EXACT:
+        if off > TUNING.loads_exact:
             raise NoTrustworthyNumber(where, f"they miss the simulated states by {off:.1e} of their size")
         return signals
 
@@ -248,8 +239,7 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
         if e in linear or not e.effect.nameable:
             continue
         bound, unit, way = _load(plant, ports, e, sigmas)
-        name = f"load {e.site.name}: {e.effect.id}"
-        loads.append(NoiseInput(name, bound, unit, f"{e.in_words}; {e.values_in_words}"))
+        loads.append(NoiseInput(e.load_name, bound, unit, f"{e.in_words}; {e.values_in_words}"))
         acts.append((e, way))
     ways = [way for _, way in acts]
     pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
@@ -297,7 +287,7 @@ def _load(plant: ExtendedPlant, ports: Any, e: AttachedEffect, sigmas: float) ->
     where = f"effect_loads: {e.in_words}"
     hint = "rl.uncertain_from has sectors and weights for such effects"
     if e.site.kind == "input":
-        bound = e.effect.input_error({name: v + sigmas * e.std.get(name, 0.0) for name, v in e.values.items()})
+        bound = e.input_error(sigmas)
         k = [s.name for s in plant.inputs].index(e.site.name)
         if bound is not None:
             return float(bound), plant.inputs[k].unit, k
@@ -328,8 +318,8 @@ def _spread(a: Array, b: Array, h: float) -> Array:
     """
     from scipy.linalg import expm
 
-    step, way = expm(a * (h / STEPS)), [b]
-    for _ in range(STEPS):
+    step, way = expm(a * (h / TUNING.load_points)), [b]
+    for _ in range(TUNING.load_points):
         way.append(step @ way[-1])
     path = np.array(way)
     return np.abs(path - path.mean(axis=0)).mean(axis=0).sum(axis=1) * h

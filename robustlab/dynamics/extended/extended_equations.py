@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Footprint, Law
@@ -39,24 +39,12 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import Port, PortModel
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
 
 __all__ = ["ExtendedEquations", "Holding", "HoldingTrim", "LeftOut", "extended_model"]
-
-# Steps of the clock may differ by this share of the mean; effects with samples of their own need equal ones.
-CLOCK_JITTER = 1e-6
-# The laws' steps are laid out for samples of this length in s; longer samples are divided.
-NOMINAL_STEP = 1e-3
-# Sweeps over joints that rest together, and the share of the largest force at which they agree.
-SWEEPS, AGREED = 200, 1e-13
-# Newton steps of `ExtendedEquations.equilibrium`.
-PASSES = 60
-# Holding forces come before inputs and positions: in the shortest step they weigh this much less.
-CHEAP = 1e4
-# At rest to this share of the rates that the terms of the equations have one by one.
-STILL = 1e-11
 
 
 @dataclass(frozen=True)
@@ -106,7 +94,7 @@ def extended_model(plant: LinearPlant, effects: Iterable[AttachedEffect]) -> Por
     """Linear equations and ports of the plant with the effects."""
     attached = list(effects)
     none = np.zeros((1, len(plant.inputs)))
-    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, NOMINAL_STEP)
+    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, TUNING.nominal_step)
     return run.model({}, [e.values for e in attached])
 
 
@@ -186,7 +174,7 @@ class ExtendedEquations(SteppedPlant):
                 resting.append(j)
             else:
                 forces[j] = sum(rest_band(law, q)) / 2.0
-        for _ in range(SWEEPS if len(resting) > 1 else len(resting)):
+        for _ in range(TUNING.rest_sweeps if len(resting) > 1 else len(resting)):
             before = forces.copy()
             for j in resting:
                 _, law, port = self.laws[j]
@@ -194,7 +182,7 @@ class ExtendedEquations(SteppedPlant):
                 total = rates + sum(p.force * f for p, f in others)
                 mobility = float(port.velocity @ port.force)
                 forces[j] = holding_force(law, _motion(port, x)[0], float(port.velocity @ total), mobility)
-            if np.abs(forces - before).max() <= AGREED * np.abs(forces).max():
+            if np.abs(forces - before).max() <= TUNING.rest_agreed * np.abs(forces).max():
                 break
         return rates, forces
 
@@ -211,8 +199,8 @@ class ExtendedEquations(SteppedPlant):
             Unequal steps of the clock, a start at which a state that an effect has added is not zero.
         """
         steps = np.diff(t)
-        dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
-        if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
+        dt = float(steps.mean()) if len(steps) else TUNING.nominal_step
+        if len(steps) and np.abs(steps - dt).max() > TUNING.clock_jitter * dt:
             k = int(np.argmax(np.abs(steps - dt)))
             raise InputError(
                 "simulate",
@@ -226,7 +214,7 @@ class ExtendedEquations(SteppedPlant):
             raise InputError(
                 "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
             )
-        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
+        parts = max(1, int(np.ceil(dt / (step or TUNING.nominal_step) - 1e-9)))
         held = np.repeat(u, parts, axis=0)
         pairs = [(e.effect, e.site) for e in self.effects]
         run = Simulator(self.plant, pairs, held, dt / parts, float(t[0]))
@@ -270,7 +258,7 @@ class ExtendedEquations(SteppedPlant):
         s, free, wanted = self._asked_rest(where)
         rows = list(wanted)
         residual = np.zeros(n)
-        for _ in range(PASSES):
+        for _ in range(TUNING.rest_passes):
             residual = np.concatenate([self.derivative(s[:n], s[n:]), self.output(s[:n], s[n:])[rows]])
             residual[n:] -= list(wanted.values())
             if self._is_still(s, residual):
@@ -280,7 +268,7 @@ class ExtendedEquations(SteppedPlant):
             size = np.abs(matrix).max(axis=1, initial=0.0)
             scale = np.where(size > 0, size, 1.0)
             holding = self._holding_columns(s) / scale[:n, None]
-            held = np.vstack([CHEAP * holding, np.zeros((len(rows), holding.shape[1]))])
+            held = np.vstack([TUNING.cheap * holding, np.zeros((len(rows), holding.shape[1]))])
             step = np.linalg.lstsq(np.hstack([matrix / scale[:, None], held]), -residual / scale, rcond=1e-12)[0]
             step = step[: len(free)]
             # Newton's steps leave rates of rounding at joints whose rest is what lets them be held: those are zero.
@@ -296,7 +284,7 @@ class ExtendedEquations(SteppedPlant):
             "give an input that what holds the plant can bear, or leave the input to be found",
         )
 
-    def _asked_rest(self, where: Mapping[str, Any]) -> tuple[Array, Array, dict[int, float]]:
+    def _asked_rest(self, where: Mapping[str, Any]) -> tuple[Array, NDArray[np.intp], dict[int, float]]:
         """State and input with what is given in place, the indices of the others, and outputs that are wanted."""
         n = len(self.states)
         states, inputs, outputs = ([s.name for s in kind] for kind in (self.states, self.inputs, self.outputs))
@@ -334,8 +322,8 @@ class ExtendedEquations(SteppedPlant):
         terms = np.abs(model.A) @ np.abs(s[:n]) + np.abs(model.B) @ np.abs(self.mapped_input(s[n:]))
         for (_, _, port), force in zip(self.laws, self.forces(s[:n], s[n:]), strict=True):
             terms = terms + np.abs(port.force * force)
-        size = 1.0 + float(np.abs(s).max(initial=0.0))
-        return bool((np.abs(residual[:n]) <= STILL * terms).all() and (np.abs(residual[n:]) <= STILL * size).all())
+        size = np.full(len(residual) - n, 1.0 + float(np.abs(s).max(initial=0.0)))
+        return bool((np.abs(residual) <= TUNING.still * np.concatenate([terms, size])).all())
 
     # --- the linear model --------------------------------------------------------------------------------------------
 

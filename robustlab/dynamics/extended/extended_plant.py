@@ -27,6 +27,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import PortModel, linear_plant_of
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
@@ -35,24 +36,9 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["ExtendedPlant", "with_effects", "without_signals"]
 
-# Entries that differ by less than this share of their matrix' largest are equal.
-ROUNDING = 1e-9
-
 
 class ExtendedPlant(ExtendedEquations):
-    """A linear plant with effects; made by `with_effects`.
-
-    Attributes
-    ----------
-    plant
-        The plant without them.
-    effects
-        In the order in which they were attached.
-    model
-        Linear equations and ports with the effects that are linear.
-    laws
-        Every force law with its effect and its port.
-    """
+    """A linear plant with effects; made by `with_effects`."""
 
     def to_model(self) -> StateSpaceModel:
         """The linear model at the rest with the smallest inputs; functions that take a model call it."""
@@ -259,7 +245,7 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
             if not std:
                 continue
             first, second = (_changed(plant, e, {parameter.name: share * value}) for share in (1.25, 1.5))
-            if not np.allclose(second, 2.0 * first, rtol=ROUNDING, atol=0.0):
+            if not np.allclose(second, 2.0 * first, rtol=TUNING.form_rounding, atol=0.0):
                 continue
             label = f"{e.key}.{parameter.name}"
             tolerance = width * std / abs(value)
@@ -373,7 +359,7 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
         found = whole.evaluate({block.name: delta for block in whole.blocks})
         for name in "ABCD":
             off = np.abs(getattr(found, name) - getattr(other, name)).max(initial=0.0)
-            if off > ROUNDING * np.abs(getattr(other, name)).max(initial=0.0):
+            if off > TUNING.form_rounding * np.abs(getattr(other, name)).max(initial=0.0):
                 raise NoTrustworthyNumber(
                     f"{plant.name}: uncertain",
                     f"the form is not exact: {name} is off by {off:.2g} at delta = {delta:g}",

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,23 +34,23 @@ from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import Port
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean
 
 __all__ = [
     "Amplitude",
-    "BoundedForce",
+    "NoiseInput",
     "Dry",
     "ForceParts",
     "ForceSector",
     "check_amplitudes",
     "force_parts",
     "force_columns",
+    "free_names",
 ]
 
 Amplitude = float | tuple[float, float]
 Dry = Literal["gain", "load", "both"]
-
-STRETCHES = (0.5, 1.0, 2.0)  # amplitudes at which a sector that is the same is taken for one of all amplitudes
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +96,28 @@ class ForceSector:
         return f"{self.port.unit}/({below})"
 
 
-@dataclass(frozen=True, eq=False)
-class BoundedForce:
-    """A law as an input of size at most ``bound`` at its port."""
+@dataclass(frozen=True)
+class NoiseInput:
+    """An input of the set that stands for a bounded error: its signal is at most one.
 
-    effect: AttachedEffect
-    port: Port
+    Attributes
+    ----------
+    name
+        Of the input.
+    bound, unit
+        What one stands for.
+    origin
+        Where it comes from.
+    """
+
+    name: str
     bound: float
+    unit: str
+    origin: str
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +127,7 @@ class ForceParts:
     Attributes
     ----------
     sectors, bounded
-        The gains; the bounded forces.
+        The gains; the bounded forces as inputs, each with its port.
     stand_in
         Index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope.
     left_out
@@ -120,7 +135,7 @@ class ForceParts:
     """
 
     sectors: tuple[ForceSector, ...]
-    bounded: tuple[BoundedForce, ...]
+    bounded: tuple[tuple[NoiseInput, Port], ...]
     stand_in: Mapping[int, Array]
     left_out: Mapping[str, str]
 
@@ -145,12 +160,14 @@ def force_parts(
     InputError
         A law that needs an amplitude has none.
     """
-    sectors, bounded, left = [], [], {}
+    sectors: list[ForceSector] = []
+    bounded: list[tuple[NoiseInput, Port]] = []
+    left: dict[str, str] = {}
     stand_in: dict[int, Array] = {}
     missing: dict[str, str] = {}
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
-        reason = _no_part(seen, port)
+        reason = _no_part(e, seen, port)
         if reason or seen is None:
             left[f"{e!r}"] = reason
             continue
@@ -169,7 +186,9 @@ def force_parts(
             if found.radius > 0:
                 sectors.append(found)
         if as_load:
-            bounded.append(BoundedForce(e, port, e.largest_offset(width)))
+            (name,) = free_names([e.load_name], [load.name for load, _ in bounded])
+            words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
+            bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
         stand_in[j] = row
     if missing:
         name, title = next(iter(missing.items()))
@@ -216,11 +235,11 @@ def _pair(value: Amplitude) -> tuple[float, ...]:
     return tuple(value) if isinstance(value, (tuple, list)) else (value, value)
 
 
-def _no_part(seen: Footprint | None, port: Port) -> str:
+def _no_part(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
     """Why nothing can stand in for a law, or nothing."""
     if seen is None or seen.signal not in ("speed", "current", "position", "force"):
         return "only its slope at the point is in the model"
-    if seen.signal == "position" and seen.gain_upper == seen.gain_lower != 0.0:
+    if e.effect.structural:
         return "it divides the joint: no force of one joint stands for it"
     if seen.signal == "force" and np.count_nonzero(port.force) != 1:
         return "only its slope at the point is in the model: its joint shares its inertia with others"
@@ -231,7 +250,7 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
     """Whether the law becomes a gain, and whether a bounded force."""
     has_gain = seen.signal == "force" or any(
         f is not None and f.gain_upper > f.gain_lower
-        for a in STRETCHES
+        for a in TUNING.stretches
         for f in [e.footprint(1e3 * a)]
     ) or seen.gain_upper > seen.gain_lower  # fmt: skip
     if not seen.offset:
@@ -245,7 +264,7 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
 
 
 def _same_everywhere(e: AttachedEffect) -> bool:
-    found = [e.footprint(a) for a in STRETCHES]
+    found = [e.footprint(a) for a in TUNING.stretches]
     return len({(f.gain_lower, f.gain_upper) for f in found if f is not None}) == 1 and found[0] is not None
 
 
@@ -292,3 +311,13 @@ def force_columns(
         others[:, k] = 0.0
         c[k], d[k] = dual @ f, np.concatenate([dual @ g, dual @ others])
     return push, c, d
+
+
+def free_names(names: list[str], taken: Sequence[str]) -> list[str]:
+    """The names, with primes where they are taken already."""
+    found: list[str] = []
+    for name in names:
+        while name in taken or name in found:
+            name += "'"
+        found.append(name)
+    return found

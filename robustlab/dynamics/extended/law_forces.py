@@ -13,21 +13,9 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
+from robustlab.dynamics.tuning import TUNING
 
 __all__ = ["extrapolated", "holding_force", "is_set_valued", "rest_band", "slopes", "steady_force"]
-
-# Length of the step in s in which a law is asked; positions move through their value by v times this.
-INSTANT = 1e-5
-# The compliance is chosen so that the force changes the velocity by this share: its rounding costs three digits.
-SHARE = 1e-3
-AGREED, MOST_PASSES = 1e-13, 60
-# Velocities (rad/s, m/s, A) at which "just moving" is looked at.
-CREEP = 1e-9
-# First steps of the differences: in position (rad, m), and as a share of the velocity.
-POSITION_STEP, VELOCITY_STEP, REST_STEP = 1e-4, 1e-2, 1e-6
-SHRINK, LEVELS = 1.4, 10
-# A displacement (rad, m) that no bristle or spring gives way at, made slowly and quickly (s).
-DISPLACEMENT, SLOW, QUICK = 1e-12, 1e3, 1e-6
 
 
 def _asked(law: Law, seen: list[float], z: Array) -> tuple[float, Array]:
@@ -41,24 +29,24 @@ def _asked(law: Law, seen: list[float], z: Array) -> tuple[float, Array]:
 
 def steady_force(law: Law, q: float, v: float) -> float:
     """Force at the position q while the port moves at the constant velocity ``v != 0``, memory settled."""
-    force, z, h = 0.0, np.zeros(max(1, law.memory)), INSTANT
+    force, z, h = 0.0, np.zeros(max(1, law.memory)), TUNING.instant
     g = 1e-12 * abs(v)
-    for _ in range(MOST_PASSES):
+    for _ in range(TUNING.force_passes):
         half = 0.0 if law.memory else 0.5 * v * h
         gq = 0.5 * g * h
         found, z = _asked(law, [q - half, v, q + half - gq * force, v - g * force, gq, g, h, 0.0], z)
-        settled = abs(found - force) <= AGREED * abs(found) and (not law.memory or h > 1e3)
+        settled = abs(found - force) <= TUNING.force_agreed * abs(found) and (not law.memory or h > 1e3)
         force = found
         if settled:
             break
-        g = SHARE * abs(v) / max(abs(force), 1e-30)
+        g = TUNING.compliance_share * abs(v) / max(abs(force), 1e-30)
         h = 4.0 * h if law.memory else h
     return force
 
 
 def rest_band(law: Law, q: float) -> tuple[float, float]:
     """Smallest and largest force with which the law may hold its port at rest at the position q."""
-    forward, backward = steady_force(law, q, CREEP), steady_force(law, q, -CREEP)
+    forward, backward = steady_force(law, q, TUNING.creep), steady_force(law, q, -TUNING.creep)
     return min(forward, backward), max(forward, backward)
 
 
@@ -67,7 +55,7 @@ def is_set_valued(law: Law, q: float) -> bool:
     if law.memory:
         return False
     low, high = rest_band(law, q)
-    slower = abs(steady_force(law, q, -1e-2 * CREEP) - steady_force(law, q, 1e-2 * CREEP))
+    slower = abs(steady_force(law, q, -1e-2 * TUNING.creep) - steady_force(law, q, 1e-2 * TUNING.creep))
     return high > low and slower > 0.5 * (high - low)
 
 
@@ -81,7 +69,7 @@ def holding_force(law: Law, q: float, acceleration: float, mobility: float) -> f
     mobility
         Acceleration per unit of the force.
     """
-    h = INSTANT
+    h = TUNING.instant
     seen = [q, 0.0, q, h * acceleration, 0.0, h * mobility, h, 0.0]
     return _asked(law, seen, np.zeros(max(1, law.memory)))[0]
 
@@ -112,8 +100,8 @@ def slopes(law: Law, q: float, v: float) -> tuple[float, float]:
 
     if law.memory and v == 0.0:
         return _presliding(law, q)
-    damping = by_velocity(REST_STEP) if v == 0.0 else extrapolated(by_velocity, VELOCITY_STEP * abs(v))
-    return extrapolated(by_position, POSITION_STEP), damping
+    damping = by_velocity(TUNING.rest_step) if v == 0.0 else extrapolated(by_velocity, TUNING.velocity_step * abs(v))
+    return extrapolated(by_position, TUNING.position_step), damping
 
 
 def _presliding(law: Law, q: float) -> tuple[float, float]:
@@ -121,29 +109,29 @@ def _presliding(law: Law, q: float) -> tuple[float, float]:
     still = np.zeros(max(1, law.memory))
 
     def resisting(h: float) -> float:
-        v, force = DISPLACEMENT / h, 0.0
-        for _ in range(MOST_PASSES):
-            g = SHARE * v / max(abs(force), 1e-30)
+        v, force = TUNING.displacement / h, 0.0
+        for _ in range(TUNING.force_passes):
+            g = TUNING.compliance_share * v / max(abs(force), 1e-30)
             found, _ = _asked(law, [q, v, q, v - g * force, 0.0, g, h, 0.0], still)
-            if abs(found - force) <= AGREED * abs(found):
+            if abs(found - force) <= TUNING.force_agreed * abs(found):
                 break
             force = found
         return force
 
-    slow, quick = resisting(SLOW), resisting(QUICK)
-    return slow / DISPLACEMENT, (quick - slow) * QUICK / DISPLACEMENT
+    slow, quick = resisting(TUNING.slow), resisting(TUNING.quick)
+    return slow / TUNING.displacement, (quick - slow) * TUNING.quick / TUNING.displacement
 
 
 def extrapolated(difference: Callable[[float], float], step: float) -> float:
     """Limit of a central difference with the step, by the row of Ridders' table with the smallest error."""
     row = [difference(step)]
     best, error = row[0], np.inf
-    for level in range(1, LEVELS):
-        step /= SHRINK
-        next_row, factor = [difference(step)], SHRINK**2
+    for level in range(1, TUNING.levels):
+        step /= TUNING.shrink
+        next_row, factor = [difference(step)], TUNING.shrink**2
         for k in range(level):
             next_row.append((next_row[k] * factor - row[k]) / (factor - 1.0))
-            factor *= SHRINK**2
+            factor *= TUNING.shrink**2
             found = max(abs(next_row[k + 1] - next_row[k]), abs(next_row[k + 1] - row[k]))
             if found <= error:
                 best, error = next_row[k + 1], found

@@ -12,11 +12,11 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel, port_model
+from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError
 
 __all__ = ["Motion", "Simulator", "Windows"]
 
-KEPT_EXPONENTIALS = 64
 PLACES = (1, 2, 4, 8)  # numbers of laws that the kernel is compiled for
 
 
@@ -107,7 +107,7 @@ class Simulator:
         key = tuple(sorted(total.items()))
         model = self._models.get(key)
         if model is None:
-            if len(self._models) > KEPT_EXPONENTIALS:
+            if len(self._models) > TUNING.kept:
                 self._models.clear()
             model = self._models[key] = port_model(self.plant, total)
         for (effect, site), v in zip(self.effects, values, strict=True):
@@ -152,10 +152,9 @@ class Simulator:
         start = np.zeros((count, n))
         start[:, : model.own] = x0
         kernel.quiet_first_class_functions()
-        kernel.step_windows(
-            functions, len(laws), phi, np.ascontiguousarray(psi @ model.B), columns, velocity, position, parameters,
-            memory, u, start, model.own, windows.starts, windows.length, self.sub, h, self.t0, states, forces,
-        )  # fmt: skip
+        step = kernel.HeldStep(phi, np.ascontiguousarray(psi @ model.B), columns, velocity, position)
+        run = kernel.Run(u, h, self.t0, self.sub, windows.starts, windows.length, start, model.own)
+        kernel.step_windows(functions, len(laws), step, parameters, memory, run, states, forces)
         return states, forces
 
     def _exponential(self, a: Array, h: float) -> tuple[Array, Array]:
@@ -164,7 +163,7 @@ class Simulator:
 
         key = a.tobytes()
         if key not in self._exponentials:
-            if len(self._exponentials) > KEPT_EXPONENTIALS:
+            if len(self._exponentials) > TUNING.kept:
                 self._exponentials.clear()
             n = len(a)
             both: Array = np.asarray(expm(np.block([[a, np.eye(n)], [np.zeros((n, 2 * n))]]) * h), dtype=float)

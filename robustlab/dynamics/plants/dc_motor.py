@@ -18,7 +18,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.statespace import Signal
 
-__all__ = ["dc_motor"]
+__all__ = ["PARAMETERS", "STATES", "dc_motor", "motor_equations"]
 
 _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 273754)"
 _COVER = f"{_SHEET}; tolerance: section 10.1.1"
@@ -33,6 +33,9 @@ PARAMETERS = (
 )
 
 
+STATES = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
+
+
 def dc_motor(**given: Any) -> LinearPlant:
     """Plant with input u [V], outputs and states phi [rad], omega [rad/s], i [A].
 
@@ -41,15 +44,18 @@ def dc_motor(**given: Any) -> LinearPlant:
     given
         ``R L Km Kb Kf J``, each as a value or ``(value, relative tolerance)``.
     """
-    states = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
-    return LinearPlant(
-        "dc-motor", overridden(PARAMETERS, given, "dc-motor"), (Signal("u", "V"),), states, states, equations=_equations
-    )
+    parameters = overridden(PARAMETERS, given, "dc-motor")
+    return LinearPlant("dc-motor", parameters, (Signal("u", "V"),), STATES, STATES, equations=_equations)
 
 
 def _equations(p: Any) -> Descriptor:
+    return motor_equations(p, p["J"])
+
+
+def motor_equations(p: Any, inertia: float) -> Descriptor:
+    """The motor with an inertia on its shaft (eqs 7.3-7.5)."""
     return Descriptor(
-        E=[[1, 0, 0], [0, p["J"], 0], [0, 0, p["L"]]],
+        E=[[1, 0, 0], [0, inertia, 0], [0, 0, p["L"]]],
         F=[[0, 1, 0], [0, -p["Kf"], p["Km"]], [0, -p["Kb"], -p["R"]]],
         G=[[0], [0], [1]],
         C=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],

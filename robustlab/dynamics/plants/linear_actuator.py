@@ -29,6 +29,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.plants.dc_motor import PARAMETERS as MOTOR
+from robustlab.dynamics.plants.dc_motor import STATES, motor_equations
 from robustlab.statespace import Signal, real_array
 
 __all__ = ["cart_travel", "linear_actuator"]
@@ -72,13 +73,12 @@ def linear_actuator(**given: Any) -> LinearPlant:
     >>> round(float(actuator.state_space().A[1, 2]))  # rad/s2 per ampere
     6970
     """
-    states = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
     return LinearPlant(
         "linear-actuator",
         overridden(PARAMETERS, given, "linear-actuator"),
         (Signal("u", "V"),),
-        states,
-        states,
+        STATES,
+        STATES,
         equations=_equations,
         exact=("ratio", "lead"),
     )
@@ -102,9 +102,4 @@ def _travel_per_radian(p: Any) -> float:
 def _equations(p: Any) -> Descriptor:
     h = _travel_per_radian(p)
     inertia = p["J"] + p["J_nut"] / p["ratio"] ** 2 + (p["m_screw"] + p["m_cart"]) * h**2
-    return Descriptor(
-        E=[[1, 0, 0], [0, inertia, 0], [0, 0, p["L"]]],
-        F=[[0, 1, 0], [0, -p["Kf"], p["Km"]], [0, -p["Kb"], -p["R"]]],
-        G=[[0], [0], [1]],
-        C=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    )
+    return motor_equations(p, inertia)

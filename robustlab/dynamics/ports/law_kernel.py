@@ -20,6 +20,7 @@ Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), ch
 from __future__ import annotations
 
 import warnings
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -34,7 +35,9 @@ __all__ = [
     "STEP",
     "TIME",
     "V0",
+    "HeldStep",
     "Q",
+    "Run",
     "V",
     "law",
     "no_force",
@@ -68,36 +71,46 @@ def no_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return 0.0
 
 
+class HeldStep(NamedTuple):
+    """The plant over a step with its inputs and forces held, n states.
+
+    phi (n, n), gamma_u (n, n_u), gamma_f (n_laws, n); what each law sees: velocity, position (n_laws, n).
+    """
+
+    phi: Any
+    gamma_u: Any
+    gamma_f: Any
+    velocity: Any
+    position: Any
+
+
+class Run(NamedTuple):
+    """What is simulated: inputs, window starts and lengths.
+
+    u (n_samples * sub, n_u), steps of h seconds from the time t0, ``sub`` of them a sample; first samples of the
+    windows (n_windows,), each ``length`` samples long, and their initial states x0 (n_windows, n). Of these the first
+    ``own`` belong to the plant; those of effects are used in the first window and carried over afterwards.
+    """
+
+    u: Any
+    h: Any
+    t0: Any
+    sub: Any
+    starts: Any
+    length: Any
+    x0: Any
+    own: Any
+
+
 @nb.njit(cache=True, nogil=True)
-def step_windows(
-    laws,
-    n_laws,
-    phi,
-    gamma_u,
-    gamma_f,
-    velocity,
-    position,
-    parameters,
-    memory,
-    u,
-    x0,
-    own,
-    starts,
-    length,
-    sub,
-    h,
-    t0,
-    states,
-    forces,
-):  # type: ignore[no-untyped-def]
+def step_windows(laws, n_laws, step, parameters, memory, run, states, forces):  # type: ignore[no-untyped-def]
     """Simulate windows one after the other.
 
-    phi (n, n), gamma_u (n, n_u), gamma_f (n_laws, n), velocity, position (n_laws, n), parameters (n_laws, n_p), memory
-    (n_laws, n_z; changed in place), u (n_samples * sub, n_u), x0 (n_windows, n): start of each window; its states from
-    ``own`` on (those of effects) are used in the first window and carried over afterwards. starts (n_windows): first
-    sample; states (n_windows, length, n) and forces (n_windows, length, n_laws; those of the last step before the
-    sample) are written.
+    parameters (n_laws, n_p), memory (n_laws, n_z; changed in place) of the first ``n_laws`` laws; states
+    (n_windows, length, n) and forces (n_windows, length, n_laws; those of the last step before the sample) are written.
     """
+    phi, gamma_u, gamma_f, velocity, position = step
+    u, h, t0, sub, starts, length, x0, own = run
     n = phi.shape[0]
     n_u = gamma_u.shape[1]
     x = x0[0].copy()
@@ -114,7 +127,7 @@ def step_windows(
                 gq[j, k] += position[j, i] * gamma_f[k, i]
                 gv[j, k] += velocity[j, i] * gamma_f[k, i]
     sweeps = SWEEPS if n_laws > 1 else 1
-    seen[6] = h
+    seen[STEP] = h
     for w in range(starts.shape[0]):
         for i in range(own):
             x[i] = x0[w, i]
@@ -142,7 +155,7 @@ def step_windows(
                         c_v += velocity[j, i] * free[i]
                     q0[j], v0[j], q_free[j], v_free[j] = a, b, c_q, c_v
                 # The forces of the step before are where the sweeps begin.
-                seen[7] = t0 + row * h
+                seen[TIME] = t0 + row * h
                 for _sweep in range(sweeps):
                     change = 0.0
                     largest = 0.0
@@ -152,12 +165,12 @@ def step_windows(
                             if other != j:
                                 a += gq[j, other] * f[other]
                                 b += gv[j, other] * f[other]
-                        seen[0] = q0[j]
-                        seen[1] = v0[j]
-                        seen[2] = a
-                        seen[3] = b
-                        seen[4] = gq[j, j]
-                        seen[5] = gv[j, j]
+                        seen[Q0] = q0[j]
+                        seen[V0] = v0[j]
+                        seen[Q] = a
+                        seen[V] = b
+                        seen[GQ] = gq[j, j]
+                        seen[GV] = gv[j, j]
                         force = laws[j](parameters[j], memory[j], z_next[j], seen)
                         change = max(change, abs(force - f[j]) * gv[j, j])
                         largest = max(largest, abs(force) * gv[j, j])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from robustlab.dynamics.stewart.direct_kinematics import (
+from robustlab.dynamics.stewart.friction import simulate_platform_with_friction
+from robustlab.dynamics.stewart.geometry import Geometry
+from robustlab.dynamics.stewart.kinematics import (
     DirectPoses,
     acceleration_bias,
     assembly_poses,
@@ -11,8 +13,6 @@ from robustlab.dynamics.stewart.direct_kinematics import (
     nut_angles,
     velocity_jacobian,
 )
-from robustlab.dynamics.stewart.friction import simulate_platform_with_friction
-from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.dynamics.stewart.rigid_body import (
     bias_torque,
     kinetic_energy,

@@ -24,9 +24,12 @@ def kernels() -> ModuleType:
 @cache
 def motion_kernels() -> ModuleType:
     """Module of the compiled integrators."""
+    from robustlab.dynamics.stewart.dop853 import TABLE
+
     folder = Path(__file__).parent
-    leaves = (folder / "kernels.py").stat().st_mtime
-    # The compiler looks only at a function's own file for changes; these functions are built from those of kernels.py.
+    # The compiler looks only at a function's own file for changes; these functions are built from those of kernels.py,
+    # and hold the coefficients of scipy's file.
+    leaves = max(Path(file).stat().st_mtime for file in (folder / "kernels.py", TABLE))
     for index in (folder / "__pycache__").glob("motion_kernels.*.nbi"):
         if index.stat().st_mtime < leaves:
             index.unlink(missing_ok=True)

@@ -30,18 +30,15 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.dynamics.dry_friction import DryFriction, FrictionEvent, StickSlip
 from robustlab.dynamics.plant_contract import Trim
-from robustlab.dynamics.simulation import sampled_inputs
+from robustlab.dynamics.simulation import recorded, sampled_inputs
 from robustlab.dynamics.stewart.rigid_body import bias_torque, mass_matrix
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+from robustlab.dynamics.tuning import TUNING, DynamicsTuning
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.record import Record
 from robustlab.statespace import real_array
 
 __all__ = ["friction_torques", "simulate_platform_with_friction"]
-
-
-# Sweeps of the box programme; the nuts' own inertia dominates M, so a sweep gains about two digits.
-SWEEPS = 200
 
 
 def simulate_platform_with_friction(
@@ -113,17 +110,13 @@ def simulate_platform_with_friction(
         x[k + 1] = state
     torque[-1] = torque[-2]
     at = [_nut(plant, joint) for joint in joints]
-    record = Record(
-        clock,
-        dict(zip([s.name for s in plant.inputs], samples.T, strict=True)),
-        dict(zip([s.name for s in plant.outputs], x.T, strict=True)),
-        {s.name: s.unit for s in (*plant.inputs, *plant.outputs)},
-        name or plant.name,
-    )
+    record = recorded(plant, clock, samples, x, name or plant.name)
     return StickSlip(record, x, torque[:, at], np.sign(x[:, 6:])[:, at].astype(np.int8), tuple(events))
 
 
-def friction_torques(response: Array, free: Array, rates: Array, slide: Array, hold: Array) -> tuple[Array, Array]:
+def friction_torques(
+    response: Array, free: Array, rates: Array, slide: Array, hold: Array, tuning: DynamicsTuning = TUNING
+) -> tuple[Array, Array]:
     r"""Friction torques and the rates after the step, ``v = free + response @ torques``, by Coulomb's law.
 
     Parameters
@@ -140,7 +133,7 @@ def friction_torques(response: Array, free: Array, rates: Array, slide: Array, h
     bound = np.where(rates == 0, hold, slide)
     while True:
         torques = np.zeros(len(free))
-        for _ in range(SWEEPS):
+        for _ in range(tuning.platform_sweeps):
             before = torques.copy()
             for i in range(len(free)):
                 torques[i] -= (free[i] + response[i] @ torques) / response[i, i]

@@ -25,7 +25,7 @@ renewed when the file changes and not when another one does.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -39,6 +39,18 @@ LEG_I, LEG_J, LEG_K, NUT_I, NUT_J, NUT_K, ROTOR = 16, 17, 18, 19, 20, 21, 22
 R_OHM, L_HENRY, KM, KB, KF = 23, 24, 25, 26, 27
 
 IMAGINARY = 1e-40
+
+
+class Motion(NamedTuple):
+    """Work arrays of the equations of motion: mass (6, 6), force (6,), Jacobian (6, 6), bias (6,), nut angles (6,)."""
+
+    mass: Any
+    force: Any
+    jacobian: Any
+    bias: Any
+    phi: Any
+
+
 _options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
 leaf = njit(**_options)
 
@@ -168,7 +180,7 @@ def _cross(a, b):
 
 
 @leaf
-def _angle_rates(q, wx, wy, wz):
+def angle_rates(q, wx, wy, wz):
     """Rates of (ax, ay, az) at the angular velocity w."""
     cy, sy, cz, sz = np.cos(q[4]), np.sin(q[4]), np.cos(q[5]), np.sin(q[5])
     roll = (cz * wx + sz * wy) / cy
@@ -187,7 +199,7 @@ def inverse_lengths(poses, legs, c, lengths):
 
 
 @leaf
-def _lengths_and_jacobian(q, legs, c, lengths, jacobian):
+def lengths_and_jacobian(q, legs, c, lengths, jacobian):
     """L (6,) and the rows (K, rho x K) of dL/dt = jacobian (v, w)."""
     rotation = _rotation(q)
     for i in range(6):
@@ -201,7 +213,7 @@ def _lengths_and_jacobian(q, legs, c, lengths, jacobian):
 def jacobians(poses, legs, c, lengths, matrices):
     """Lengths (n, 6) and Jacobians (n, 6, 6) from the twist to the rates of the lengths."""
     for k in range(poses.shape[0]):
-        _lengths_and_jacobian(poses[k], legs, c, lengths[k], matrices[k])
+        lengths_and_jacobian(poses[k], legs, c, lengths[k], matrices[k])
 
 
 @entry("void(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1])")
@@ -246,12 +258,12 @@ def _newton(q, target, legs, c, limit, lengths, jacobian, step):
     trial = np.empty(6)
     miss = _miss(q, legs, c, target)
     for iteration in range(limit):
-        _lengths_and_jacobian(q, legs, c, lengths, jacobian)
+        lengths_and_jacobian(q, legs, c, lengths, jacobian)
         for i in range(6):
             step[i, 0] = target[i] - lengths[i]
         if not _solve(jacobian, step, 6, 1):
             return -1
-        roll, pitch, yaw = _angle_rates(q, step[3, 0], step[4, 0], step[5, 0])
+        roll, pitch, yaw = angle_rates(q, step[3, 0], step[4, 0], step[5, 0])
         size = np.sqrt(
             step[0, 0] ** 2 + step[1, 0] ** 2 + step[2, 0] ** 2 + radius**2 * (roll * roll + pitch * pitch + yaw * yaw)
         )
@@ -286,7 +298,7 @@ def _certificate(q, target, legs, c, lengths, jacobian, unit):
     r > c. To the first step's bound the rounding of L, at most 1e-15 m a leg, is added.
     """
     arm = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
-    _lengths_and_jacobian(q, legs, c, lengths, jacobian)
+    lengths_and_jacobian(q, legs, c, lengths, jacobian)
     rotation = _rotation(q)
     shortest, miss = np.inf, 0.0
     for i in range(6):
@@ -300,7 +312,7 @@ def _certificate(q, target, legs, c, lengths, jacobian, unit):
         return np.inf, np.inf, miss
     beta = 0.0
     for j in range(6):
-        roll, pitch, yaw = _angle_rates(q, unit[3, j], unit[4, j], unit[5, j])
+        roll, pitch, yaw = angle_rates(q, unit[3, j], unit[4, j], unit[5, j])
         beta += unit[0, j] ** 2 + unit[1, j] ** 2 + unit[2, j] ** 2
         beta += arm**2 * (roll * roll + pitch * pitch + yaw * yaw)
     beta = np.sqrt(beta)
@@ -410,11 +422,12 @@ def _platform_terms(rotation, w, p, mass, force):
 
 
 @leaf
-def _terms(q, v, legs, p, mass, force, jacobian, bias, phi):
+def equations_of_motion(q, v, legs, p, motion):
     """Equations of motion in the twist V = (v, w), with the nut angles beside them.
 
     mass dV/dt + force = jacobian^T (nut torques); dphi/dt = jacobian V; d2phi/dt2 = jacobian dV/dt + bias.
     """
+    mass, force, jacobian, bias, phi = motion
     turns = p[TURNS]
     rotation = _rotation(q)
     w = (v[3], v[4], v[5])
@@ -457,9 +470,10 @@ def _terms(q, v, legs, p, mass, force, jacobian, bias, phi):
 
 
 @leaf
-def _accelerations(q, v, torque, legs, p, mass, force, jacobian, bias, phi):
-    """Overwrite force with dV/dt under the motor torques (6,)."""
-    _terms(q, v, legs, p, mass, force, jacobian, bias, phi)
+def platform_acceleration(q, v, torque, legs, p, motion):
+    """Overwrite the force of ``motion`` with dV/dt under the motor torques (6,)."""
+    equations_of_motion(q, v, legs, p, motion)
+    mass, force, jacobian, _, _ = motion
     for j in range(6):
         total = -force[j]
         for i in range(6):
@@ -473,7 +487,8 @@ def forward_dynamics(poses, twists, torques, legs, constants, phi, rates, accele
     """Nut angles, rates and accelerations (n, 6) under motor torques (n, 6); constants (n, 28)."""
     mass, force, jacobian, bias = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
     for k in range(poses.shape[0]):
-        _accelerations(poses[k], twists[k], torques[k], legs, constants[k], mass, force, jacobian, bias, phi[k])
+        motion = Motion(mass, force, jacobian, bias, phi[k])
+        platform_acceleration(poses[k], twists[k], torques[k], legs, constants[k], motion)
         for i in range(6):
             rate, acceleration = 0.0, bias[i]
             for j in range(6):
@@ -484,8 +499,8 @@ def forward_dynamics(poses, twists, torques, legs, constants, phi, rates, accele
 
 @entry("void(f8[::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1])")
 def equations(pose, twist, legs, constants, mass, force, jacobian, bias, phi):
-    """Mass matrix, forces, Jacobian, bias and nut angles at one pose; see `_terms`. The whole mass matrix is filled."""
-    _terms(pose, twist, legs, constants, mass, force, jacobian, bias, phi)
+    """`equations_of_motion` at one pose, the whole mass matrix filled."""
+    equations_of_motion(pose, twist, legs, constants, Motion(mass, force, jacobian, bias, phi))
     for i in range(6):
         for j in range(i):
             mass[j, i] = mass[i, j]
@@ -497,7 +512,7 @@ def trim_torques(poses, legs, constants, phi, torques):
     mass, jacobian, bias, still = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.zeros(6)
     transposed, force, right = np.empty((6, 6)), np.empty(6), np.empty((6, 1))
     for k in range(poses.shape[0]):
-        _terms(poses[k], still, legs, constants[k], mass, force, jacobian, bias, phi[k])
+        equations_of_motion(poses[k], still, legs, constants[k], Motion(mass, force, jacobian, bias, phi[k]))
         for i in range(6):
             right[i, 0] = force[i]
             for j in range(6):
@@ -518,6 +533,7 @@ def linearisations(poses, twists, torques, legs, constants, stiffness, damping, 
     """
     mass, force, jacobian = np.empty((6, 6), np.complex128), np.empty(6, np.complex128), np.empty((6, 6), np.complex128)
     bias, phi = np.empty(6, np.complex128), np.empty(6, np.complex128)
+    motion = Motion(mass, force, jacobian, bias, phi)
     q, v = np.empty(6, np.complex128), np.empty(6, np.complex128)
     phi_q, rate_q = np.empty((6, 6)), np.empty((6, 6))
     left, right, real_mass = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
@@ -532,7 +548,7 @@ def linearisations(poses, twists, torques, legs, constants, stiffness, damping, 
                 q[place] += 1j * IMAGINARY
             else:
                 v[place] += 1j * IMAGINARY
-            _accelerations(q, v, torques[k], legs, constants[k], mass, force, jacobian, bias, phi)
+            platform_acceleration(q, v, torques[k], legs, constants[k], motion)
             for i in range(6):
                 rate, acceleration = 0.0j, bias[i]
                 for j in range(6):
@@ -545,7 +561,7 @@ def linearisations(poses, twists, torques, legs, constants, stiffness, damping, 
                 else:
                     damping[k, i, place] = acceleration.imag / IMAGINARY
             q[place], v[place] = poses[k, place], twists[k, place]
-        _terms(q, v, legs, constants[k], mass, force, jacobian, bias, phi)
+        equations_of_motion(q, v, legs, constants[k], motion)
         # rows from the right by the transposed: X J = F  <=>  J^T X^T = F^T
         if moving:
             for i in range(6):

@@ -4,26 +4,37 @@
 
 The state is z = (pose, twist) or (pose, twist, currents): in the pose the equations need no direct kinematics. Inputs
 are piecewise polynomials of time; the integrator restarts only where they are marked as broken.
+
+References
+----------
+Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
+whose coefficients scipy carries).
 """
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any, NamedTuple
 
-from robustlab.dynamics.stewart.dop853_tableau import E3, E5, STAGES_EXTENDED, A, B, C, D
+import numpy as np
+from numba import types
+
+from robustlab.dynamics.stewart.dop853 import E3, E5, STAGES_EXTENDED, A, B, C, D
 from robustlab.dynamics.stewart.kernels import (
+    HOME,
     KB,
     KF,
     KM,
     L_HENRY,
     R_OHM,
     RATIO,
-    _accelerations,
-    _angle_rates,
-    _lengths_and_jacobian,
-    _terms,
+    TURNS,
+    Motion,
+    angle_rates,
     entry,
+    equations_of_motion,
     leaf,
+    lengths_and_jacobian,
+    platform_acceleration,
 )
 from robustlab.dynamics.stewart.kernels import C as JOINT
 
@@ -37,34 +48,67 @@ MAX_STEPS = 1_000_000
 SCALE = np.array([1e-2] * 3 + [5e-2] * 3 + [1e-2] * 3 + [5e-2] * 3 + [1e-1] * 6)
 
 
+class Inputs(NamedTuple):
+    """Inputs as functions of time: times (n,), polynomials (n - 1, 6, 6) between two, and before which they break."""
+
+    clock: Any
+    polynomials: Any
+    broken: Any
+
+
+class Machine(NamedTuple):
+    """Legs (6, 12) and constants (28,) of a platform, with motors or without, and the limits of its actuators."""
+
+    legs: Any
+    constants: Any
+    motors: Any
+    shortest: Any
+    longest: Any
+
+
+class Step(NamedTuple):
+    """Work arrays of a step: stages (16, n), point of a stage, end and error's scale (n,); input and torque (6,)."""
+
+    stages: Any
+    at: Any
+    end: Any
+    scale: Any
+    u: Any
+    torque: Any
+    motion: Any
+
+
 @leaf
-def _input_within(t, k, clock, polynomials, u):
-    s = t - clock[k]
+def _input_within(t, k, inputs, u):
+    s = t - inputs.clock[k]
     for i in range(6):
         value = 0.0
         for j in range(5, -1, -1):
-            value = value * s + polynomials[k, j, i]
+            value = value * s + inputs.polynomials[k, j, i]
         u[i] = value
 
 
 @leaf
-def _input_between(t, first, following, k, clock, polynomials, u):
-    """Input at t, read from the intervals first .. following - 1 only: at a break the near side counts."""
-    while k > first and t < clock[k]:
+def _input_between(t, span, k, inputs, u):
+    """Input at t, read from the intervals of the span (first, one past the last): at a break the near side counts."""
+    first, following = span
+    while k > first and t < inputs.clock[k]:
         k -= 1
-    while k < following - 1 and t > clock[k + 1]:
+    while k < following - 1 and t > inputs.clock[k + 1]:
         k += 1
-    _input_within(t, k, clock, polynomials, u)
+    _input_within(t, k, inputs, u)
     return k
 
 
 @leaf
-def _rates(z, u, legs, p, motors, work, dz):
-    """dz/dt under u: motor torques, or voltages with the motors attached."""
-    _, torque, mass, force, jacobian, bias, phi = work
+def _rates(z, machine, step, dz):
+    """dz/dt under the input of the step: motor torques, or voltages with the motors attached."""
+    legs, p, motors, _, _ = machine
+    u, torque, motion = step.u, step.torque, step.motion
+    force, jacobian = motion.force, motion.jacobian
     q, v = z[:6], z[6:12]
     if motors:
-        _terms(q, v, legs, p, mass, force, jacobian, bias, phi)
+        equations_of_motion(q, v, legs, p, motion)
         for i in range(6):
             speed = 0.0
             for j in range(6):
@@ -75,24 +119,26 @@ def _rates(z, u, legs, p, motors, work, dz):
     else:
         for i in range(6):
             torque[i] = u[i]
-    _accelerations(q, v, torque, legs, p, mass, force, jacobian, bias, phi)
+    platform_acceleration(q, v, torque, legs, p, motion)
     for i in range(3):
         dz[i], dz[6 + i], dz[9 + i] = v[i], force[i], force[3 + i]
-    dz[3], dz[4], dz[5] = _angle_rates(q, v[3], v[4], v[5])
+    dz[3], dz[4], dz[5] = angle_rates(q, v[3], v[4], v[5])
 
 
 @leaf
-def _observe(z, legs, p, lengths, jacobian, shortest, longest, x):
+def _observe(z, machine, step, x):
     """Nut angles, rates (and currents) of z into x; False where an actuator is beyond its limits."""
-    _lengths_and_jacobian(z[:6], legs, p[JOINT], lengths, jacobian)
+    legs, p, _, shortest, longest = machine
+    lengths, jacobian = step.motion.phi, step.motion.jacobian
+    lengths_and_jacobian(z[:6], legs, p[JOINT], lengths, jacobian)
     inside = True
     for i in range(6):
         inside = inside and shortest <= lengths[i] <= longest
-        x[i] = p[0] * (lengths[i] - legs[i, 9])
+        x[i] = p[TURNS] * (lengths[i] - legs[i, HOME])
         rate = 0.0
         for j in range(6):
             rate += jacobian[i, j] * z[6 + j]
-        x[6 + i] = p[0] * rate
+        x[6 + i] = p[TURNS] * rate
     for i in range(12, z.shape[0]):
         x[i] = z[i]
     return inside
@@ -155,20 +201,18 @@ def _dense(z, f, share, out):
         out[i] = z[i] + value
 
 
-_ARRAYS = "f8[::1], f8[::1], f8[:,:,::1], b1[::1], f8[:,::1], f8[::1], b1, f8, f8"
-
-
 @leaf
-def _attempt(z, t, h, piece, following, clock, polynomials, legs, p, motors, rtol, work, stages, at, end, scale):
-    """One step of length h from z at t into end, its 13 stages, and its error (below 1: accepted)."""
-    n, k, u = z.shape[0], piece, work[0]
+def _attempt(z, t, h, span, inputs, machine, rtol, step):
+    """One step of length h from z at t: its end, its 13 stages, and its error (below 1: accepted)."""
+    stages, at, end, scale = step.stages, step.at, step.end, step.scale
+    n, k = z.shape[0], span[0]
     for s in range(1, 12):
         _stage(s, z, h, stages, at)
-        k = _input_between(t + C[s] * h, piece, following, k, clock, polynomials, u)
-        _rates(at, u, legs, p, motors, work, stages[s])
+        k = _input_between(t + C[s] * h, span, k, inputs, step.u)
+        _rates(at, machine, step, stages[s])
     _stage_end(z, h, stages, end)
-    _input_between(t + h, piece, following, k, clock, polynomials, u)
-    _rates(end, u, legs, p, motors, work, stages[12])
+    _input_between(t + h, span, k, inputs, step.u)
+    _rates(end, machine, step, stages[12])
     e5, e3 = 0.0, 0.0
     for i in range(n):
         scale[i] = rtol * (SCALE[i] if i < 6 else max(SCALE[i], abs(z[i]), abs(end[i])))
@@ -184,36 +228,42 @@ def _attempt(z, t, h, piece, following, clock, polynomials, legs, p, motors, rto
 
 
 @leaf
-def _extend(z, t, h, piece, following, clock, polynomials, legs, p, motors, work, stages, at):
+def _extend(z, t, h, span, inputs, machine, step):
     """The three more stages that the dense output asks for."""
-    k, u = piece, work[0]
+    k = span[0]
     for s in range(13, 16):
-        _stage(s, z, h, stages, at)
-        k = _input_between(t + C[s] * h, piece, following, k, clock, polynomials, u)
-        _rates(at, u, legs, p, motors, work, stages[s])
+        _stage(s, z, h, step.stages, step.at)
+        k = _input_between(t + C[s] * h, span, k, inputs, step.u)
+        _rates(step.at, machine, step, step.stages[s])
 
 
 @leaf
-def _workspace():
-    """Work arrays of `_rates`: input, torque, mass, force, Jacobian, bias, nut angles."""
-    return np.empty(6), np.empty(6), np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6), np.empty(6)
+def _workspace(n):
+    motion = Motion(np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6), np.empty(6))
+    return Step(np.empty((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(6), np.empty(6), motion)
 
 
-@entry(f"Tuple((i8, f8, i8))({_ARRAYS}, f8, f8[:,::1], f8[:,::1])")
-def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, longest, rtol, z_at, x_at):
-    """States z (n, n_z) and x (n, n_x) at the times of the clock (n,); returns (outcome, time reached, evaluations).
+_VECTOR, _MATRIX = types.float64[::1], types.float64[:, ::1]
+_INPUTS = types.NamedTuple((_VECTOR, types.float64[:, :, ::1], types.boolean[::1]), Inputs)
+_MACHINE = types.NamedTuple((_MATRIX, _VECTOR, types.boolean, types.float64, types.float64), Machine)
+_OUTCOME = types.Tuple((types.int64, types.float64, types.int64))
+_SIGNATURE = _OUTCOME(_VECTOR, _INPUTS, _MACHINE, types.float64, _MATRIX, _MATRIX)
 
-    ``polynomials`` (n - 1, 6, 6) are the inputs between two times, ``broken`` (n - 1,) says before which the integrator
-    must restart.
+
+@entry(_SIGNATURE)
+def integrate(start, inputs, machine, rtol, z_at, x_at):
+    """States z (n, n_z) and x (n, n_x) at the times of the inputs (n,); returns (outcome, time reached, evaluations).
+
+    The integrator restarts where the inputs break.
     """
+    clock, _, broken = inputs
     n, last = start.shape[0], clock.shape[0] - 1
-    work = _workspace()
-    lengths, jacobian, x = np.empty(6), np.empty((6, 6)), np.empty(n)
-    stages, f = np.empty((16, n)), np.empty((7, n))
-    z, end, at, scale = start.copy(), np.empty(n), np.empty(n), np.empty(n)
+    work = _workspace(n)
+    stages, end, scale = work.stages, work.end, work.scale
+    z, x, f = start.copy(), np.empty(n), np.empty((7, n))
     t, sample, evaluations, h = clock[0], 1, 0, 0.0
     z_at[0] = z
-    if not _observe(z, legs, p, lengths, jacobian, shortest, longest, x_at[0]):
+    if not _observe(z, machine, work, x_at[0]):
         return LEFT_WORKSPACE, t, evaluations
     piece = 0
     while piece < last:
@@ -221,8 +271,9 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
         while following < last and not broken[following]:
             following += 1
         stop = clock[following]
-        _input_within(t, piece, clock, polynomials, work[0])
-        _rates(z, work[0], legs, p, motors, work, stages[0])
+        span = (piece, following)
+        _input_within(t, piece, inputs, work.u)
+        _rates(z, machine, work, stages[0])
         evaluations += 1
         if h == 0.0:
             for i in range(n):
@@ -235,9 +286,7 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
             step, ends = h, False
             if t + 1.001 * step >= stop:
                 step, ends = stop - t, True
-            error = _attempt(
-                z, t, step, piece, following, clock, polynomials, legs, p, motors, rtol, work, stages, at, end, scale
-            )
+            error = _attempt(z, t, step, span, inputs, machine, rtol, work)
             evaluations += 12
             if not error < 1.0:
                 if not np.isfinite(error):
@@ -248,20 +297,20 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
                 continue
             t_end = stop if ends else t + step
             if sample <= last and clock[sample] < t_end:
-                _extend(z, t, step, piece, following, clock, polynomials, legs, p, motors, work, stages, at)
+                _extend(z, t, step, span, inputs, machine, work)
                 evaluations += 3
                 _polynomial(z, end, step, stages, f)
                 while sample <= last and clock[sample] < t_end:
                     _dense(z, f, (clock[sample] - t) / step, z_at[sample])
-                    if not _observe(z_at[sample], legs, p, lengths, jacobian, shortest, longest, x_at[sample]):
+                    if not _observe(z_at[sample], machine, work, x_at[sample]):
                         return LEFT_WORKSPACE, clock[sample], evaluations
                     sample += 1
             if sample <= last and clock[sample] == t_end:
                 z_at[sample] = end
                 sample += 1
-                inside = _observe(end, legs, p, lengths, jacobian, shortest, longest, x_at[sample - 1])
+                inside = _observe(end, machine, work, x_at[sample - 1])
             else:
-                inside = _observe(end, legs, p, lengths, jacobian, shortest, longest, x)
+                inside = _observe(end, machine, work, x)
             if not inside:
                 return LEFT_WORKSPACE, t_end, evaluations
             for i in range(n):
@@ -276,15 +325,16 @@ def integrate(start, clock, polynomials, broken, legs, p, motors, shortest, long
     return DONE, t, evaluations
 
 
-@entry(f"Tuple((i8, f8, i8))({_ARRAYS}, f8, f8[:,::1], f8[:,::1])")
-def integrate_fixed(start, clock, polynomials, broken, legs, p, motors, shortest, longest, step, z_at, x_at):
+@entry(_SIGNATURE)
+def integrate_fixed(start, inputs, machine, step, z_at, x_at):
     """The same by the classical Runge-Kutta method in equal steps of at most ``step`` between two samples."""
+    clock, _, _ = inputs
     n = start.shape[0]
-    work, lengths, jacobian = _workspace(), np.empty(6), np.empty((6, 6))
+    work = _workspace(n)
     z, at, dz, total = start.copy(), np.empty(n), np.empty(n), np.empty(n)
     evaluations = 0
     z_at[0] = z
-    if not _observe(z, legs, p, lengths, jacobian, shortest, longest, x_at[0]):
+    if not _observe(z, machine, work, x_at[0]):
         return LEFT_WORKSPACE, clock[0], evaluations
     for k in range(clock.shape[0] - 1):
         length = clock[k + 1] - clock[k]
@@ -296,8 +346,8 @@ def integrate_fixed(start, clock, polynomials, broken, legs, p, motors, shortest
                 share = 0.0 if s == 0 else (1.0 if s == 3 else 0.5)
                 for i in range(n):
                     at[i] = z[i] if s == 0 else z[i] + share * h * dz[i]
-                _input_within(t + share * h, k, clock, polynomials, work[0])
-                _rates(at, work[0], legs, p, motors, work, dz)
+                _input_within(t + share * h, k, inputs, work.u)
+                _rates(at, machine, work, dz)
                 weight = 1.0 if s in (0, 3) else 2.0
                 for i in range(n):
                     total[i] = weight * dz[i] + (0.0 if s == 0 else total[i])
@@ -307,6 +357,6 @@ def integrate_fixed(start, clock, polynomials, broken, legs, p, motors, shortest
                 if not np.isfinite(z[i]):
                     return NOT_FINITE, t, evaluations
         z_at[k + 1] = z
-        if not _observe(z, legs, p, lengths, jacobian, shortest, longest, x_at[k + 1]):
+        if not _observe(z, machine, work, x_at[k + 1]):
             return LEFT_WORKSPACE, clock[k + 1], evaluations
     return DONE, clock[-1], evaluations

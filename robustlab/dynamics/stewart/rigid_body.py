@@ -13,19 +13,16 @@ Březina 2010, section 7.1 and App. A.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.dynamics.stewart.compilation import kernels
+from robustlab.dynamics.stewart.kinematics import rotation
+from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.dynamics.stewart.workspace import SINGULAR, check_pose, real_array_of_one, singularity
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import real_array
-
-if TYPE_CHECKING:
-    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
 __all__ = ["bias_torque", "kinetic_energy", "mass_matrix", "nut_to_twist", "potential_energy", "trim_torque"]
 
@@ -73,8 +70,6 @@ def kinetic_energy(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -
 
 def potential_energy(plant: StewartPlatform, pose: ArrayLike) -> float:
     """Sum of m g z over all bodies in J; zero where every centre of gravity is at the height of the base points."""
-    from robustlab.dynamics.stewart.direct_kinematics import rotation
-
     g, p, array = plant.geometry, plant.values, real_array_of_one(pose, plant.name)
     top = array[:3] + g.platform @ rotation(array).T
     w = top - g.base

@@ -25,7 +25,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, NonlinearPlant, Trim
 from robustlab.dynamics.stewart.compilation import kernels, motion_kernels
-from robustlab.dynamics.stewart.direct_kinematics import LIMIT, direct_kinematics, poses_array
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
     Geometry,
@@ -34,6 +33,7 @@ from robustlab.dynamics.stewart.geometry import (
     geometry,
     machine_parameters,
 )
+from robustlab.dynamics.stewart.kinematics import LIMIT, direct_kinematics, poses_array
 from robustlab.dynamics.stewart.workspace import SLACK, check_pose
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
@@ -257,10 +257,9 @@ class StewartPlatform(NonlinearPlant):
         code = motion_kernels()
         run, accuracy = (code.integrate, rtol) if step is None else (code.integrate_fixed, step)
         low, high = self.geometry.limits
-        outcome, time, _ = run(
-            start, np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken, self.geometry.legs,
-            self._numbers[0], self.motors, low - SLACK, high + SLACK, accuracy, z, states,
-        )  # fmt: skip
+        inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
+        machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
+        outcome, time, _ = run(start, inputs, machine, accuracy, z, states)
         if outcome == code.LEFT_WORKSPACE:
             raise NoTrustworthyNumber(
                 self.name,

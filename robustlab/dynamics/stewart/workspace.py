@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.stewart.compilation import kernels
-from robustlab.dynamics.stewart.direct_kinematics import inverse_kinematics, poses_array, velocity_jacobian
 from robustlab.dynamics.stewart.geometry import Geometry
+from robustlab.dynamics.stewart.kinematics import inverse_kinematics, poses_array, velocity_jacobian
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 __all__ = ["ConditionMap", "check_pose", "condition_map", "inside", "singularity", "workspace_grid"]

@@ -11,7 +11,7 @@ from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.vocabulary import Count
 
 if TYPE_CHECKING:
-    from robustlab.thesis.thesis_runs import Case
+    from robustlab.thesis.runs import Case
 
 
 _MEANING = {
@@ -31,7 +31,7 @@ class PublishedNumbersStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """All rows of the thesis, computed from parameters; figures of chapters 8, 9 and 10."""
-        from robustlab.thesis.thesis_numbers import published_numbers as compute
+        from robustlab.thesis.numbers import published_numbers as compute
 
         found = compute()
         work.keep(found)
@@ -71,7 +71,7 @@ class ThesisCaseStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """The uncertain platform of one case, with gravity as an input of its own (figure 10.5), and its picture."""
         from robustlab.dynamics.stewart.stewart_platform import stewart_platform
-        from robustlab.thesis.thesis_runs import cases
+        from robustlab.thesis.runs import cases
 
         (case,) = [c for c in cases(stewart_platform()) if c.name == self.case]
         model = rl.elementwise(*case.with_gravity(), self.structure)
@@ -110,7 +110,7 @@ def _draw_conditions(work: Workspace) -> None:
     import numpy as np
 
     from robustlab.dynamics.stewart import condition_map, stewart_platform
-    from robustlab.thesis.stewart_figures import condition_figure
+    from robustlab.thesis.figures import condition_figure
 
     geometry, side, tilt = stewart_platform().geometry, np.linspace(-0.025, 0.025, 101), np.linspace(-0.15, 0.15, 101)
     maps = [condition_map(geometry, ("tx", "ty"), side, side), condition_map(geometry, ("ax", "ay"), tilt, tilt)]
@@ -122,7 +122,7 @@ def _draw_conditions(work: Workspace) -> None:
 
 
 def _draw_sines(found: Any, work: Workspace) -> None:
-    from robustlab.thesis.stewart_figures import excitation_figure, sine_figure
+    from robustlab.thesis.figures import excitation_figure, sine_figure
 
     for name, run in found.sines.items():
         until = run.when_height(0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
@@ -140,7 +140,7 @@ def _draw_sines(found: Any, work: Workspace) -> None:
 
 def _draw_tracking(found: Any, work: Workspace) -> None:
     from robustlab.dynamics.stewart import inverse_kinematics, stewart_platform
-    from robustlab.thesis.stewart_figures import tracking_effort_figure, tracking_error_figure, tracking_path_figure
+    from robustlab.thesis.figures import tracking_effort_figure, tracking_error_figure, tracking_path_figure
 
     geometry = stewart_platform().geometry
 
@@ -161,8 +161,8 @@ def _draw_case(case: Case, n: int, work: Workspace) -> dict[str, float]:
     """Nominal, worst and random members of a case in one picture; largest change of each output at the worst Delta."""
     import numpy as np
 
-    from robustlab.thesis.stewart_figures import case_figure
-    from robustlab.thesis.thesis_runs import UP_TO
+    from robustlab.thesis.figures import case_figure
+    from robustlab.thesis.runs import UP_TO
 
     between = rl.elementwise(*case.with_gravity(), "single").select(None, ["phi_1", "phidot_1"])
     t, u = case.excitation()

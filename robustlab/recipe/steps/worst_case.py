@@ -291,7 +291,7 @@ def _percent_bands(step: SampleStep, work: Workspace, responses: Any, numbers: A
     """The members' deviations in percent of the largest nominal value, drawn beside a published band."""
     import numpy as np
 
-    from robustlab.thesis.stewart_figures import percent_figure
+    from robustlab.thesis.figures import percent_figure
 
     bands: dict[str, Any] = {}
     for k, (name, _) in enumerate(responses.outputs):

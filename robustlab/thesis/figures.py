@@ -12,7 +12,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
 from robustlab.dynamics.stewart.workspace import ConditionMap
 from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
-from robustlab.thesis.thesis_runs import SineRun
+from robustlab.thesis.runs import SineRun
 
 __all__ = [
     "case_figure",

@@ -1,8 +1,18 @@
-r"""Direct kinematics of the Stewart platform: Newton's method, with a proof that a pose is there.
+r"""Kinematics of the Stewart platform: lengths and Jacobians in closed form, poses by Newton's method with a proof.
 
-In the coordinates :math:`x = (T, r_p\,(a_x, a_y, a_z))` the Newton-Kantorovich theorem holds at the end of the
-iteration: with :math:`\beta \ge \|L'(x)^{-1}\|`, :math:`\eta = \beta |L(x) - L^\star|` and a Lipschitz constant
-gamma of :math:`L'`,
+.. math::
+    L_i = |p_{T,i} - d_i|, \quad p_T = T + R p, \quad d = b + c\,y^*, \qquad
+    \dot L = K \cdot v + (\rho \times K) \cdot \omega, \qquad \rho = R p,
+
+    \ddot L = J \dot V + K \cdot \omega \times (\omega \times \rho) + r \dot\theta^2 \sin\beta + L \dot\beta^2
+
+with :math:`V = (v, \omega)` the platform's twist in the base frame at the origin T of the platform frame,
+:math:`\dot\theta = z \cdot \dot s / r` and :math:`\dot\beta = N \cdot \dot s / L` (see
+`robustlab.dynamics.stewart.kernels`). A pose is (tx, ty, tz, ax, ay, az) in m and rad, R = Rz(az) Ry(ay) Rx(ax).
+
+The way back, from lengths to a pose: in the coordinates :math:`x = (T, r_p\,(a_x, a_y, a_z))` the Newton-Kantorovich
+theorem holds at the end of the iteration. With :math:`\beta \ge \|L'(x)^{-1}\|`, :math:`\eta = \beta |L(x) - L^\star|`
+and a Lipschitz constant gamma of :math:`L'`,
 
 .. math:: h = \beta \gamma \eta \le 1/2 \quad\Rightarrow\quad
           \text{one and only one pose with lengths } L^\star \text{ within } \frac{2\eta}{1 + \sqrt{1 - 2h}} .
@@ -13,24 +23,10 @@ of x the point moves with :math:`|s'| \le 2` and :math:`|s''| \le 3/r_p`, so tha
 :math:`|L_i''| \le 4/L_{min} + 3/r_p` and :math:`\gamma = \sqrt 6 (4/L_{min} + 3/r_p)`. The rounding of the computed
 lengths is added to the miss.
 
-Inverse kinematics of the Stewart platform, and its Jacobians of velocity and acceleration in closed form.
-
-.. math::
-    L_i = |p_{T,i} - d_i|, \quad p_T = T + R p, \quad d = b + c\,y^*, \qquad
-    \dot L = K \cdot v + (\rho \times K) \cdot \omega, \qquad \rho = R p,
-
-    \ddot L = J \dot V + K \cdot \omega \times (\omega \times \rho) + r \dot\theta^2 \sin\beta + L \dot\beta^2
-
-with :math:`V = (v, \omega)` the platform's twist in the base frame at the origin T of the platform frame,
-:math:`\dot\theta = z \cdot \dot s / r` and :math:`\dot\beta = N \cdot \dot s / L` (see
-`robustlab.dynamics.stewart.kernels`).
-
-A pose is (tx, ty, tz, ax, ay, az) in m and rad, R = Rz(az) Ry(ay) Rx(ax).
-
 References
 ----------
-Kantorovich, Akilov, "Functional Analysis", 2nd ed., Pergamon 1982, chapter XVIII.
 Březina 2010, eqs 6.3, 6.4 (plain joint), 6.5-6.8 (shifted joint).
+Kantorovich, Akilov, "Functional Analysis", 2nd ed., Pergamon 1982, chapter XVIII.
 """
 
 from __future__ import annotations
@@ -63,6 +59,8 @@ __all__ = [
 
 
 Joint = Literal["shifted", "simple"]
+# Newton steps of the direct kinematics; a pose takes four or five.
+LIMIT = 60
 
 
 def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-platform") -> tuple[Array, bool]:
@@ -150,9 +148,6 @@ def twist(pose: ArrayLike, rates: ArrayLike) -> Array:
         ]
     )
     return np.concatenate([rate[:3], turn @ rate[3:]])
-
-
-LIMIT = 60
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,12 +29,12 @@ from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.plants.dc_motor import dc_motor
 from robustlab.dynamics.plants.linear_actuator import linear_actuator
 from robustlab.dynamics.simulation import simulate
-from robustlab.dynamics.stewart.direct_kinematics import inverse_kinematics
+from robustlab.dynamics.stewart.kinematics import inverse_kinematics
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart_platform
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import controllability, drop_unconnected, observability
-from robustlab.thesis.thesis_runs import (
+from robustlab.thesis.runs import (
     UP_TO,
     Case,
     SineRun,

@@ -1,0 +1,112 @@
+"""The numbers by which simulation, rest, linear models and sets of plants with effects trade accuracy for time.
+
+Compiled kernels (`robustlab.dynamics.ports`, `robustlab.dynamics.stewart.kernels`) hold their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["TUNING", "DynamicsTuning"]
+
+
+@dataclass(frozen=True)
+class DynamicsTuning:
+    """Each with its meaning, and what a larger one does."""
+
+    # --- clocks and inputs -------------------------------------------------------------------------------------------
+    # Steps of a clock that differ by less than this share of their mean are equal. Larger: fewer matrix exponentials,
+    # but real jitter is passed over.
+    clock_rounding: float = 1e-9
+    # A discrete model's clock may jitter by this share of its sample time, and that of a plant with effects by this
+    # share of the mean step. Larger: coarser records are taken as uniform.
+    clock_jitter: float = 1e-6
+    # Slopes of a sampled input that differ by less than this share of the largest are one straight line. Larger: fewer
+    # restarts of the integrator, at the price of its order where the input does bend.
+    straight: float = 1e-9
+    # Local error of a nonlinear simulation where none was asked for.
+    rtol: float = 1e-8
+
+    # --- dry friction, event by event --------------------------------------------------------------------------------
+    # A change between sticking and sliding is located to this many halvings of a step: more is finer and slower.
+    halvings: int = 46
+    # A step is divided until a mode turns or decays by no more than this (rad or powers of e) in a piece. Larger:
+    # quicker, but a velocity may turn twice unseen.
+    piece: float = 0.5
+    # More pieces than this in a step are refused: the samples are too coarse for the plant.
+    most_pieces: int = 2**12
+    # A sticking joint holds forces up to F_s (1 + this), above the rounding of the force that is asked for.
+    hold_rounding: float = 1e-12
+    # The exponential's series to this order is exact to rounding for a matrix whose rows sum up to ``small``:
+    # 0.01^8/8! = 2e-21. Both are to be changed together.
+    small: float = 1e-2
+    series: int = 7
+    # More changes than this within one step are no mechanics and end the run.
+    most_changes: int = 1000
+    # Sweeps of the platform's box programme; the nuts' own inertia dominates, so that a sweep gains about two digits.
+    platform_sweeps: int = 200
+
+    # --- one law at one instant --------------------------------------------------------------------------------------
+    # Length of the step in s in which a law is asked; positions move through their value by v times this.
+    instant: float = 1e-5
+    # The compliance is chosen so that the force changes the velocity by this share: its rounding costs three digits.
+    # Larger: fewer digits lost, slower to settle.
+    compliance_share: float = 1e-3
+    # Forces agree to this share, after so many passes at most.
+    force_agreed: float = 1e-13
+    force_passes: int = 60
+    # Velocity (rad/s, m/s, A) at which "just moving" is looked at; a law that rises faster counts as a jump.
+    creep: float = 1e-9
+    # First steps of the differences: in position (rad, m), as a share of the velocity, and at rest (rad/s, m/s).
+    # Larger: farther from the point, less rounding; extrapolation takes the first two to the limit.
+    position_step: float = 1e-4
+    velocity_step: float = 1e-2
+    rest_step: float = 1e-6
+    # Each level of the extrapolation shrinks the step by this; so many levels at most.
+    shrink: float = 1.4
+    levels: int = 10
+    # A displacement (rad, m) at which no bristle or spring gives way, made slowly and quickly (s).
+    displacement: float = 1e-12
+    slow: float = 1e3
+    quick: float = 1e-6
+
+    # --- plants with effects -----------------------------------------------------------------------------------------
+    # The laws' steps are laid out for samples of this length in s; longer samples are divided. Larger: quicker, and
+    # reversals are located less well.
+    nominal_step: float = 1e-3
+    # Matrix exponentials and models that a simulator keeps.
+    kept: int = 64
+    # Sweeps over joints that rest together, and the share of the largest force at which they agree.
+    rest_sweeps: int = 200
+    rest_agreed: float = 1e-13
+    # Newton steps towards rest. Holding forces come before inputs and positions: in the shortest step they weigh
+    # ``cheap`` times less. Rest is where a rate is no more than the share ``still`` of the terms that make it up.
+    rest_passes: int = 60
+    cheap: float = 1e4
+    still: float = 1e-11
+    # Share of the signal over which the slope of an input or output map is taken, and the least level for it.
+    signal_step: float = 1e-3
+    least_level: float = 1e-3
+
+    # --- sets --------------------------------------------------------------------------------------------------------
+    # Entries of an exact form that differ by less than this share of their matrix' largest are equal.
+    form_rounding: float = 1e-9
+    # Amplitudes at which a sector that is the same is taken for one of all amplitudes.
+    stretches: tuple[float, ...] = (0.5, 1.0, 2.0)
+    # The nominal member of a set must be the plant's own linear model to this share of its largest response.
+    nominal_exact: float = 1e-8
+    # The weight of a delay need not go below this: far beneath any other error. Larger: wider sets, simpler weights.
+    least_delay_error: float = 1e-3
+    # The error of a delay grows with the power 2 n + 1 of the frequency: the weight's order over that of the Padé part.
+    delay_weight_extra: int = 2
+    # The simulated states must be those of the linear part under the loads to this share of their size.
+    loads_exact: float = 1e-6
+    # Points of a sample at which the response to a load is looked at.
+    load_points: int = 16
+    # Of what the laws at one port leave open, one that position and speed tell takes so much less than the others.
+    told_share: float = 1e-3
+    # Samples, those of the largest force, at which a law is asked with other values of its parameters.
+    told_samples: int = 200
+
+
+TUNING = DynamicsTuning()
