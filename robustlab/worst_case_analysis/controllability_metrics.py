@@ -1,6 +1,7 @@
 """Measures of controllability: what is left of the nominal reach, and the smallest Hankel singular value.
 
-Gramians of many members at once: on the infinite horizon by the squared Smith iteration, on a finite one.
+Both are of Gramians, made for many members at once: on a finite horizon by doubling a Taylor series, on the infinite
+one by the squared Smith iteration.
 """
 
 from __future__ import annotations
@@ -8,7 +9,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -24,13 +24,7 @@ from robustlab.worst_case_analysis.metric_contract import (
     selected,
 )
 
-__all__ = [
-    "HankelValue",
-    "RelativeReach",
-    "finite_gramians",
-    "gramians",
-    "stable_members",
-]
+__all__ = ["HankelValue", "RelativeReach", "finite_gramians", "gramians"]
 
 
 # The iteration's error is squared each time; a pole at a distance of 1e-12 of its size from the boundary is through.
@@ -38,13 +32,9 @@ DOUBLINGS = 46
 # Steps of the finite horizon are halved until |A| h is below this; the series then has a dozen terms.
 SMALL = 0.25
 TERMS = 12
-
-
-def stable_members(ensemble: Ensemble) -> NDArray[np.bool_]:
-    """Which members are asymptotically stable and well-posed, (k,); all well-posed ones where there are no states."""
-    if not ensemble.A.shape[1]:
-        return ~ensemble.ill_posed
-    return ~ensemble.ill_posed & (ensemble.spectral_abscissa() < 0)
+# The nominal Gramian's reciprocal condition number (of its correlation form) below which its directions are rounding.
+SMALLEST_CONDITION = 1e-13
+PANELS, NODES = 32, 10
 
 
 def gramians(ensemble: Ensemble, kind: Literal["controllability", "observability"]) -> Array:
@@ -116,11 +106,6 @@ def finite_gramians(ensemble: Ensemble, duration: float, norm: float) -> Array:
         total = total + phi @ total @ phi.transpose(0, 2, 1)
         phi = phi @ phi
     return 0.5 * (total + total.transpose(0, 2, 1))
-
-
-# The nominal Gramian's reciprocal condition number (of its correlation form) below which its directions are rounding.
-SMALLEST_CONDITION = 1e-13
-PANELS, NODES = 32, 10
 
 
 class RelativeReach(Metric):
@@ -222,7 +207,7 @@ class HankelValue(Metric):
     def of(self, ensemble: Ensemble) -> Array:
         """See `Metric.of`."""
         value = np.full(len(ensemble), -np.inf)
-        good = np.flatnonzero(stable_members(ensemble))
+        good = np.flatnonzero(ensemble.is_stable())
         some = ensemble.part(good)
         product = gramians(some, "controllability") @ gramians(some, "observability")
         value[good] = np.sqrt(np.maximum(np.linalg.eigvals(product).real.min(axis=1), 0.0))

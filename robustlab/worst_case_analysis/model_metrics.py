@@ -1,7 +1,4 @@
-"""Metrics of the input-output gain: H-infinity norm and H2 norm.
-
-Metrics of the poles: spectral abscissa and damping.
-"""
+"""Metrics of the model itself, whatever drives it: its norms (H-infinity, H2) and its poles (abscissa, damping)."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from robustlab.magnitude import refuse_overflow
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.controllability_metrics import gramians, stable_members
+from robustlab.worst_case_analysis.controllability_metrics import gramians
 from robustlab.worst_case_analysis.ensemble import Ensemble, chunks, members, peak_gains
 from robustlab.worst_case_analysis.metric_contract import (
     Evaluation,
@@ -30,15 +27,10 @@ from robustlab.worst_case_analysis.metric_contract import (
 )
 from robustlab.worst_case_analysis.sensitivity import pole_slope
 
-__all__ = [
-    "H2Gain",
-    "HinfGain",
-    "Damping",
-    "SpectralAbscissa",
-]
+__all__ = ["Damping", "H2Gain", "HinfGain", "SpectralAbscissa"]
 
 
-GRID_POINTS = 48
+GRID_POINTS = 48  # frequencies at which the gain of every member is looked at, besides those of its own poles
 
 
 class HinfGain(Metric):
@@ -125,7 +117,7 @@ class H2Gain(Metric):
         """See `Metric.of`."""
         value = np.full(len(ensemble), np.inf)
         direct = ensemble.D.any(axis=(1, 2)) if not ensemble.dt else np.zeros(len(ensemble), dtype=bool)
-        good = np.flatnonzero(stable_members(ensemble) & ~direct)
+        good = np.flatnonzero(ensemble.is_stable() & ~direct)
         some = ensemble.part(good)
         reach = gramians(some, "controllability")
         square = np.einsum("kij,kjl,kil->k", some.C, reach, some.C)

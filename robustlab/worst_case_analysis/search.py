@@ -4,8 +4,6 @@ Where the set is real and the metric has a derivative, local searches climb alon
 that the gradient points to, then a quasi-Newton method in the box); a compass search finishes, or does it all.
 
 A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
-
-Delta from a vector in the box [-1, 1]^d, for search.
 """
 
 from __future__ import annotations
@@ -25,77 +23,16 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks.base import Block, RealScalar, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import RealSet, vertex_signs
+from robustlab.worst_case_analysis.draws import RealSet, is_count, vertex_signs
 from robustlab.worst_case_analysis.ensemble import chunks, members
 from robustlab.worst_case_analysis.metric_contract import Metric
-from robustlab.worst_case_analysis.metrics import METRICS, MetricRequest, make_metric
+from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
 from robustlab.worst_case_analysis.sensitivity import delta_slope
 
-__all__ = [
-    "METRICS",
-    "WorstCase",
-    "worst_case",
-    "DeltaBox",
-]
-
-
-class DeltaBox:
-    """Delta from a vector in [-1, 1]^d: a number for a real scalar, real and imaginary parts for the rest.
-
-    A complex scalar or a full matrix outside its ball is drawn back onto it, so every vector gives a Delta of the set.
-    """
-
-    def __init__(self, blocks: Sequence[Block]) -> None:
-        self.blocks = tuple(blocks)
-        self.slices: list[slice] = []
-        size = 0
-        for b in self.blocks:
-            width = 1 if isinstance(b, RealScalar) else 2 * self._entries(b)
-            self.slices.append(slice(size, size + width))
-            size += width
-        self.size = size
-        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if isinstance(b, RealScalar)]
-
-    @property
-    def all_real(self) -> bool:
-        """Whether every block is a real scalar."""
-        return len(self.real) == len(self.blocks)
-
-    @staticmethod
-    def _entries(block: Block) -> int:
-        return block.rows * block.cols if not hasattr(block, "repeats") else 1
-
-    def deltas(self, theta: Array) -> NDArray[Any]:
-        """Stack of Deltas (k, q, p) from vectors (k, d)."""
-        dtype = float if self.all_real else complex
-        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
-        for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
-            number = theta[:, part]
-            if isinstance(block, RealScalar):
-                number = np.where(number < 0, number * block.ratio, number)
-                delta[:, rows, cols] = number[:, :, None] * np.eye(block.rows)
-                continue
-            half = number.shape[1] // 2
-            entries = number[:, :half] + 1j * number[:, half:]
-            if half == 1:
-                entries = entries / np.maximum(np.abs(entries), 1.0)
-                delta[:, rows, cols] = entries[:, :, None] * np.eye(block.rows, block.cols)
-                continue
-            matrix = entries.reshape(-1, block.rows, block.cols)
-            delta[:, rows, cols] = matrix / np.maximum(np.linalg.norm(matrix, 2, axis=(1, 2)), 1.0)[:, None, None]
-        return delta
-
-    def slope(self, theta: Array, delta_slope: Array) -> Array:
-        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for real scalars; at 0 the slope of the upper side."""
-        diagonal = np.array(
-            [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
-        )
-        below = np.array([b.ratio for b in self.blocks if isinstance(b, RealScalar)])
-        return np.where(theta < 0, below, 1.0) * diagonal
+__all__ = ["WorstCase", "worst_case"]
 
 
 LABEL = "sampled: a lower bound of the true worst case"
-
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
 
@@ -197,6 +134,8 @@ def worst_case(
 
     Parameters
     ----------
+    uncertain
+        The set.
     metric
         A name in ``METRICS``, or a function of a model that gives a number, the larger the worse:
 
@@ -229,6 +168,12 @@ def worst_case(
         Work that the search may take, as a multiple of the usual (about a minute); counted, not timed. Most searches
         end long before.
 
+    Returns
+    -------
+    WorstCase
+        The largest value found (for ``damping``, ``controllability`` and ``hankel`` the smallest), re-evaluated, with
+        the Delta that attains it.
+
     Raises
     ------
     UsageError
@@ -248,7 +193,7 @@ def worst_case(
     budget = search_budget("worst_case", WORK, effort, time_limit)
     request = MetricRequest(metric, output, input, t, u, hold, band)
     for name, count, least in (("n", n, 1), ("workers", workers, 1), ("seed", seed, 0)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < least:
+        if not is_count(count, least):
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
     with one_thread():
         return _searched(uncertain, request, budget, int(n), int(seed), int(workers))
@@ -264,7 +209,7 @@ def _searched(
     delta = delta_values(uncertain.blocks, stack[0])
     evaluation = judge.evaluate(delta)
     value = evaluation.value
-    status = Status.CONVERGED if evaluation.accurate and _agree(found, value, judge) else Status.INACCURATE
+    status = Status.CONVERGED if evaluation.accurate and judge.agrees(found, value) else Status.INACCURATE
     if search.ended:
         status = Status.TIMEOUT if search.remark == NOT_REPEATABLE else Status.INCONCLUSIVE
     why = f": {evaluation.reason}" if evaluation.reason else ""
@@ -291,16 +236,62 @@ def _searched(
     )
 
 
-def _agree(found: float, value: float, judge: Metric) -> bool:
-    if not np.isfinite(value) or not np.isfinite(found):
-        return value == found
-    slack = max(judge.slack(value), judge.slack(found))
-    # A second path that may look between the search's points can find a worse value: that is no fault.
-    beyond = judge.sense * (value - found)
-    return -slack <= beyond and (judge.one_sided or beyond <= slack)
-
-
 # --- the search ------------------------------------------------------------------------------------------------------
+
+
+class DeltaBox:
+    """Delta from a vector in [-1, 1]^d: a number for a real scalar, real and imaginary parts for the rest.
+
+    A complex scalar or a full matrix outside its ball is drawn back onto it, so every vector gives a Delta of the set.
+    """
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        self.blocks = tuple(blocks)
+        self.slices: list[slice] = []
+        size = 0
+        for b in self.blocks:
+            width = 1 if isinstance(b, RealScalar) else 2 * self._entries(b)
+            self.slices.append(slice(size, size + width))
+            size += width
+        self.size = size
+        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if isinstance(b, RealScalar)]
+
+    @property
+    def all_real(self) -> bool:
+        """Whether every block is a real scalar."""
+        return len(self.real) == len(self.blocks)
+
+    @staticmethod
+    def _entries(block: Block) -> int:
+        return block.rows * block.cols if not hasattr(block, "repeats") else 1
+
+    def deltas(self, theta: Array) -> NDArray[Any]:
+        """Stack of Deltas (k, q, p) from vectors (k, d)."""
+        dtype = float if self.all_real else complex
+        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
+        for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
+            number = theta[:, part]
+            if isinstance(block, RealScalar):
+                number = np.where(number < 0, number * block.ratio, number)
+                delta[:, rows, cols] = number[:, :, None] * np.eye(block.rows)
+                continue
+            half = number.shape[1] // 2
+            entries = number[:, :half] + 1j * number[:, half:]
+            if half == 1:
+                entries = entries / np.maximum(np.abs(entries), 1.0)
+                delta[:, rows, cols] = entries[:, :, None] * np.eye(block.rows, block.cols)
+                continue
+            matrix = entries.reshape(-1, block.rows, block.cols)
+            delta[:, rows, cols] = matrix / np.maximum(np.linalg.norm(matrix, 2, axis=(1, 2)), 1.0)[:, None, None]
+        return delta
+
+    def slope(self, theta: Array, delta_slope: Array) -> Array:
+        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for real scalars; at 0 the slope of the upper side."""
+        diagonal = np.array(
+            [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
+        )
+        below = np.array([b.ratio for b in self.blocks if isinstance(b, RealScalar)])
+        return np.where(theta < 0, below, 1.0) * diagonal
 
 
 class _Unbounded(Exception):

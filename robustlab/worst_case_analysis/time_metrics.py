@@ -196,7 +196,7 @@ class _Settled(TimeMetric):
     def _finals(self, ensemble: Ensemble) -> Array:
         """Final values of all members (k,); infinite where a member does not settle."""
         n = ensemble.A.shape[1]
-        stable = ~ensemble.ill_posed & (ensemble.spectral_abscissa() < 0) if n else ~ensemble.ill_posed
+        stable = ensemble.is_stable()
         final = np.full(len(ensemble), np.inf)
         some = ensemble.part(np.flatnonzero(stable))
         u = self._drive.u[0]
