@@ -27,16 +27,13 @@ Boyd, El Ghaoui, "Method of centers for minimizing generalized eigenvalues", Lin
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian, relative, supply
 from robustlab.uncertainty.blocks.base import FullBlock
-
-if TYPE_CHECKING:
-    from robustlab.mu_analysis.matrix.primal_dual_kernels import Pattern
 
 __all__ = ["path_following", "primal_dual"]
 
@@ -76,7 +73,7 @@ def primal_dual(
     pattern = _pattern(space)
     x, settled = np.empty((len(M), space.size)), np.empty(len(M), dtype=bool)
     for k in range(len(M)):
-        x[k], settled[k], _ = descend(space.identity.copy(), START, tall[k], pattern, tol, goal[k], max_steps)
+        x[k], settled[k] = descend(space.identity.copy(), START, tall[k], pattern, tol, goal[k], max_steps)
     return _in_own_unit(x, space, scale), settled
 
 
@@ -106,10 +103,20 @@ def _in_own_unit(x: Array, space: ScalingSpace, scale: Array) -> Array:
     return np.where(space.scales_with_m, x * scale[:, None], x)
 
 
-def _pattern(space: ScalingSpace) -> Pattern:
-    """The sparse linear map x -> E(x) as the compiled code reads it."""
-    from robustlab.mu_analysis.matrix.primal_dual_kernels import Pattern
+class Pattern(NamedTuple):
+    """The entries of the sparse E(x) of `ScalingSpace`, as the compiled code reads them."""
 
+    rows: Indices
+    cols: Indices
+    coefficients: ComplexArray
+    first: Indices  # (size + 1,) where each parameter's entries begin
+    owner: Indices  # (size,) diagonal block of D_w that a parameter belongs to; -1 for those of G
+    trace: Array  # (size,) gradient of the trace of D_w
+    blocks: Indices  # where each diagonal block of D_w begins, and its order last
+
+
+def _pattern(space: ScalingSpace) -> Pattern:
+    """The sparse linear map x -> E(x) of these scalings."""
     in_w = space.in_w[space.first] > 0
     owner = np.where(in_w, space.block_of, -1)
     diagonal = (space.in_w > 0) & (space.rows == space.cols)
