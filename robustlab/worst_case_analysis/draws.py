@@ -22,15 +22,11 @@ from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 from robustlab.worst_case_analysis.ensemble import Ensemble, split, state_scale
+from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["BLOCK", "Deltas", "RealSet", "delta_of_sample", "is_count", "vertex_signs"]
+__all__ = ["Deltas", "RealSet", "delta_of_sample", "is_count", "vertex_signs"]
 
 
-# Members are computed in blocks of this size that begin at its multiples: what comes out for a sample cannot depend on
-# how many are drawn, nor on who computes its block. Large models take smaller blocks, of so many numbers.
-BLOCK, NUMBERS = 512, 2_000_000
-# Numbers of the table of all L_k R_k, up to which it is made.
-LARGEST_TABLE = 4_000_000
 # "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
 MAX_LISTED = 16
 
@@ -189,8 +185,8 @@ class RealSet:
         self._d11 = m.D[:p, :q]
         self._nominal = np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
         self._table: Array | None = None
-        self.block = max(1, min(BLOCK, NUMBERS // max(1, self._nominal.size)))
-        small = self.block == BLOCK and len(blocks) * self._nominal.size <= LARGEST_TABLE
+        self.block = max(1, min(TUNING.block, TUNING.block_numbers // max(1, self._nominal.size)))
+        small = self.block == TUNING.block and len(blocks) * self._nominal.size <= TUNING.table
         if not self._d11.any() and small:
             products = self._left.T[:, :, None] * self._right[:, None, :]
             table = np.zeros((len(blocks), *self._nominal.shape))
@@ -225,9 +221,11 @@ class RealSet:
         ill_posed = np.zeros(k, dtype=bool)
         if self._table is not None:
             # Filled up to whole blocks: a product of another shape may round differently.
-            numbers = np.zeros((-(-k // BLOCK) * BLOCK, len(self)))
+            numbers = np.zeros((-(-k // TUNING.block) * TUNING.block, len(self)))
             numbers[:k] = np.where(theta < 0, theta * self.below, theta)
-            change = np.concatenate([numbers[i : i + BLOCK] @ self._table for i in range(0, len(numbers), BLOCK)])
+            change = np.concatenate(
+                [numbers[i : i + TUNING.block] @ self._table for i in range(0, len(numbers), TUNING.block)]
+            )
             whole = self._nominal + change[:k].reshape(k, *self._nominal.shape)
             return split(whole, self.n_states, self.dt, ill_posed, self._scale)
         diagonal = self.channels(theta)

@@ -22,6 +22,7 @@ from robustlab.record import UNIFORM_TOLERANCE
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks.base import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = [
     "Ensemble",
@@ -47,12 +48,6 @@ Hold = Literal["zoh", "foh"]
 
 # A discrete model's clock may differ from its sample time by this share.
 SAMPLE_TIME_TOLERANCE = 1e-6
-# Intermediate arrays hold about this many numbers.
-CHUNK = 2_000_000
-# Points and rounds of the zoom on the highest grid point: each round narrows its bracket by a factor of 4.
-ZOOM_POINTS, ZOOM_ROUNDS = 7, 8
-# From this many products per member on, loading the compiled kernel is worth its time.
-COMPILED_FROM = 20_000
 
 
 # --- what drives a response -------------------------------------------------------------------------------------------
@@ -221,8 +216,8 @@ class Ensemble:
 
 
 def chunks(count: int, numbers_each: int) -> Iterator[slice]:
-    """Slices of ``range(count)``, each of which needs about CHUNK numbers."""
-    step = max(1, CHUNK // max(1, numbers_each))
+    """Slices of ``range(count)``, each of which needs about ``chunk`` numbers (see `WorstCaseTuning`)."""
+    step = max(1, TUNING.chunk // max(1, numbers_each))
     for first in range(0, count, step):
         yield slice(first, min(first + step, count))
 
@@ -414,7 +409,7 @@ def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out:
     are asked for.
     """
     n_t, n_y = len(drive.u), ensemble.C.shape[1]
-    if n_t * max(1, len(x0)) ** 2 < COMPILED_FROM:
+    if n_t * max(1, len(x0)) ** 2 < TUNING.compiled_from:
         found = time_responses(ensemble, drive.h, drive.u, x0, hold)
         if out is None:
             return found
@@ -459,12 +454,12 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
         omega = np.hstack([np.broadcast_to(base, (len(index), len(base))), own if both_sides else np.abs(own)])
         omega = np.sort(np.clip(omega, -top, top), axis=1)
         gain = _gains(ensemble, index, omega)
-        for _ in range(ZOOM_ROUNDS):
+        for _ in range(TUNING.zoom_rounds):
             best = gain.argmax(axis=1)
             rows = np.arange(len(index))
             low = omega[rows, np.maximum(best - 1, 0)]
             high = omega[rows, np.minimum(best + 1, omega.shape[1] - 1)]
-            finer = np.linspace(low, high, ZOOM_POINTS + 2, axis=1)
+            finer = np.linspace(low, high, TUNING.zoom_points + 2, axis=1)
             omega = np.sort(np.hstack([finer, omega[rows, best][:, None]]), axis=1)
             gain = _gains(ensemble, index, omega)
         best = gain.argmax(axis=1)

@@ -16,12 +16,13 @@ from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_yo
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.controllability_metrics import HankelValue, RelativeReach
-from robustlab.worst_case_analysis.draws import BLOCK, Deltas, RealSet, is_count
+from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
 from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, default_clock, delta_stack, excitation
 from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, need_real
 from robustlab.worst_case_analysis.model_metrics import Damping, H2Gain, HinfGain, SpectralAbscissa
 from robustlab.worst_case_analysis.streaming import blocks_of, in_order
 from robustlab.worst_case_analysis.time_metrics import Overshoot, Peak, PeakDeviation, Rms, SettlingTime, TimeMetric
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = ["METRICS", "MetricBatch", "MetricRequest", "UserMetric", "make_metric"]
 
@@ -209,7 +210,7 @@ class MetricBatch:
         if not self.all_real:
             return self.judge.values(delta_stack(self.uncertain.blocks, deltas[first : first + count]))
         # Products are rounded the same for the same place in a block only: begin where a block begins.
-        start = first - first % BLOCK
+        start = first - first % TUNING.block
         values = np.empty(first + count - start)
         for part in blocks_of(len(values), self.real_set.block):
             theta = deltas.numbers(slice(start + part.start, start + part.stop))
@@ -230,5 +231,5 @@ class MetricBatch:
             raise InputError("n", f"{n!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
         if self.all_real:
             self.real_set  # noqa: B018  made before threads ask for it
-        parts = blocks_of(int(n), BLOCK)
+        parts = blocks_of(int(n), TUNING.block)
         return np.concatenate(list(in_order(lambda part: self(part.start, part.stop - part.start), parts, workers)))

@@ -26,11 +26,9 @@ from robustlab.worst_case_analysis.metric_contract import (
     selected,
 )
 from robustlab.worst_case_analysis.sensitivity import pole_slope
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = ["Damping", "H2Gain", "HinfGain", "SpectralAbscissa"]
-
-
-GRID_POINTS = 48  # frequencies at which the gain of every member is looked at, besides those of its own poles
 
 
 class HinfGain(Metric):
@@ -43,7 +41,7 @@ class HinfGain(Metric):
         self.uncertain = connected(selected(uncertain, input, output))
         nominal = self.uncertain.nominal
         need_stable(nominal, "its H-infinity norm is infinite")
-        self._grid = default_grid(nominal, GRID_POINTS)
+        self._grid = default_grid(nominal, TUNING.grid_points)
 
     def of(self, ensemble: Ensemble) -> Array:
         """See `Metric.of`."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
+from robustlab.budget import NOT_REPEATABLE, Budget, one_thread, search_budget
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -28,6 +28,7 @@ from robustlab.worst_case_analysis.ensemble import chunks, members
 from robustlab.worst_case_analysis.metric_contract import Metric
 from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
 from robustlab.worst_case_analysis.sensitivity import delta_slope
+from robustlab.worst_case_analysis.tuning import TUNING, WorstCaseTuning
 
 __all__ = ["WorstCase", "worst_case"]
 
@@ -35,18 +36,6 @@ __all__ = ["WorstCase", "worst_case"]
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
-
-# What a search may cost: about a minute.
-WORK = 60 * MILLION
-# Share of it that the climbs may take, each an equal part.
-CLIMBING = 0.5
-MAX_VERTICES = 1024
-# Local searches with gradients, and compass searches where there are none.
-CLIMBS, STARTS = 8, 4
-JUMPS, CLIMB_STEPS = 6, 40
-SMALLEST_STEP = 1e-7
-# Starting points of climbs are at least this far apart in one coordinate.
-APART = 0.2
 
 
 @dataclass(frozen=True)
@@ -190,7 +179,7 @@ def worst_case(
     >>> found.delta, round(found.value, 3)  # log(50) / 0.8
     ({'pole': -1.0}, 4.89)
     """
-    budget = search_budget("worst_case", WORK, effort, time_limit)
+    budget = search_budget("worst_case", TUNING.work, effort, time_limit)
     request = MetricRequest(metric, output, input, t, u, hold, band)
     for name, count, least in (("n", n, 1), ("workers", workers, 1), ("seed", seed, 0)):
         if not is_count(count, least):
@@ -200,10 +189,16 @@ def worst_case(
 
 
 def _searched(
-    uncertain: UncertainModel, request: MetricRequest, budget: Budget, n: int, seed: int, workers: int
+    uncertain: UncertainModel,
+    request: MetricRequest,
+    budget: Budget,
+    n: int,
+    seed: int,
+    workers: int,
+    tuning: WorstCaseTuning = TUNING,
 ) -> WorstCase:
     judge = make_metric(uncertain, request)
-    search = _Search(judge, budget)
+    search = _Search(judge, budget, tuning)
     theta, found = search.run(n, seed, workers)
     stack = search.box.deltas(theta[None])
     delta = delta_values(uncertain.blocks, stack[0])
@@ -320,8 +315,8 @@ class _Climb:
 class _Search:
     """Scores are ``sense * value``: the larger the worse."""
 
-    def __init__(self, judge: Metric, budget: Budget) -> None:
-        self.judge, self.budget = judge, budget
+    def __init__(self, judge: Metric, budget: Budget, tuning: WorstCaseTuning = TUNING) -> None:
+        self.judge, self.budget, self.tuning = judge, budget, tuning
         self.box = DeltaBox(judge.uncertain.blocks)
         self._real = RealSet(judge.uncertain) if self.box.all_real else None
         self.evaluations = self.gradients = 0
@@ -340,14 +335,14 @@ class _Search:
         best, top = points[order[0]], float(scores[order[0]])
         if self.box.size and not np.isposinf(top) and not self.ended:
             if self._has_slope(best):
-                starts = _apart(points[order], CLIMBS)
+                starts = _apart(points[order], self.tuning.climbs, self.tuning.apart)
                 for found in self._climbs(starts, workers):
                     self._add(found)
                     if found.score > top:
                         best, top = found.theta, found.score
                 best, top = self._finish(best, top, 0.25)
             else:
-                for index in order[:STARTS]:
+                for index in order[: self.tuning.starts]:
                     theta, score = self._finish(points[index], float(scores[index]), 2.0)
                     if score > top:
                         best, top = theta, score
@@ -358,7 +353,7 @@ class _Search:
         centre = np.zeros((1, d))
         if d == 0:
             return centre
-        signs = vertex_signs(len(self.box.real), MAX_VERTICES, seed) if self.box.real else np.zeros((0, 0))
+        signs = vertex_signs(len(self.box.real), self.tuning.vertices, seed) if self.box.real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
         vertices[:, self.box.real] = signs
         return np.vstack([centre, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
@@ -394,7 +389,7 @@ class _Search:
 
     def _climbs(self, starts: Array, workers: int) -> Iterator[_Climb]:
         # With a common budget the end of a climb would depend on how far the others, in other threads, have come.
-        each = CLIMBING * self.budget.left / len(starts)
+        each = self.tuning.climbing * self.budget.left / len(starts)
         budgets = [self.budget.apart(each) for _ in starts]
         if workers == 1:
             yield from map(self._climb, starts, budgets)
@@ -416,7 +411,8 @@ class _Search:
                 return -score / size, -slope / size
 
             bounds = [(-1.0, 1.0)] * self.box.size
-            minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
+            options = {"maxiter": self.tuning.climb_steps}
+            minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Unbounded as met:
             climb.theta, climb.score = met.theta, np.inf
         except _Over:
@@ -425,7 +421,7 @@ class _Search:
 
     def _jump(self, climb: _Climb) -> None:
         theta = climb.theta
-        for _ in range(JUMPS):
+        for _ in range(self.tuning.jumps):
             score, slope = self._score_and_slope(theta, climb)
             vertex = np.where(slope != 0, np.sign(slope), theta)
             trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
@@ -463,9 +459,9 @@ class _Search:
     def _finish(self, theta: Array, score: float, step: float) -> tuple[Array, float]:
         """Compass search in the box: steps along every coordinate, along the projected slope, and all gains together.
 
-        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as SMALLEST_STEP.
+        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as ``smallest_step``.
         """
-        while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
+        while step > self.tuning.smallest_step and not self.ended and not np.isposinf(score):
             trials = self._trials(theta, score, step)
             scores = self._scores(trials)
             best = int(scores.argmax())
@@ -504,11 +500,11 @@ def _sobol(n: int, d: int, seed: int) -> Array:
     return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
 
 
-def _apart(points: Array, count: int) -> Array:
-    """The first of the points that are not close to one taken before, at most ``count``."""
+def _apart(points: Array, count: int, distance: float) -> Array:
+    """The first of the points that are not within ``distance`` of one taken before, at most ``count``."""
     taken: list[Array] = []
     for point in points:
-        if all(np.abs(point - other).max() >= APART for other in taken):
+        if all(np.abs(point - other).max() >= distance for other in taken):
             taken.append(point)
         if len(taken) == count:
             break
