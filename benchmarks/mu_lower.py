@@ -119,7 +119,7 @@ def compare_truth(prototype: Any, share: float) -> None:
 
 def compare_models(prototype: Any, share: float) -> None:
     """One line per class of models."""
-    from robustlab.mu_analysis.axis.stability import _continuous, _seed_frequencies
+    from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 
     print("\nmodels: norm of the smallest destabilising Delta over the best of both; median CPU s")
     print(f"{'class':48s} | ours: within 1e-4, worst, s | prototype: within 1e-4, worst, s")
@@ -130,8 +130,8 @@ def compare_models(prototype: Any, share: float) -> None:
     for name, cases in makers.items():
         ours, theirs, own_seconds, their_seconds = [], [], [], []
         for model, blocks in cases:
-            model = _continuous(model)
-            found, seconds = timed(lambda m=model, b=blocks: smallest_destabilising(m, b, _seed_frequencies(m)))
+            model = continuous(model)
+            found, seconds = timed(lambda m=model, b=blocks: smallest_destabilising(m, b, seed_frequencies(m)))
             ours.append(found.norm if found else np.inf)
             own_seconds.append(seconds)
             if prototype is not None:

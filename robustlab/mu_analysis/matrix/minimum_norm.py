@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 
-# Shares of the way to the smallest step that descent tries, and the least relative fall of the norm it goes on for.
+# Shares of the way to the smallest step that descent tries.
 FRACTIONS = 0.5 ** np.arange(7)
 
 
