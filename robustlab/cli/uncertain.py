@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
-    from robustlab.mu_analysis.covering import Cover
+    from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.provenance import Provenance
     from robustlab.statespace import Signal
     from robustlab.uncertainty.blocks.base import ParameterRange
@@ -475,7 +475,7 @@ def cover_of(
     effort: float,
 ) -> tuple[Cover, Provenance]:
     """The cover of the models in the files, its worst gain in the loop of a controller where one is given."""
-    from robustlab.mu_analysis.covering import cover
+    from robustlab.mu_analysis.margins.cover import cover
     from robustlab.provenance import Provenance, file_sha256
     from robustlab.statespace import as_model
     from robustlab.storage import load

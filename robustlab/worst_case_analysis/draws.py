@@ -21,7 +21,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks.base import Block, ComplexScalar, RealScalar
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
-from robustlab.worst_case_analysis.ensemble import Ensemble, split, state_scale
+from robustlab.worst_case_analysis.ensemble import Ensemble, lft_parts, split, state_scale
 from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = ["Deltas", "RealSet", "delta_of_sample", "is_count", "vertex_signs"]
@@ -33,7 +33,7 @@ MAX_LISTED = 16
 
 def is_count(value: Any, least: int) -> bool:
     """Whether a number of samples, vertices or threads, or a seed, is a whole number, at least ``least``."""
-    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and value >= least
+    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and int(value) >= least
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
@@ -173,17 +173,14 @@ class RealSet:
     """
 
     def __init__(self, uncertain: UncertainModel) -> None:
-        m, (q, p) = uncertain.M, uncertain.delta_shape
+        m = uncertain.M
         blocks = [b for b in uncertain.blocks if isinstance(b, RealScalar)]
         assert len(blocks) == len(uncertain.blocks)
         self.n_states, self.dt = m.n_states, m.dt
         self.below = np.array([b.ratio for b in blocks])
         self.of_channel = np.repeat(np.arange(len(blocks)), [b.repeats for b in blocks])
         self._scale = state_scale(m.A)
-        self._left = np.vstack([m.B[:, :q], m.D[p:, :q]])
-        self._right = np.hstack([m.C[:p], m.D[:p, q:]])
-        self._d11 = m.D[:p, :q]
-        self._nominal = np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
+        self._left, self._right, self._d11, self._nominal = lft_parts(uncertain)
         self._table: Array | None = None
         self.block = max(1, min(TUNING.block, TUNING.block_numbers // max(1, self._nominal.size)))
         small = self.block == TUNING.block and len(blocks) * self._nominal.size <= TUNING.table

@@ -34,6 +34,7 @@ __all__ = [
     "delta_stack",
     "excitation",
     "in_lanes",
+    "lft_parts",
     "members",
     "peak_gains",
     "responses",
@@ -231,23 +232,26 @@ def delta_stack(blocks: Sequence[Block], deltas: Sequence[Mapping[str, Any]]) ->
 
 def members(uncertain: UncertainModel, delta: NDArray[Any]) -> Ensemble:
     """The members at a stack of Deltas, shape (k, q, p)."""
-    m, (q, p) = uncertain.M, uncertain.delta_shape
-    n, k = m.n_states, len(delta)
-    left = np.vstack([m.B[:, :q], m.D[p:, :q]])
-    right = np.hstack([m.C[:p], m.D[:p, q:]])
-    d11 = m.D[:p, :q]
+    left, right, d11, nominal = lft_parts(uncertain)
+    k = len(delta)
     ill_posed = np.zeros(k, dtype=bool)
     if d11.any():
-        loop = np.eye(p) - d11 @ delta
+        loop = np.eye(len(d11)) - d11 @ delta
         ill_posed = ~(np.linalg.cond(loop) <= ILL_POSED)
-        loop[ill_posed] = np.eye(p)
+        loop[ill_posed] = np.eye(len(d11))
         delta = np.where(ill_posed[:, None, None], 0.0, delta)
         change = left @ delta @ np.linalg.solve(loop, np.broadcast_to(right, (k, *right.shape)))
     else:
         change = left @ delta @ right
-    nominal = np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
-    whole = nominal + change
-    return split(whole, n, m.dt, ill_posed, state_scale(m.A))
+    m = uncertain.M
+    return split(nominal + change, m.n_states, m.dt, ill_posed, state_scale(m.A))
+
+
+def lft_parts(uncertain: UncertainModel) -> tuple[Array, Array, Array, Array]:
+    """left, right, D11 and nominal, with ``[A B; C D] = nominal + left Delta (I - D11 Delta)^-1 right``."""
+    m, (q, p) = uncertain.M, uncertain.delta_shape
+    left, right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
+    return left, right, m.D[:p, :q], np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
 
 
 def split(whole: NDArray[Any], n: int, dt: float, ill_posed: Mask, scale: Array) -> Ensemble:
@@ -386,9 +390,9 @@ def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> La
     d = ensemble.D[:, :, used]
     # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
     where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
-    grouped = [_grouped(matrices) for matrices in (phi, gamma, ensemble.C, d)]
-    entries = [np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d)]
-    return Lanes(*grouped, *entries, u, np.ascontiguousarray(v), np.array(x0, dtype=float))
+    phi, gamma, c, d = (_grouped(matrices) for matrices in (phi, gamma, ensemble.C, d))
+    of_c, of_d = (np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d))
+    return Lanes(phi, gamma, c, d, of_c, of_d, u, np.ascontiguousarray(v), np.array(x0, dtype=float))
 
 
 def _grouped(matrices: Array) -> Array:

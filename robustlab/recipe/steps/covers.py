@@ -13,7 +13,7 @@ from robustlab.recipe.uncertainty_schema import CoverModelsStep, UncertainFromSt
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
-    from robustlab.mu_analysis.covering import Cover
+    from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.statespace import StateSpaceModel
 
 __all__ = ["cover_models", "uncertain_from", "with_loads"]
