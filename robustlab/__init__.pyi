@@ -21,8 +21,8 @@ from robustlab.mu_analysis import robust_performance as robust_performance
 from robustlab.mu_analysis import robust_stability as robust_stability
 from robustlab.mu_analysis import skew_mu as skew_mu
 from robustlab.mu_analysis import worst_case_gain as worst_case_gain
-from robustlab.mu_analysis.covering import conservatism as conservatism
-from robustlab.mu_analysis.covering import cover as cover
+from robustlab.mu_analysis.margins.cover import conservatism as conservatism
+from robustlab.mu_analysis.margins.cover import cover as cover
 from robustlab.mu_analysis.margins.disk_margin import disk_margin as disk_margin
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin as worst_case_disk_margin

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
-    from robustlab.mu_analysis.covering import Cover
+    from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.provenance import Provenance
     from robustlab.uncertainty.blocks import ParameterRange
     from robustlab.uncertainty.elementwise import EndpointResidual
@@ -158,7 +158,7 @@ class CoverOptions:
 
     def build(self, tolerance: float | None, effort: EffortOptions) -> tuple[Cover, Provenance]:
         """The cover, with its worst gain in the loop of a controller where one is given."""
-        from robustlab.mu_analysis.covering import cover
+        from robustlab.mu_analysis.margins.cover import cover
         from robustlab.provenance import Provenance, file_sha256
         from robustlab.statespace import as_model
         from robustlab.storage import load

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.covering import Cover
+from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure, plain_label
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid

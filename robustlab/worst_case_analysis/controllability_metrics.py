@@ -1,6 +1,7 @@
 """Measures of controllability: what is left of the nominal reach, and the smallest Hankel singular value.
 
-Gramians of many members at once: on the infinite horizon by the squared Smith iteration, on a finite one.
+Both are of Gramians, made for many members at once: on a finite horizon by doubling a Taylor series, on the infinite
+one by the squared Smith iteration.
 """
 
 from __future__ import annotations
@@ -8,7 +9,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -23,28 +23,9 @@ from robustlab.worst_case_analysis.metric_contract import (
     need_stable,
     selected,
 )
+from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = [
-    "HankelValue",
-    "RelativeReach",
-    "finite_gramians",
-    "gramians",
-    "stable_members",
-]
-
-
-# The iteration's error is squared each time; a pole at a distance of 1e-12 of its size from the boundary is through.
-DOUBLINGS = 46
-# Steps of the finite horizon are halved until |A| h is below this; the series then has a dozen terms.
-SMALL = 0.25
-TERMS = 12
-
-
-def stable_members(ensemble: Ensemble) -> NDArray[np.bool_]:
-    """Which members are asymptotically stable and well-posed, (k,); all well-posed ones where there are no states."""
-    if not ensemble.A.shape[1]:
-        return ~ensemble.ill_posed
-    return ~ensemble.ill_posed & (ensemble.spectral_abscissa() < 0)
+__all__ = ["HankelValue", "RelativeReach", "finite_gramians", "gramians"]
 
 
 def gramians(ensemble: Ensemble, kind: Literal["controllability", "observability"]) -> Array:
@@ -72,7 +53,7 @@ def gramians(ensemble: Ensemble, kind: Literal["controllability", "observability
         a = (rate * np.eye(n) + a) @ inverse
     power, total = a, q
     with np.errstate(under="ignore"):
-        for _ in range(DOUBLINGS):
+        for _ in range(TUNING.doublings):
             total = total + power @ total @ power.transpose(0, 2, 1)
             power = power @ power
             # Powers that shrink below the smallest normal numbers would slow down everything.
@@ -102,12 +83,12 @@ def finite_gramians(ensemble: Ensemble, duration: float, norm: float) -> Array:
             total = total + state @ q @ state.transpose(0, 2, 1)
             state = a @ state
         return total
-    halvings = max(0, int(np.ceil(np.log2(max(norm * duration / SMALL, 1.0)))))
+    halvings = max(0, int(np.ceil(np.log2(max(norm * duration / TUNING.taylor_reach, 1.0)))))
     h = duration / 2**halvings
     # Taylor series of W(h): its derivatives at 0 follow W' = A W + W A^T + Q.
     term, total = q * h, q * h
     phi, power = np.eye(n) + a * h, a * h
-    for j in range(2, TERMS + 1):
+    for j in range(2, TUNING.taylor_terms + 1):
         term = (a @ term + term @ a.transpose(0, 2, 1)) * (h / j)
         total = total + term
         power = power @ a * (h / j)
@@ -116,11 +97,6 @@ def finite_gramians(ensemble: Ensemble, duration: float, norm: float) -> Array:
         total = total + phi @ total @ phi.transpose(0, 2, 1)
         phi = phi @ phi
     return 0.5 * (total + total.transpose(0, 2, 1))
-
-
-# The nominal Gramian's reciprocal condition number (of its correlation form) below which its directions are rounding.
-SMALLEST_CONDITION = 1e-13
-PANELS, NODES = 32, 10
 
 
 class RelativeReach(Metric):
@@ -145,7 +121,7 @@ class RelativeReach(Metric):
         self._norm = float(np.linalg.norm(centre.A[0] / centre.scale[:, None] * centre.scale, 2))
         gramian = finite_gramians(centre, duration, self._norm)[0]
         unit = np.sqrt(np.diag(gramian))
-        if not (unit > 0).all() or 1.0 / np.linalg.cond(gramian / np.outer(unit, unit)) < SMALLEST_CONDITION:
+        if not (unit > 0).all() or 1.0 / np.linalg.cond(gramian / np.outer(unit, unit)) < TUNING.smallest_condition:
             raise NoTrustworthyNumber(
                 "worst_case",
                 f"the nominal model is not controllable within {duration:g} s to working precision",
@@ -184,8 +160,8 @@ class RelativeReach(Metric):
                 reach.append(model.A @ reach[-1])
             columns = np.hstack(reach)
         else:
-            nodes, weights = np.polynomial.legendre.leggauss(NODES)
-            panels = max(PANELS, int(np.ceil(self._norm * self._duration)))
+            nodes, weights = np.polynomial.legendre.leggauss(TUNING.nodes)
+            panels = max(TUNING.panels, int(np.ceil(self._norm * self._duration)))
             step = self._duration / panels
             start = [expm(model.A * (0.5 * step * (node + 1))) @ model.B for node in nodes]
             first = np.hstack([np.sqrt(0.5 * step * w) * x for w, x in zip(weights, start, strict=True)])
@@ -222,7 +198,7 @@ class HankelValue(Metric):
     def of(self, ensemble: Ensemble) -> Array:
         """See `Metric.of`."""
         value = np.full(len(ensemble), -np.inf)
-        good = np.flatnonzero(stable_members(ensemble))
+        good = np.flatnonzero(ensemble.is_stable())
         some = ensemble.part(good)
         product = gramians(some, "controllability") @ gramians(some, "observability")
         value[good] = np.sqrt(np.maximum(np.linalg.eigvals(product).real.min(axis=1), 0.0))

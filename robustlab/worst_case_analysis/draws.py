@@ -21,23 +21,19 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
-from robustlab.worst_case_analysis.ensemble import Ensemble, split, state_scale
+from robustlab.worst_case_analysis.ensemble import Ensemble, lft_parts, split, state_scale
+from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = ["BLOCK", "Deltas", "RealSet", "delta_of_sample", "is_count", "vertex_signs"]
+__all__ = ["Deltas", "RealSet", "delta_of_sample", "is_count", "vertex_signs"]
 
 
-# Members are computed in blocks of this size that begin at its multiples: what comes out for a sample cannot depend on
-# how many are drawn, nor on who computes its block. Large models take smaller blocks, of so many numbers.
-BLOCK, NUMBERS = 512, 2_000_000
-# Numbers of the table of all L_k R_k, up to which it is made.
-LARGEST_TABLE = 4_000_000
 # "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
 MAX_LISTED = 16
 
 
 def is_count(value: Any, least: int) -> bool:
     """Whether a number of samples, vertices or threads, or a seed, is a whole number, at least ``least``."""
-    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and value >= least
+    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and int(value) >= least
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
@@ -155,21 +151,17 @@ class RealSet:
     """
 
     def __init__(self, uncertain: UncertainModel) -> None:
-        m, (q, p) = uncertain.M, uncertain.delta_shape
-        blocks = uncertain.blocks
+        m, blocks = uncertain.M, uncertain.blocks
         ends = [b.interval for b in blocks if b.interval]
         assert len(ends) == len(blocks)
         self.n_states, self.dt = m.n_states, m.dt
         self.below = np.array([-low for low, _ in ends])
         self.of_channel = np.repeat(np.arange(len(blocks)), [b.rows for b in blocks])
         self._scale = state_scale(m.A)
-        self._left = np.vstack([m.B[:, :q], m.D[p:, :q]])
-        self._right = np.hstack([m.C[:p], m.D[:p, q:]])
-        self._d11 = m.D[:p, :q]
-        self._nominal = np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
+        self._left, self._right, self._d11, self._nominal = lft_parts(uncertain)
         self._table: Array | None = None
-        self.block = max(1, min(BLOCK, NUMBERS // max(1, self._nominal.size)))
-        small = self.block == BLOCK and len(blocks) * self._nominal.size <= LARGEST_TABLE
+        self.block = max(1, min(TUNING.block, TUNING.block_numbers // max(1, self._nominal.size)))
+        small = self.block == TUNING.block and len(blocks) * self._nominal.size <= TUNING.table
         if not self._d11.any() and small:
             products = self._left.T[:, :, None] * self._right[:, None, :]
             table = np.zeros((len(blocks), *self._nominal.shape))
@@ -204,9 +196,11 @@ class RealSet:
         ill_posed = np.zeros(k, dtype=bool)
         if self._table is not None:
             # Filled up to whole blocks: a product of another shape may round differently.
-            numbers = np.zeros((-(-k // BLOCK) * BLOCK, len(self)))
+            numbers = np.zeros((-(-k // TUNING.block) * TUNING.block, len(self)))
             numbers[:k] = np.where(theta < 0, theta * self.below, theta)
-            change = np.concatenate([numbers[i : i + BLOCK] @ self._table for i in range(0, len(numbers), BLOCK)])
+            change = np.concatenate(
+                [numbers[i : i + TUNING.block] @ self._table for i in range(0, len(numbers), TUNING.block)]
+            )
             whole = self._nominal + change[:k].reshape(k, *self._nominal.shape)
             return split(whole, self.n_states, self.dt, ill_posed, self._scale)
         diagonal = self.channels(theta)

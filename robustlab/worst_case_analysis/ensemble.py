@@ -22,6 +22,7 @@ from robustlab.record import UNIFORM_TOLERANCE
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = [
     "Ensemble",
@@ -33,6 +34,7 @@ __all__ = [
     "delta_stack",
     "excitation",
     "in_lanes",
+    "lft_parts",
     "members",
     "peak_gains",
     "responses",
@@ -47,12 +49,6 @@ Hold = Literal["zoh", "foh"]
 
 # A discrete model's clock may differ from its sample time by this share.
 SAMPLE_TIME_TOLERANCE = 1e-6
-# Intermediate arrays hold about this many numbers.
-CHUNK = 2_000_000
-# Points and rounds of the zoom on the highest grid point: each round narrows its bracket by a factor of 4.
-ZOOM_POINTS, ZOOM_ROUNDS = 7, 8
-# From this many products per member on, loading the compiled kernel is worth its time.
-COMPILED_FROM = 20_000
 
 
 # --- what drives a response -------------------------------------------------------------------------------------------
@@ -221,8 +217,8 @@ class Ensemble:
 
 
 def chunks(count: int, numbers_each: int) -> Iterator[slice]:
-    """Slices of ``range(count)``, each of which needs about CHUNK numbers."""
-    step = max(1, CHUNK // max(1, numbers_each))
+    """Slices of ``range(count)``, each of which needs about ``chunk`` numbers (see `WorstCaseTuning`)."""
+    step = max(1, TUNING.chunk // max(1, numbers_each))
     for first in range(0, count, step):
         yield slice(first, min(first + step, count))
 
@@ -236,23 +232,26 @@ def delta_stack(blocks: Sequence[Block], deltas: Sequence[Mapping[str, Any]]) ->
 
 def members(uncertain: UncertainModel, delta: NDArray[Any]) -> Ensemble:
     """The members at a stack of Deltas, shape (k, q, p)."""
-    m, (q, p) = uncertain.M, uncertain.delta_shape
-    n, k = m.n_states, len(delta)
-    left = np.vstack([m.B[:, :q], m.D[p:, :q]])
-    right = np.hstack([m.C[:p], m.D[:p, q:]])
-    d11 = m.D[:p, :q]
+    left, right, d11, nominal = lft_parts(uncertain)
+    k = len(delta)
     ill_posed = np.zeros(k, dtype=bool)
     if d11.any():
-        loop = np.eye(p) - d11 @ delta
+        loop = np.eye(len(d11)) - d11 @ delta
         ill_posed = ~(np.linalg.cond(loop) <= ILL_POSED)
-        loop[ill_posed] = np.eye(p)
+        loop[ill_posed] = np.eye(len(d11))
         delta = np.where(ill_posed[:, None, None], 0.0, delta)
         change = left @ delta @ np.linalg.solve(loop, np.broadcast_to(right, (k, *right.shape)))
     else:
         change = left @ delta @ right
-    nominal = np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
-    whole = nominal + change
-    return split(whole, n, m.dt, ill_posed, state_scale(m.A))
+    m = uncertain.M
+    return split(nominal + change, m.n_states, m.dt, ill_posed, state_scale(m.A))
+
+
+def lft_parts(uncertain: UncertainModel) -> tuple[Array, Array, Array, Array]:
+    """left, right, D11 and nominal, with ``[A B; C D] = nominal + left Delta (I - D11 Delta)^-1 right``."""
+    m, (q, p) = uncertain.M, uncertain.delta_shape
+    left, right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
+    return left, right, m.D[:p, :q], np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
 
 
 def split(whole: NDArray[Any], n: int, dt: float, ill_posed: Mask, scale: Array) -> Ensemble:
@@ -391,9 +390,9 @@ def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> La
     d = ensemble.D[:, :, used]
     # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
     where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
-    grouped = [_grouped(matrices) for matrices in (phi, gamma, ensemble.C, d)]
-    entries = [np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d)]
-    return Lanes(*grouped, *entries, u, np.ascontiguousarray(v), np.array(x0, dtype=float))
+    phi, gamma, c, d = (_grouped(matrices) for matrices in (phi, gamma, ensemble.C, d))
+    of_c, of_d = (np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d))
+    return Lanes(phi, gamma, c, d, of_c, of_d, u, np.ascontiguousarray(v), np.array(x0, dtype=float))
 
 
 def _grouped(matrices: Array) -> Array:
@@ -414,7 +413,7 @@ def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out:
     are asked for.
     """
     n_t, n_y = len(drive.u), ensemble.C.shape[1]
-    if n_t * max(1, len(x0)) ** 2 < COMPILED_FROM:
+    if n_t * max(1, len(x0)) ** 2 < TUNING.compiled_from:
         found = time_responses(ensemble, drive.h, drive.u, x0, hold)
         if out is None:
             return found
@@ -459,12 +458,12 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
         omega = np.hstack([np.broadcast_to(base, (len(index), len(base))), own if both_sides else np.abs(own)])
         omega = np.sort(np.clip(omega, -top, top), axis=1)
         gain = _gains(ensemble, index, omega)
-        for _ in range(ZOOM_ROUNDS):
+        for _ in range(TUNING.zoom_rounds):
             best = gain.argmax(axis=1)
             rows = np.arange(len(index))
             low = omega[rows, np.maximum(best - 1, 0)]
             high = omega[rows, np.minimum(best + 1, omega.shape[1] - 1)]
-            finer = np.linspace(low, high, ZOOM_POINTS + 2, axis=1)
+            finer = np.linspace(low, high, TUNING.zoom_points + 2, axis=1)
             omega = np.sort(np.hstack([finer, omega[rows, best][:, None]]), axis=1)
             gain = _gains(ensemble, index, omega)
         best = gain.argmax(axis=1)

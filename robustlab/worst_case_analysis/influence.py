@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.worst_case_analysis.metrics import MetricBatch
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = ["FEWEST_SAMPLES", "Influence", "influence_of"]
 
 
 FEWEST_SAMPLES = 32
-MOST_BINS = 32
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
     finite = bool(np.isfinite(values).all())
     numbers = values if finite else _ranks(values)
     coefficients, fit = _rank_regression(theta, values)
-    bins = int(np.clip(np.sqrt(len(values)), 4, MOST_BINS))
+    bins = int(np.clip(np.sqrt(len(values)), 4, TUNING.influence_bins))
     first_order = np.array([_between_bins(theta[:, k], numbers, bins) for k in range(theta.shape[1])])
     at = theta[worst]
     d = len(at)

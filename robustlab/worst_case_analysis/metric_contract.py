@@ -18,7 +18,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import StateSpaceModel
 from robustlab.structural import drop_unconnected
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.ensemble import Ensemble
+from robustlab.worst_case_analysis.ensemble import Ensemble, members
 
 __all__ = ["Evaluation", "Metric", "connected", "need_real", "need_stable", "selected"]
 
@@ -82,8 +82,6 @@ class Metric:
 
     def values(self, delta: NDArray[Any]) -> Array:
         """The metric at a stack of Deltas (k, q, p), shape (k,)."""
-        from robustlab.worst_case_analysis.ensemble import members
-
         return self.of(members(self.uncertain, delta))
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
@@ -113,6 +111,15 @@ class Metric:
     def slack(self, value: float) -> float:
         """How far re-evaluation may be off ``value``."""
         return self.tolerance * abs(value)
+
+    def agrees(self, found: float, again: float) -> bool:
+        """Whether re-evaluation confirms what was found."""
+        if not np.isfinite(found) or not np.isfinite(again):
+            return bool(found == again)
+        slack = max(self.slack(found), self.slack(again))
+        # A second path that may look between the search's points can find a worse value: that is no fault.
+        beyond = self.sense * (again - found)
+        return bool(-slack <= beyond and (self.one_sided or beyond <= slack))
 
 
 # --- what metrics share ----------------------------------------------------------------------------------------------

@@ -1,12 +1,9 @@
-"""The catalogue of metrics: what each name means, what it needs, and how it is made for a set.
-
-A metric at seeded samples: a pure function of the set, the metric, the seed and the sample's number.
-"""
+"""The catalogue of metrics: what each name means, how it is made for a set, and its values at seeded samples."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,23 +16,18 @@ from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_yo
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.controllability_metrics import HankelValue, RelativeReach
-from robustlab.worst_case_analysis.draws import BLOCK, Deltas, RealSet
+from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
 from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, default_clock, delta_stack, excitation
-from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, connected, need_real
+from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, need_real
 from robustlab.worst_case_analysis.model_metrics import Damping, H2Gain, HinfGain, SpectralAbscissa
 from robustlab.worst_case_analysis.streaming import blocks_of, in_order
 from robustlab.worst_case_analysis.time_metrics import Overshoot, Peak, PeakDeviation, Rms, SettlingTime, TimeMetric
+from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = [
-    "METRICS",
-    "MetricRequest",
-    "UserMetric",
-    "connected",
-    "make_metric",
-    "MetricBatch",
-]
+__all__ = ["METRICS", "MetricBatch", "MetricRequest", "UserMetric", "make_metric"]
 
 
+MOST_SAMPLES = 10_000_000
 UserFunction = Callable[[StateSpaceModel], float]
 
 # Name -> what it is. The largest value is the worst but where the text says otherwise.
@@ -158,9 +150,6 @@ def _of_a_response(uncertain: UncertainModel, request: MetricRequest, where: str
     return kind(uncertain, output or names[0], drive, request.hold)
 
 
-MOST_SAMPLES = 10_000_000
-
-
 @dataclass(frozen=True)
 class MetricBatch:
     """Values of a metric at samples ``first .. first + count - 1``; can be pickled and sent to another process.
@@ -190,7 +179,7 @@ class MetricBatch:
     seed: int
 
     def __post_init__(self) -> None:
-        if isinstance(self.seed, bool) or not isinstance(self.seed, (int, np.integer)) or self.seed < 0:
+        if not is_count(self.seed, 0):
             raise InputError("seed", f"{self.seed!r}", "a whole number, not negative")
 
     def __getstate__(self) -> dict[str, Any]:
@@ -221,7 +210,7 @@ class MetricBatch:
         if not self.all_real:
             return self.judge.values(delta_stack(self.uncertain.blocks, deltas[first : first + count]))
         # Products are rounded the same for the same place in a block only: begin where a block begins.
-        start = first - first % BLOCK
+        start = first - first % TUNING.block
         values = np.empty(first + count - start)
         for part in blocks_of(len(values), self.real_set.block):
             theta = deltas.numbers(slice(start + part.start, start + part.stop))
@@ -238,11 +227,9 @@ class MetricBatch:
 
     def all_values(self, n: int, workers: int = 1) -> Array:
         """Values of the first n samples (n,), by so many threads."""
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 1 <= n <= MOST_SAMPLES:
+        if not is_count(n, 1) or n > MOST_SAMPLES:
             raise InputError("n", f"{n!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
         if self.all_real:
             self.real_set  # noqa: B018  made before threads ask for it
-        return np.concatenate(list(self._pieces(int(n), workers)))
-
-    def _pieces(self, n: int, workers: int) -> Iterator[Array]:
-        yield from in_order(lambda part: self(part.start, part.stop - part.start), blocks_of(n, BLOCK), workers)
+        parts = blocks_of(int(n), TUNING.block)
+        return np.concatenate(list(in_order(lambda part: self(part.start, part.stop - part.start), parts, workers)))

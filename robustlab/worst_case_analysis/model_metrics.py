@@ -1,7 +1,4 @@
-"""Metrics of the input-output gain: H-infinity norm and H2 norm.
-
-Metrics of the poles: spectral abscissa and damping.
-"""
+"""Metrics of the model itself, whatever drives it: its norms (H-infinity, H2) and its poles (abscissa, damping)."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from robustlab.magnitude import refuse_overflow
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.controllability_metrics import gramians, stable_members
+from robustlab.worst_case_analysis.controllability_metrics import gramians
 from robustlab.worst_case_analysis.ensemble import Ensemble, chunks, members, peak_gains
 from robustlab.worst_case_analysis.metric_contract import (
     Evaluation,
@@ -29,16 +26,9 @@ from robustlab.worst_case_analysis.metric_contract import (
     selected,
 )
 from robustlab.worst_case_analysis.sensitivity import pole_slope
+from robustlab.worst_case_analysis.tuning import TUNING
 
-__all__ = [
-    "H2Gain",
-    "HinfGain",
-    "Damping",
-    "SpectralAbscissa",
-]
-
-
-GRID_POINTS = 48
+__all__ = ["Damping", "H2Gain", "HinfGain", "SpectralAbscissa"]
 
 
 class HinfGain(Metric):
@@ -51,7 +41,7 @@ class HinfGain(Metric):
         self.uncertain = connected(selected(uncertain, input, output))
         nominal = self.uncertain.nominal
         need_stable(nominal, "its H-infinity norm is infinite")
-        self._grid = default_grid(nominal, GRID_POINTS)
+        self._grid = default_grid(nominal, TUNING.grid_points)
 
     def of(self, ensemble: Ensemble) -> Array:
         """See `Metric.of`."""
@@ -125,7 +115,7 @@ class H2Gain(Metric):
         """See `Metric.of`."""
         value = np.full(len(ensemble), np.inf)
         direct = ensemble.D.any(axis=(1, 2)) if not ensemble.dt else np.zeros(len(ensemble), dtype=bool)
-        good = np.flatnonzero(stable_members(ensemble) & ~direct)
+        good = np.flatnonzero(ensemble.is_stable() & ~direct)
         some = ensemble.part(good)
         reach = gramians(some, "controllability")
         square = np.einsum("kij,kjl,kil->k", some.C, reach, some.C)

@@ -18,11 +18,11 @@ from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, verte
 from robustlab.worst_case_analysis.ensemble import Excitation, Hold, excitation, responses
 from robustlab.worst_case_analysis.streaming import (
     LABEL,
-    MARGINAL,
     StreamedResponses,
     blocks_of,
     stream,
 )
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = ["Responses", "Samples", "StreamedResponses", "sample"]
 
@@ -279,7 +279,7 @@ def _respond(
     members = RealSet(uncertain)
     for part in blocks_of(len(samples), members.block):
         ensemble = members.drawn(samples.deltas, part, "respond")
-        unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
+        unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(TUNING.marginal))]
         responses(ensemble, drive, start, hold, y[part])
     nominal = responses(members.members(np.zeros((1, len(members)))), drive, start, hold)[0]
     lower, upper, deviation, finite = _envelope(y, nominal)

@@ -4,8 +4,6 @@ Where the set is real and the metric has a derivative, local searches climb alon
 that the gradient points to, then a quasi-Newton method in the box); a compass search finishes, or does it all.
 
 A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
-
-Delta from a vector in the box [-1, 1]^d, for search.
 """
 
 from __future__ import annotations
@@ -19,80 +17,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
+from robustlab.budget import NOT_REPEATABLE, Budget, one_thread, search_budget
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import RealSet, vertex_signs
+from robustlab.worst_case_analysis.draws import RealSet, is_count, vertex_signs
 from robustlab.worst_case_analysis.ensemble import chunks, members
 from robustlab.worst_case_analysis.metric_contract import Metric
-from robustlab.worst_case_analysis.metrics import METRICS, MetricRequest, make_metric
+from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
 from robustlab.worst_case_analysis.sensitivity import delta_slope
+from robustlab.worst_case_analysis.tuning import TUNING, WorstCaseTuning
 
-__all__ = [
-    "METRICS",
-    "WorstCase",
-    "worst_case",
-    "DeltaBox",
-]
-
-
-class DeltaBox:
-    """Delta from a vector in [-1, 1]^d: a number for a real scalar, real and imaginary parts for the rest.
-
-    A complex scalar or a full matrix outside its ball is drawn back onto it, so every vector gives a Delta of the set.
-    """
-
-    def __init__(self, blocks: Sequence[Block]) -> None:
-        self.blocks = tuple(blocks)
-        self.slices: list[slice] = []
-        size = 0
-        for b in self.blocks:
-            self.slices.append(slice(size, size + b.n_coordinates))
-            size += b.n_coordinates
-        self.size = size
-        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if b.interval]
-
-    @property
-    def all_real(self) -> bool:
-        """Whether every block is a real scalar."""
-        return len(self.real) == len(self.blocks)
-
-    def deltas(self, theta: Array) -> NDArray[Any]:
-        """Stack of Deltas (k, q, p) from vectors (k, d)."""
-        dtype = float if self.all_real else complex
-        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
-        for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
-            delta[:, rows, cols] = block.members(theta[:, part])
-        return delta
-
-    def slope(self, theta: Array, delta_slope: Array) -> Array:
-        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for real scalars; at 0 the slope of the upper side."""
-        diagonal = np.array(
-            [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
-        )
-        below = np.array([-b.interval[0] for b in self.blocks if b.interval])
-        return np.where(theta < 0, below, 1.0) * diagonal
+__all__ = ["WorstCase", "worst_case"]
 
 
 LABEL = "sampled: a lower bound of the true worst case"
-
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
-
-# What a search may cost: about a minute.
-WORK = 60 * MILLION
-# Share of it that the climbs may take, each an equal part.
-CLIMBING = 0.5
-MAX_VERTICES = 1024
-# Local searches with gradients, and compass searches where there are none.
-CLIMBS, STARTS = 8, 4
-JUMPS, CLIMB_STEPS = 6, 40
-SMALLEST_STEP = 1e-7
-# Starting points of climbs are at least this far apart in one coordinate.
-APART = 0.2
 
 
 @dataclass(frozen=True)
@@ -180,6 +123,8 @@ def worst_case(
 
     Parameters
     ----------
+    uncertain
+        The set.
     metric
         A name in ``METRICS``, or a function of a model that gives a number, the larger the worse:
 
@@ -212,6 +157,12 @@ def worst_case(
         Work that the search may take, as a multiple of the usual (about a minute); counted, not timed. Most searches
         end long before.
 
+    Returns
+    -------
+    WorstCase
+        The largest value found (for ``damping``, ``controllability`` and ``hankel`` the smallest), re-evaluated, with
+        the Delta that attains it.
+
     Raises
     ------
     UsageError
@@ -228,26 +179,32 @@ def worst_case(
     >>> found.delta, round(found.value, 3)  # log(50) / 0.8
     ({'pole': -1.0}, 4.89)
     """
-    budget = search_budget("worst_case", WORK, effort, time_limit)
+    budget = search_budget("worst_case", TUNING.work, effort, time_limit)
     request = MetricRequest(metric, output, input, t, u, hold, band)
     for name, count, least in (("n", n, 1), ("workers", workers, 1), ("seed", seed, 0)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < least:
+        if not is_count(count, least):
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
     with one_thread():
         return _searched(uncertain, request, budget, int(n), int(seed), int(workers))
 
 
 def _searched(
-    uncertain: UncertainModel, request: MetricRequest, budget: Budget, n: int, seed: int, workers: int
+    uncertain: UncertainModel,
+    request: MetricRequest,
+    budget: Budget,
+    n: int,
+    seed: int,
+    workers: int,
+    tuning: WorstCaseTuning = TUNING,
 ) -> WorstCase:
     judge = make_metric(uncertain, request)
-    search = _Search(judge, budget)
+    search = _Search(judge, budget, tuning)
     theta, found = search.run(n, seed, workers)
     stack = search.box.deltas(theta[None])
     delta = delta_values(uncertain.blocks, stack[0])
     evaluation = judge.evaluate(delta)
     value = evaluation.value
-    status = Status.CONVERGED if evaluation.accurate and _agree(found, value, judge) else Status.INACCURATE
+    status = Status.CONVERGED if evaluation.accurate and judge.agrees(found, value) else Status.INACCURATE
     if search.ended:
         status = Status.TIMEOUT if search.remark == NOT_REPEATABLE else Status.INCONCLUSIVE
     why = f": {evaluation.reason}" if evaluation.reason else ""
@@ -274,16 +231,45 @@ def _searched(
     )
 
 
-def _agree(found: float, value: float, judge: Metric) -> bool:
-    if not np.isfinite(value) or not np.isfinite(found):
-        return value == found
-    slack = max(judge.slack(value), judge.slack(found))
-    # A second path that may look between the search's points can find a worse value: that is no fault.
-    beyond = judge.sense * (value - found)
-    return -slack <= beyond and (judge.one_sided or beyond <= slack)
-
-
 # --- the search ------------------------------------------------------------------------------------------------------
+
+
+class DeltaBox:
+    """Delta from a vector in [-1, 1]^d: a number for a real scalar, real and imaginary parts for the rest.
+
+    A complex scalar or a full matrix outside its ball is drawn back onto it, so every vector gives a Delta of the set.
+    """
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        self.blocks = tuple(blocks)
+        self.slices: list[slice] = []
+        size = 0
+        for b in self.blocks:
+            self.slices.append(slice(size, size + b.n_coordinates))
+            size += b.n_coordinates
+        self.size = size
+        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if b.interval]
+
+    @property
+    def all_real(self) -> bool:
+        """Whether every block is a real scalar."""
+        return len(self.real) == len(self.blocks)
+
+    def deltas(self, theta: Array) -> NDArray[Any]:
+        """Stack of Deltas (k, q, p) from vectors (k, d)."""
+        dtype = float if self.all_real else complex
+        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
+        for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
+            delta[:, rows, cols] = block.members(theta[:, part])
+        return delta
+
+    def slope(self, theta: Array, delta_slope: Array) -> Array:
+        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for real scalars; at 0 the slope of the upper side."""
+        diagonal = np.array(
+            [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
+        )
+        below = np.array([-b.interval[0] for b in self.blocks if b.interval])
+        return np.where(theta < 0, below, 1.0) * diagonal
 
 
 class _Unbounded(Exception):
@@ -312,8 +298,8 @@ class _Climb:
 class _Search:
     """Scores are ``sense * value``: the larger the worse."""
 
-    def __init__(self, judge: Metric, budget: Budget) -> None:
-        self.judge, self.budget = judge, budget
+    def __init__(self, judge: Metric, budget: Budget, tuning: WorstCaseTuning = TUNING) -> None:
+        self.judge, self.budget, self.tuning = judge, budget, tuning
         self.box = DeltaBox(judge.uncertain.blocks)
         self._real = RealSet(judge.uncertain) if self.box.all_real else None
         self.evaluations = self.gradients = 0
@@ -332,14 +318,14 @@ class _Search:
         best, top = points[order[0]], float(scores[order[0]])
         if self.box.size and not np.isposinf(top) and not self.ended:
             if self._has_slope(best):
-                starts = _apart(points[order], CLIMBS)
+                starts = _apart(points[order], self.tuning.climbs, self.tuning.apart)
                 for found in self._climbs(starts, workers):
                     self._add(found)
                     if found.score > top:
                         best, top = found.theta, found.score
                 best, top = self._finish(best, top, 0.25)
             else:
-                for index in order[:STARTS]:
+                for index in order[: self.tuning.starts]:
                     theta, score = self._finish(points[index], float(scores[index]), 2.0)
                     if score > top:
                         best, top = theta, score
@@ -350,7 +336,7 @@ class _Search:
         centre = np.zeros((1, d))
         if d == 0:
             return centre
-        signs = vertex_signs(len(self.box.real), MAX_VERTICES, seed) if self.box.real else np.zeros((0, 0))
+        signs = vertex_signs(len(self.box.real), self.tuning.vertices, seed) if self.box.real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
         vertices[:, self.box.real] = signs
         return np.vstack([centre, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
@@ -386,7 +372,7 @@ class _Search:
 
     def _climbs(self, starts: Array, workers: int) -> Iterator[_Climb]:
         # With a common budget the end of a climb would depend on how far the others, in other threads, have come.
-        each = CLIMBING * self.budget.left / len(starts)
+        each = self.tuning.climbing * self.budget.left / len(starts)
         budgets = [self.budget.apart(each) for _ in starts]
         if workers == 1:
             yield from map(self._climb, starts, budgets)
@@ -408,7 +394,8 @@ class _Search:
                 return -score / size, -slope / size
 
             bounds = [(-1.0, 1.0)] * self.box.size
-            minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
+            options = {"maxiter": self.tuning.climb_steps}
+            minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Unbounded as met:
             climb.theta, climb.score = met.theta, np.inf
         except _Over:
@@ -417,7 +404,7 @@ class _Search:
 
     def _jump(self, climb: _Climb) -> None:
         theta = climb.theta
-        for _ in range(JUMPS):
+        for _ in range(self.tuning.jumps):
             score, slope = self._score_and_slope(theta, climb)
             vertex = np.where(slope != 0, np.sign(slope), theta)
             trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
@@ -455,9 +442,9 @@ class _Search:
     def _finish(self, theta: Array, score: float, step: float) -> tuple[Array, float]:
         """Compass search in the box: steps along every coordinate, along the projected slope, and all gains together.
 
-        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as SMALLEST_STEP.
+        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as ``smallest_step``.
         """
-        while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
+        while step > self.tuning.smallest_step and not self.ended and not np.isposinf(score):
             trials = self._trials(theta, score, step)
             scores = self._scores(trials)
             best = int(scores.argmax())
@@ -496,11 +483,11 @@ def _sobol(n: int, d: int, seed: int) -> Array:
     return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
 
 
-def _apart(points: Array, count: int) -> Array:
-    """The first of the points that are not close to one taken before, at most ``count``."""
+def _apart(points: Array, count: int, distance: float) -> Array:
+    """The first of the points that are not within ``distance`` of one taken before, at most ``count``."""
     taken: list[Array] = []
     for point in points:
-        if all(np.abs(point - other).max() >= APART for other in taken):
+        if all(np.abs(point - other).max() >= distance for other in taken):
             taken.append(point)
         if len(taken) == count:
             break

@@ -23,17 +23,15 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.magnitude import refuse_overflow
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, transitions
+from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, lft_parts, transitions
 
 __all__ = ["delta_slope", "pole_slope", "response_slope", "steady_state_slope"]
 
 
 def delta_slope(uncertain: UncertainModel, delta: Array, slope: Array) -> Array:
     """``dv / dDelta`` (q, p) from ``slope = dv / d[A B; C D]`` at a real Delta (q, p)."""
-    m, (q, p) = uncertain.M, uncertain.delta_shape
-    d11 = m.D[:p, :q]
-    left = np.vstack([m.B[:, :q], m.D[p:, :q]])
-    right = np.hstack([m.C[:p], m.D[:p, q:]])
+    left, right, d11, _ = lft_parts(uncertain)
+    q, p = uncertain.delta_shape
     if d11.any():
         left = np.linalg.solve((np.eye(q) - delta @ d11).T, left.T).T
         right = np.linalg.solve(np.eye(p) - d11 @ delta, right)

@@ -31,6 +31,7 @@ from robustlab.errors import InputError, UnitMismatch
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.draws import is_count
 from robustlab.worst_case_analysis.influence import FEWEST_SAMPLES, Influence, influence_of
 from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
 
@@ -45,7 +46,6 @@ __all__ = [
 
 
 LABEL = "sampled: of deltas that are uniform and independent in their ranges; no statement on the worst case"
-AGREEMENT = 1e-6
 DEFAULT_SAMPLES = 1000
 
 
@@ -77,6 +77,20 @@ def sample_size(probability: float, confidence: float = 0.95, violations: int = 
     .. math:: n = \left\lceil \frac{\log(1 - c)}{\log(1 - p)} \right\rceil \text{ for none}, \qquad
               \sum_{i=0}^{k} \binom{n}{i} p^i (1 - p)^{n - i} \le 1 - c \text{ for } k
 
+    Parameters
+    ----------
+    probability
+        p, what is to be shown; between 0 and 1.
+    confidence
+        c, with which it is to be shown; between 0 and 1.
+    violations
+        k, how many of the samples may violate.
+
+    Returns
+    -------
+    int
+        n.
+
     Raises
     ------
     InputError
@@ -87,22 +101,16 @@ def sample_size(probability: float, confidence: float = 0.95, violations: int = 
     >>> sample_size(0.05, 0.95), sample_size(0.01, 0.99), sample_size(0.05, 0.95, violations=1)
     (59, 459, 93)
     """
-    from scipy.stats import binom
+    from scipy.stats import nbinom
 
     _check_share("probability", probability)
     _check_share("confidence", confidence)
-    if isinstance(violations, bool) or not isinstance(violations, (int, np.integer)) or violations < 0:
+    if not is_count(violations, 0):
         raise InputError("sample_size", f"violations is {violations!r}", "a whole number, not negative")
-    n = max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
     if violations == 0:
-        return n
-    low, high = int(violations), n
-    while binom.cdf(violations, high, probability) > 1.0 - confidence:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if binom.cdf(violations, middle, probability) > 1.0 - confidence else (low, middle)
-    return high
+        return max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
+    # At most k violations among n samples: the violation k + 1 comes after more than n - k - 1 samples that hold.
+    return int(violations) + 1 + int(nbinom.isf(1.0 - confidence, violations + 1, probability))
 
 
 class Quantile(NamedTuple):
@@ -239,6 +247,8 @@ def violation_probability(
 
     Parameters
     ----------
+    uncertain
+        The set; its parameters are taken as uniform in their ranges and independent.
     metric, output, input, t, u, hold, band
         As in `worst_case`.
     limit
@@ -249,8 +259,18 @@ def violation_probability(
         Between 0 and 1.
     n
         Samples; left out: as many as show ``probability`` without a violation, or 1000.
+    quantiles
+        Shares of the metric's quantiles, between 0 and 1.
+    seed
+        Same seed, same answer.
     workers
         Threads; the answer does not depend on their number.
+
+    Returns
+    -------
+    ViolationProbability
+        The share of samples that violate with its bounds, quantiles of the metric, its ``values (n,)``, the worst
+        sample, and which parameters matter.
 
     Raises
     ------
@@ -307,17 +327,9 @@ def violation_probability(
         values,
         influence_of(batch, values, worst) if real else None,
         int(seed),
-        Status.CONVERGED if _repeats(values[worst], again.value, judge) and again.accurate else Status.INACCURATE,
+        Status.CONVERGED if judge.agrees(float(values[worst]), again.value) and again.accurate else Status.INACCURATE,
         notes,
     )
-
-
-def _repeats(value: float, again: float, judge: Any) -> bool:
-    if not np.isfinite(value) or not np.isfinite(again):
-        return bool(value == again)
-    slack = max(judge.slack(value), judge.slack(again))
-    beyond = judge.sense * (again - value)
-    return -slack <= beyond and (judge.one_sided or beyond <= slack)
 
 
 def _limit(limit: float | str, unit: str, where: str) -> tuple[float, tuple[str, ...]]:
@@ -355,7 +367,7 @@ def _check_share(name: str, value: float) -> None:
 
 def _check_count(violations: int, n: int) -> None:
     for name, count, least in (("n", n, 1), ("violations", violations, 0)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < least:
+        if not is_count(count, least):
             raise InputError("clopper_pearson", f"{name} is {count!r}", f"a whole number, at least {least}")
     if violations > n:
         raise InputError("clopper_pearson", f"{violations} violations of {n} samples", "at most as many as samples")

@@ -18,14 +18,12 @@ from robustlab.statespace import Signal
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
 from robustlab.worst_case_analysis.ensemble import Excitation, Hold, in_lanes, responses
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = ["Bins", "StreamedResponses", "Sums", "blocks_of", "in_order", "stream"]
 
 T = TypeVar("T")
 
-BINS, FEWEST_BINS, MOST_COUNTS = 256, 16, 4_000_000
-MARGINAL = 1e-9
-AGREEMENT = 1e-6
 LABEL = "sampled: the true envelope may be wider"
 
 
@@ -206,7 +204,7 @@ class _Stream:
         with np.errstate(over="ignore", invalid="ignore"):
             lanes = in_lanes(ensemble, self.drive, self.x0, self.hold)
         accumulate(lanes, self.bins, sums, peak)
-        unstable = int(ensemble.is_unstable(MARGINAL).sum())
+        unstable = int(ensemble.is_unstable(TUNING.marginal).sum())
         return _Tally(sums, peak.max(axis=0), part.start + peak.argmax(axis=0), unstable)
 
 
@@ -225,11 +223,11 @@ def stream(
             raise InputError("stream", f"quantile {q!r}", "numbers between 0 and 1")
     members = RealSet(uncertain)
     nominal = responses(members.members(np.zeros((1, len(members)))), drive, x0, hold)[0]
-    if nominal.size * FEWEST_BINS > MOST_COUNTS:
-        limit = MOST_COUNTS // FEWEST_BINS
+    if nominal.size * TUNING.fewest_bins > TUNING.most_counts:
+        limit = TUNING.most_counts // TUNING.fewest_bins
         raise InputError("stream", f"{nominal.size} times x outputs", f"at most {limit}", "fewer times or outputs")
     first = members.drawn(deltas, slice(0, min(members.block, len(deltas))), "stream")
-    n_bins = int(np.clip(MOST_COUNTS // max(1, nominal.size), FEWEST_BINS, BINS))
+    n_bins = int(np.clip(TUNING.most_counts // max(1, nominal.size), TUNING.fewest_bins, TUNING.bins))
     bins = _bins(responses(first, drive, x0, hold), np.ascontiguousarray(nominal), n_bins)
     job = _Stream(members, deltas, drive, x0, hold, bins, n_bins)
     n_y = nominal.shape[1]
@@ -321,5 +319,5 @@ def _worst_again(
         y[k] = record[signal.name]
         again = float(np.abs(y[k] - job.bins.nominal[:, k]).max())
         size = max(float(peak[k]), float(np.abs(y[k]).max()))
-        repeats = repeats and abs(again - peak[k]) <= AGREEMENT * size
+        repeats = repeats and abs(again - peak[k]) <= TUNING.agreement * size
     return y, repeats

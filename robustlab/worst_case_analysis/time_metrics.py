@@ -24,12 +24,9 @@ from robustlab.worst_case_analysis.metric_contract import (
     selected,
 )
 from robustlab.worst_case_analysis.sensitivity import response_slope, steady_state_slope
+from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = ["Overshoot", "Peak", "PeakDeviation", "Rms", "SettlingTime", "TimeMetric", "settling_times"]
-
-
-# A final value below this share of the response's size is zero: there is nothing to be relative to.
-NO_FINAL_VALUE = 1e-9
 
 
 class TimeMetric(Metric):
@@ -185,7 +182,7 @@ class _Settled(TimeMetric):
             raise InputError("worst_case", "an input that changes", f"constant inputs: {self.name} is that of a step")
         need_stable(self.uncertain.nominal, f"it has no {self.name}")
         final = float(self._finals(self._centre)[0])
-        if abs(final) <= NO_FINAL_VALUE * float(np.abs(self._nominal).max(initial=0.0)):
+        if abs(final) <= TUNING.no_final_value * float(np.abs(self._nominal).max(initial=0.0)):
             raise NoTrustworthyNumber(
                 "worst_case",
                 f"the nominal response settles at {final:.3g}",
@@ -196,7 +193,7 @@ class _Settled(TimeMetric):
     def _finals(self, ensemble: Ensemble) -> Array:
         """Final values of all members (k,); infinite where a member does not settle."""
         n = ensemble.A.shape[1]
-        stable = ~ensemble.ill_posed & (ensemble.spectral_abscissa() < 0) if n else ~ensemble.ill_posed
+        stable = ensemble.is_stable()
         final = np.full(len(ensemble), np.inf)
         some = ensemble.part(np.flatnonzero(stable))
         u = self._drive.u[0]

@@ -16,6 +16,7 @@ from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample, worst_case
+from robustlab.worst_case_analysis.tuning import WorstCaseTuning
 
 T = np.linspace(0.0, 4.0, 81)
 
@@ -220,7 +221,7 @@ def test_size_of_a_response_is_limited():
 def test_chunks_do_not_change_the_answer(monkeypatch):
     samples = sample(uncertain(), 7)
     whole = samples.respond(T)
-    monkeypatch.setattr("robustlab.worst_case_analysis.ensemble.CHUNK", 100)
+    monkeypatch.setattr("robustlab.worst_case_analysis.ensemble.TUNING", WorstCaseTuning(chunk=100))
     np.testing.assert_allclose(samples.respond(T).y, whole.y, rtol=1e-12, atol=1e-14)
 
 

@@ -19,21 +19,20 @@ from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, cent
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, real_blocks
 from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
+from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = ["GainProblem", "MarginProblem"]
 
 
-INSIDE = 0.98  # level aimed at in a region, so that its D, G hold on an interval worth having
-PROVED = 0.9999  # a level below this proves the point
-
-
 class _AxisProblem:
     """Regions of a stable continuous model's Delta channels over [0, inf]."""
 
-    def __init__(self, model: StateSpaceModel, blocks: Sequence[Block], hot: float | None) -> None:
-        self.model, self.blocks, self.hot = model, tuple(blocks), hot
+    def __init__(
+        self, model: StateSpaceModel, blocks: Sequence[Block], hot: float | None, tuning: MuTuning = TUNING
+    ) -> None:
+        self.model, self.blocks, self.hot, self.tuning = model, tuple(blocks), hot, tuning
         self.scale = typical_speed(model)
 
     def work(self, count: int) -> int:
@@ -49,10 +48,10 @@ class _AxisProblem:
         if not sound:
             return result
         responses = np.concatenate([frequency_response(m, np.array([places[k]])) for k, m in sound.items()])
-        bounds = points_below(responses, self.blocks, INSIDE)
+        bounds = points_below(responses, self.blocks, self.tuning.inside)
         for (k, model), M, bound in zip(sound.items(), responses, bounds, strict=True):
             region = regions[k]
-            piece = extend(model, bound, 1.0, places[k]) if bound.beta < PROVED else None
+            piece = extend(model, bound, 1.0, places[k]) if bound.beta < self.tuning.proved else None
             if piece is None or not piece.low <= places[k] <= piece.high:
                 region.hot = places[k]
                 result[k] = block_weights(M, bound, self.blocks)

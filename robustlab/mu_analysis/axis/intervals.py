@@ -24,18 +24,12 @@ from robustlab.magnitude import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
-
-
-# The Hamiltonian is that of a beta smaller by this much: a double root blurred by rounding costs far less.
-SLACK = 1e-5
-BATCH = 8
-# Frequencies at which the sign is probed, to find an end or to see what the eigenvalues of H have missed.
-PROBES = 12
 
 
 @dataclass(frozen=True)
@@ -180,7 +174,7 @@ def cover_axis(
     beta = beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and not budget.over:
-        omega = cover.take_points(pending, scale, BATCH)
+        omega = cover.take_points(pending, scale, TUNING.frequencies)
         bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
         budget.spend(points_work(blocks, len(omega)))
         finite = [b.beta for b in bounds if np.isfinite(b.beta)]
@@ -197,21 +191,21 @@ def _size(model: StateSpaceModel, omega: Array) -> float:
 def extend_work(model: StateSpaceModel) -> int:
     """Work of `extend`, as measured: the eigenvalues of H, and the signs at and between them and at the probes."""
     n, p = model.n_states, max(model.n_inputs, model.n_outputs)
-    return 600 + (2 * n) ** 3 // 60 + (5 * PROBES + 4 * n) * (2 + p**2 // 20 + p**3 // 400)
+    return 600 + (2 * n) ** 3 // 60 + (5 * TUNING.probes + 4 * n) * (2 + p**2 // 20 + p**3 // 400)
 
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
     """The interval around ``omega`` on which D and G of ``bound`` prove beta; None where they do not at ``omega``."""
     if not np.isfinite(bound.beta):
         return None
-    candidates = _candidates(model, bound, beta * (1 - SLACK))
+    candidates = _candidates(model, bound, beta * (1 - TUNING.slack))
     if candidates is None:
         return None
     # The sign is constant on each segment between neighbouring ends, if the candidates are right.
     ends = np.concatenate([[0.0], np.unique(candidates[candidates > 0])])
     middles = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
     ends = np.append(ends, np.inf)
-    good = _negative(model, bound, beta * (1 - SLACK / 2), np.concatenate([[omega], ends, middles]))
+    good = _negative(model, bound, beta * (1 - TUNING.slack / 2), np.concatenate([[omega], ends, middles]))
     at_end, inside = good[1 : len(ends) + 1], good[len(ends) + 1 :]
     own = int(np.clip(np.searchsorted(ends, omega, side="right") - 1, 0, len(middles) - 1))
     if not (good[0] and inside[own]):
@@ -222,7 +216,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     while last < len(middles) - 1 and at_end[last + 1] and inside[last + 1]:
         last += 1
     # A candidate is where the stricter level is met: the sign has to be right there, or rounding has moved it.
-    tested = beta * (1 - SLACK / 2)
+    tested = beta * (1 - TUNING.slack / 2)
     low, high = float(ends[first]), float(ends[last + 1])
     if not at_end[first]:
         low = _edge(model, bound, tested, bad=low, good=float(middles[first]))
@@ -236,10 +230,10 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
 def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float, good: float) -> float:
     """Where the sign changes between a frequency at which it is wrong and one at which it is right; a right one."""
     for _ in range(4):
-        points = np.linspace(good, bad, PROBES + 2)[1:-1]
+        points = np.linspace(good, bad, TUNING.probes + 2)[1:-1]
         wrong = np.flatnonzero(~_negative(model, bound, beta, points))
-        stop = int(wrong[0]) if len(wrong) else PROBES
-        good, bad = float(points[stop - 1]) if stop else good, float(points[stop]) if stop < PROBES else bad
+        stop = int(wrong[0]) if len(wrong) else TUNING.probes
+        good, bad = float(points[stop - 1]) if stop else good, float(points[stop]) if stop < TUNING.probes else bad
     return good
 
 
@@ -252,7 +246,7 @@ def _between_failures(
     """
     top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
     bottom = low if low > 0 else 1e-6 * top
-    probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))
+    probes = np.unique(np.concatenate([np.linspace(low, top, TUNING.probes), np.geomspace(bottom, top, TUNING.probes)]))
     right = _negative(model, bound, beta, probes)
     if right.all():
         return low, high

@@ -16,6 +16,7 @@ from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.mu_analysis.matrix.certificate import certified_in_balls
 from robustlab.mu_analysis.matrix.decomposition import entries
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -89,9 +90,6 @@ class Margin:
         return {"type": "Margin", **{name: getattr(self, name) for name in names}, "gap": self.gap}
 
 
-POINTS = 5
-
-
 @dataclass(frozen=True)
 class BallCheck:
     """How many of the inequalities that were tried hold in ball arithmetic."""
@@ -129,7 +127,7 @@ def margin_in_balls(uncertain: UncertainModel, margin: Margin) -> BallCheck:
         members = range(len(uncertain.blocks)) if piece.members is None else piece.members
         w, z = entries(uncertain.blocks, members)
         top = piece.high if np.isfinite(piece.high) else 1e3 * max(piece.low, 1.0)
-        for M in frequency_response(model, np.linspace(piece.low, top, POINTS)):
+        for M in frequency_response(model, np.linspace(piece.low, top, TUNING.ball_points)):
             part = M[z[:, None], w]
             tried += 1
             proved += certified_in_balls(part, piece.bound.Dw, piece.bound.G, piece.beta, piece.bound.Dz)

@@ -24,22 +24,13 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
-from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
+from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.minimum_norm import FRACTIONS, unit_rows
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
 __all__ = ["Destabilising", "first_crossing", "perturbed_state_matrix", "search_work", "smallest_destabilising"]
-
-
-LEADING = 15  # steps that lead a pole to the axis
-FOLLOWING = 30  # steps along the axis
-SCALING = 6  # steps at the end that change the size of Delta alone
-# Candidates that are taken to the axis exactly, and grid peaks that paths start from.
-CHOSEN = 8
-PEAKS = 6
-ROUNDS = 15  # of descent along the axis at most
-LEAST_DESCENT = 1e-5
 
 
 @dataclass(frozen=True)
@@ -82,7 +73,7 @@ def smallest_destabilising(
         crossing = first_crossing(model, blocks, delta, best)
         if crossing is not None:
             crossings.append(crossing)
-    if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= SINGULAR * 1e3:
+    if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= TUNING.singular * 1e3:
         crossings.append(Destabilising(delta_norm(blocks, ill_posed), ill_posed, complex(np.inf)))
     return min(crossings, key=lambda c: c.norm, default=None)
 
@@ -101,7 +92,7 @@ def _matrix_candidates(
     # A purely real Delta reaches isolated frequencies only: trying others would find nothing.
     if len(omega) and not all(b.interval for b in blocks):
         others = lower_bounds(frequency_response(model, np.asarray(omega, dtype=float)), blocks, seed, 4, 24)
-        found += sorted(others, key=lambda pair: -pair[0])[:PEAKS]
+        found += sorted(others, key=lambda pair: -pair[0])[: TUNING.peaks]
     return [delta for _, delta in found if delta is not None], ill_posed
 
 
@@ -287,7 +278,7 @@ def _migrated(
     norm = np.concatenate(
         [norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]]
     )
-    chosen = pool[_distinct(pool, norm, CHOSEN + len(given))]
+    chosen = pool[_distinct(pool, norm, TUNING.crossings + len(given))]
     lower = _descended(model, layout, chosen)
     return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
 
@@ -351,10 +342,10 @@ def _migrate(
     u: ComplexArray = np.zeros((len(deltas), model.n_states), dtype=complex)
     v: ComplexArray = u
     first: Array = np.zeros(len(deltas))
-    for step in range(LEADING + FOLLOWING):
+    for step in range(TUNING.leading + TUNING.following):
         try:
             # On their way poles meet, and leave the real axis in pairs: only all eigenvalues tell which is next.
-            if step <= LEADING:
+            if step <= TUNING.leading:
                 pole, u, v, row, x = _by_eigenvalues(model, deltas, poles)
             else:
                 pole, u, v, row, x = _by_inverse_iteration(model, deltas, poles, u, v)
@@ -363,12 +354,12 @@ def _migrate(
         norms = layout.sizes(deltas).max(axis=1)
         arrived = (np.abs(pole.real) <= 1e-6 * speed) & (norms < best_norm) & (norms > 0)
         best[arrived], best_norm[arrived] = deltas[arrived], norms[arrived]
-        goal = pole.real * (1 - 1 / (LEADING - step)) if step < LEADING else np.zeros(len(pole))
+        goal = pole.real * (1 - 1 / (TUNING.leading - step)) if step < TUNING.leading else np.zeros(len(pole))
         new = _least_move(layout, deltas, pole, row, x, goal=goal)
-        if LEADING <= step < LEADING + FOLLOWING - SCALING:
+        if TUNING.leading <= step < TUNING.leading + TUNING.following - TUNING.scaling:
             gain = 0.3 + 0.7 * ((phase + step * 0.569840291) % 1.0)
             new = deltas + gain[:, None, None] * (new - deltas)
-        elif step >= LEADING + FOLLOWING - SCALING:
+        elif step >= TUNING.leading + TUNING.following - TUNING.scaling:
             new = _scaled_to_axis(deltas, pole, row, x)
         size = layout.sizes(new).max(axis=1)
         first = size if step == 0 else first
@@ -403,7 +394,7 @@ def _descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray
     aims = np.where(np.isfinite(aims), aims, 0.0)
     try:
         pole, u, v, row, x = _by_eigenvalues(model, deltas, aims)
-        for _ in range(ROUNDS):
+        for _ in range(TUNING.axis_rounds):
             now = deltas[going]
             aim = _least_move(layout, now, pole, row, x, goal=np.zeros(len(now)))
             tried = (now[:, None] + FRACTIONS[None, :, None, None] * (aim - now)[:, None]).reshape(-1, *now.shape[1:])
@@ -416,7 +407,7 @@ def _descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray
             close = np.abs(pole.real) <= 1e-7 * np.maximum(np.abs(start), 1e-9 * np.abs(model.A).max())
             reached = np.where(close, layout.sizes(tried).max(axis=1), np.inf).reshape(-1, trials)
             best = reached.argmin(axis=1) + trials * np.arange(len(going))
-            better = reached.min(axis=1) < norm[going] * (1 - LEAST_DESCENT)
+            better = reached.min(axis=1) < norm[going] * (1 - TUNING.least_axis_descent)
             best, going = best[better], going[better]
             if not len(going):
                 break

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import (
@@ -33,26 +33,15 @@ from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_ma
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.decomposition import entries
-from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds
+from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
+from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["WORK", "margin_within", "robust_stability"]
-
-
-# What a proof may cost: about a minute.
-WORK = 60 * MILLION
-# A first cover, this close to the D-G bound, tells whether branch and bound has to follow.
-COARSE = 4e-3
-# Half widths, in log frequency, of the neighbourhoods in which a smaller complex Delta is sought.
-SHARPENED = (0.1, 0.02, 0.004, 8e-4)
-# Sizes of an asymmetric set that are tried for the largest one that D, G prove.
-SIZES = 12
-# The first of them where nothing is known.
-LARGE = 1e3
+__all__ = ["margin_within", "robust_stability"]
 
 
 @dataclass
@@ -66,6 +55,7 @@ class _Found:
     cover: AxisCover
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
     expected: float | None = None
+    tuning: MuTuning = TUNING
 
     @property
     def attained(self) -> float:
@@ -136,7 +126,7 @@ def robust_stability(
     Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
     """
     compile_kernels()
-    budget = search_budget("robust_stability", WORK, effort, time_limit)
+    budget = search_budget("robust_stability", TUNING.work, effort, time_limit)
     with one_thread():
         return margin_within(uncertain, budget, omega, accuracy, seed, tolerance, expected)
 
@@ -149,6 +139,7 @@ def margin_within(
     seed: int = 0,
     tolerance: float = 0.01,
     expected: float | None = None,
+    tuning: MuTuning = TUNING,
 ) -> Margin:
     """`robust_stability` within the budget of a search that it is a part of."""
     check_nominal(uncertain, "robust_stability")
@@ -163,7 +154,7 @@ def margin_within(
         zero = np.zeros(len(grid))
         nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
         return _margin(uncertain, nothing, budget, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
-    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, budget, seed, expected)
+    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, budget, seed, expected, tuning)
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
     mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
@@ -184,6 +175,7 @@ def _bounds(
     budget: Budget,
     seed: int,
     expected: float | None,
+    tuning: MuTuning,
 ) -> _Found:
     seeds = seed_frequencies(model)
     symmetric = bool((lowest(blocks) == -1).all())
@@ -192,13 +184,13 @@ def _bounds(
         worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
     worst = worst and _as_seen(model, worst)
     if worst and symmetric:  # the search below measures entries of Delta, not their share of each side of a range
-        worst = _sharpened(model, blocks, worst, seed)
-    found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected)
+        worst = _sharpened(model, blocks, worst, seed, tuning)
+    found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected, tuning=tuning)
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
-    cover(found, first, budget, max(accuracy, COARSE))
-    near = found.level <= found.attained * (1 + max(tolerance, 2 * COARSE))
-    if not found.cover.open and accuracy < COARSE and (near or (symmetric and not found.attained)):
+    cover(found, first, budget, max(accuracy, tuning.coarse))
+    near = found.level <= found.attained * (1 + max(tolerance, 2 * tuning.coarse))
+    if not found.cover.open and accuracy < tuning.coarse and (near or (symmetric and not found.attained)):
         again = replace(found)
         middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]
         cover(again, np.append(first, np.unique(middles)), budget, accuracy)
@@ -211,19 +203,21 @@ def _bounds(
 
 def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
     """The pole in the upper half plane, with the Delta that belongs to it; at infinity where the loop is ill-posed."""
-    if singularity(model.D.astype(complex), worst.delta) <= SINGULAR * 1e3:
+    if singularity(model.D.astype(complex), worst.delta) <= TUNING.singular * 1e3:
         return Destabilising(worst.norm, worst.delta, complex(np.inf))
     if np.isfinite(worst.pole) and worst.pole.imag < 0:
         return Destabilising(worst.norm, np.conj(worst.delta), np.conj(worst.pole))
     return worst
 
 
-def _sharpened(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int) -> Destabilising:
+def _sharpened(
+    model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int, tuning: MuTuning
+) -> Destabilising:
     """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
     omega = worst.pole.imag
     if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst
-    for reach in SHARPENED:
+    for reach in tuning.sharpened:
         points = omega * np.exp(np.linspace(-reach, reach, 9))
         found = lower_bounds(frequency_response(model, points), blocks, seed, restarts=4, steps=24)
         k = int(np.argmax([value for value, _ in found]))
@@ -250,9 +244,9 @@ def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: floa
 
 def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
     """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
-    size = 1 / found.attained / (1 + accuracy) if found.attained else found.expected or LARGE
+    size = 1 / found.attained / (1 + accuracy) if found.attained else found.expected or found.tuning.large
     failed = 1 / found.attained if found.attained else np.inf
-    for _ in range(SIZES):
+    for _ in range(found.tuning.sizes):
         inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
         if inside is None or not inside.is_stable():
             failed, size = size, size / 2
@@ -309,8 +303,8 @@ def _branch_and_bound(found: _Found, tolerance: float, budget: Budget) -> None:
     """Close the gap that D, G leave, by boxes of the real parameters."""
     assert found.worst is not None
     hot = abs(found.worst.pole.imag) if np.isfinite(found.worst.pole) else None
-    problem = MarginProblem(found.model, found.blocks, hot)
-    proof = tighten(problem, found.attained, found.level, tolerance, budget)
+    problem = MarginProblem(found.model, found.blocks, hot, found.tuning)
+    proof = tighten(problem, found.attained, found.level, tolerance, budget, found.tuning)
     if proof.values is not None:
         delta = centre_matrix(found.blocks, proof.values).astype(complex)
         crossing = first_crossing(found.model, found.blocks, delta)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, Mask
-from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import (
@@ -31,6 +31,7 @@ from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, ti
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
 from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
+from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -40,13 +41,7 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
 
 
-# What a proof may cost: about a minute.
-WORK = 60 * MILLION
 PERFORMANCE = "performance"
-BATCH = 8
-STARTS = 6  # members that are followed to a peak of their own
-COARSE = 4e-3
-SKEWED = 4  # bounds of mu that one skewed bound costs
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +161,7 @@ def worst_case_gain(
     (2.0, -1.0)
     """
     compile_kernels()
-    budget = search_budget("worst_case_gain", WORK, effort, time_limit)
+    budget = search_budget("worst_case_gain", TUNING.work, effort, time_limit)
     with one_thread():
         return gain_within(uncertain, budget, omega, tolerance, seed)
 
@@ -177,6 +172,7 @@ def gain_within(
     omega: ArrayLike | None = None,
     tolerance: float = 0.01,
     seed: int = 0,
+    tuning: MuTuning = TUNING,
 ) -> WorstCaseGain:
     """`worst_case_gain` within the budget of a search that it is a part of."""
     check_nominal(uncertain, "worst_case_gain")
@@ -193,7 +189,7 @@ def gain_within(
         found = _result(uncertain, nominal.value, known, budget, notes, grid)
         return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
     blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y))
-    return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed)
+    return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed, tuning)
 
 
 def _with_blocks(
@@ -204,6 +200,7 @@ def _with_blocks(
     tolerance: float,
     budget: Budget,
     seed: int,
+    tuning: MuTuning,
 ) -> WorstCaseGain:
     model = continuous(uncertain.M)
     seeds = seed_frequencies(model)
@@ -213,8 +210,8 @@ def _with_blocks(
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
         known = _Known(np.inf, np.inf, delta_values(uncertain.blocks, unstable.delta), at)
         return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
-    known = _largest_member(uncertain, model, blocks, seeds, seed)
-    _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
+    known = _largest_member(uncertain, model, blocks, seeds, seed, tuning)
+    _prove(known, model, blocks, seeds, tolerance, budget, uncertain, tuning)
     with np.errstate(all="ignore"):
         error = _rounding(known, uncertain)
     if not error <= QUIET * known.lower:
@@ -292,7 +289,12 @@ def _unstable_member(
 
 
 def _largest_member(
-    uncertain: UncertainModel, model: StateSpaceModel, blocks: Sequence[Block], seeds: Array, seed: int
+    uncertain: UncertainModel,
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    seeds: Array,
+    seed: int,
+    tuning: MuTuning,
 ) -> _Known:
     """The member of largest gain found: ascents at many frequencies, the best ones followed to their own peaks."""
     rng = np.random.default_rng(seed)
@@ -306,7 +308,7 @@ def _largest_member(
         if (gain := largest_gain(M, blocks, box, rng, 4)) is not None
     ]
     best = _Known(0.0, float("inf"))
-    for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:STARTS]:
+    for gain, w in sorted(met, key=lambda pair: -pair[0].value)[: tuning.members]:
         found = _followed(uncertain, model, blocks, gain, w, box)
         if found.lower > best.lower:
             best = found
@@ -381,18 +383,19 @@ def _prove(
     tolerance: float,
     budget: Budget,
     uncertain: UncertainModel,
+    tuning: MuTuning,
 ) -> None:
     """Cover the axis with D, G; then cut the set into boxes where they leave more than the tolerance."""
     peak = _mapped(uncertain, known.frequency or 0.0)
     first = np.unique(np.concatenate([[0.0, np.inf, peak], seeds]))
-    known.cover, known.upper = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=COARSE)
-    if known.upper <= known.lower * (1 + 2 * COARSE):
+    known.cover, known.upper = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=tuning.coarse)
+    if known.upper <= known.lower * (1 + 2 * tuning.coarse):
         cover, level = _cover(model, blocks, known.lower, first=first, budget=budget, accuracy=1e-4)
         if level < known.upper:
             known.cover, known.upper = cover, level
     known.proof = tuple(known.cover.pieces)
     if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
-        proof = tighten(GainProblem(model, blocks, peak), known.lower, known.upper, tolerance, budget)
+        proof = tighten(GainProblem(model, blocks, peak, tuning), known.lower, known.upper, tolerance, budget, tuning)
         if proof.values is not None:
             _take_member(known, uncertain, blocks, proof.values)
         if proof.upper < known.upper:
@@ -430,7 +433,7 @@ def _cover(
     level = lower * (1 + accuracy)
     pending = list(first)
     while cover.open and not budget.over:
-        omega = cover.take_points(pending, scale, BATCH)
+        omega = cover.take_points(pending, scale, TUNING.frequencies)
         response = frequency_response(model, omega)
         level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
         bounds = points_below(divided(response, varying, level), blocks, 1 / (1 + accuracy / 2))
@@ -442,7 +445,7 @@ def _cover(
                 return cover, float("inf")
             level = max(level, raised)
             again = points_below(divided(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
-            budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
+            budget.spend((TUNING.skewed + 1) * points_work(blocks, len(over)))
             for k, bound in zip(over, again, strict=True):
                 bounds[k] = bound
         closed = StateSpaceModel(model.A, divided(model.B, varying, level), model.C, divided(model.D, varying, level))

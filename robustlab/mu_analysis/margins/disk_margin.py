@@ -25,11 +25,12 @@ import numpy as np
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, told_as
 from robustlab.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.axis.stability import WORK, margin_within
+from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.margins.small_gain import fitting_controller, replayed_pole, signed, small_gain
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import compile_kernels
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
@@ -51,11 +52,6 @@ __all__ = [
 ]
 
 Place = Literal["input", "output", "both"]
-# Bounds of several loops that are farther apart than this get a closer search along the axis.
-CLOSE = 1e-5
-# I - M Delta is singular where its smallest singular value is below this share of its largest.
-SINGULAR = 1e-7
-AT_END = 1e-12
 PLACES: tuple[Place, ...] = ("input", "output", "both")
 
 
@@ -223,7 +219,7 @@ def disk_margin(
     loop, names = disk_channels(p, controller_for(p.n_outputs, p.n_inputs, K), (0, 0), at, skew, sign)
     if len(names) > 1:
         compile_kernels()
-    budget = search_budget("disk_margin", WORK, effort, time_limit)
+    budget = search_budget("disk_margin", TUNING.work, effort, time_limit)
     with one_thread():
         channels = {
             name: disk_margin_of(loop.select([loop.input_names[i]], [loop.output_names[i]]), [name], skew, budget)
@@ -322,7 +318,7 @@ def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, budget: B
     upper, frequency, values = margin.upper, margin.frequency, margin.delta
     if margin.pole is not None and margin.pole.imag < 0:  # the same crossing seen at the positive frequency
         values = {name: np.conj(value) for name, value in values.items()}
-    if upper > margin.lower * (1 + CLOSE):
+    if upper > margin.lower * (1 + TUNING.disk_close):
         found = _largest_on_the_axis(uncertain, frequency)
         if found is not None and found[0] < upper:
             upper, frequency, values = found
@@ -342,7 +338,7 @@ def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency
     matrix = delta_matrix(uncertain.blocks, delta).astype(complex)
     ends = np.array([0.0, np.pi / M.dt if M.is_discrete else np.inf])
     for omega, response in zip(ends, frequency_response(M, ends), strict=True):
-        if singularity(response, matrix) <= AT_END:
+        if singularity(response, matrix) <= TUNING.at_end:
             return float(omega)
     return frequency
 
@@ -379,7 +375,7 @@ def _result(
     perturbation, pole, notes = {}, None, list(remarks)
     if frequency is not None:
         loop = frequency_response(uncertain.delta_channels, [frequency])[0]
-        seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= SINGULAR
+        seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= TUNING.disk_singular
         try:
             pole, on_axis = replayed_pole(uncertain, delta, frequency)
             made = realise_delta(uncertain.blocks, delta, frequency, uncertain.dt)

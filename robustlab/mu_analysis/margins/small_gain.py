@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.frequency import frequency_response
 from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
@@ -41,11 +42,6 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
 __all__ = ["SmallGain", "fitting_controller", "peak_response", "replayed_pole", "signed", "small_gain"]
-
-# Relative width of the norm's bracket.
-RTOL = 1e-9
-# I - M Delta is singular where its smallest singular value is below this share of its largest.
-SINGULAR = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +129,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
         k = fitting_controller(K, len(uncertain.inputs), len(uncertain.outputs), "small_gain: K")
         closed = uncertain.close(signed(k, sign))
     M = closed.delta_channels
-    norm = hinf_norm(M, rtol=RTOL)
+    norm = hinf_norm(M, rtol=TUNING.norm_width)
     if not np.isfinite(norm.upper):
         raise NoTrustworthyNumber(
             "small_gain",
@@ -150,7 +146,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     name = blocks[0].name
     delta.setflags(write=False)
     pole, on_axis = replayed_pole(closed, {name: delta}, frequency)
-    found = singularity(response, delta) <= SINGULAR and on_axis
+    found = singularity(response, delta) <= TUNING.singular and on_axis
     status = norm.status if found else Status.INACCURATE
     stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
     upper = 1 / float(sigma[0])
@@ -162,7 +158,7 @@ def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np
     end = np.pi / M.dt if M.is_discrete else np.inf
     for omega in (0.0, end):
         response = frequency_response(M, [omega])[0]
-        if np.linalg.norm(response, 2) >= norm.lower * (1 - RTOL):
+        if np.linalg.norm(response, 2) >= norm.lower * (1 - TUNING.norm_width):
             return omega, response
     return norm.frequency, frequency_response(M, [norm.frequency])[0]
 

@@ -23,7 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import search_work
@@ -38,6 +38,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     gain_and_phase,
 )
 from robustlab.mu_analysis.matrix.upper import compile_kernels
+from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar
@@ -45,17 +46,6 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
 
 __all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
-
-# What the whole search may cost: about a minute.
-WORK = 60 * MILLION
-# Share of it for the question whether a member is unstable without any disk.
-ALONE = 0.2
-# The margin of the scaled set changes less than the size of the disks does: it is asked for more closely.
-MARGIN_ACCURACY = 2e-4
-# A pole this close to the stability boundary, beside the fastest one, does not count as stable.
-ON_THE_AXIS = 1e-9
-# Where the bounds no longer move, the search ends after this many margins.
-MAX_MARGINS = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +137,7 @@ def worst_case_disk_margin(
     if not 0 < accuracy < 1:
         raise InputError("worst_case_disk_margin", f"accuracy {accuracy}", "0 < accuracy < 1")
     compile_kernels()
-    budget = search_budget("worst_case_disk_margin", WORK, effort, time_limit)
+    budget = search_budget("worst_case_disk_margin", TUNING.work, effort, time_limit)
     with one_thread():
         search = _Search(uncertain, K, at, channel, skew, sign, budget, seed)
         search.run(accuracy)
@@ -167,10 +157,11 @@ class _Search:
         sign: Literal[-1, 1],
         budget: Budget,
         seed: int,
+        tuning: MuTuning = TUNING,
     ) -> None:
         k = controller_for(len(uncertain.outputs), len(uncertain.inputs), K)
         self.blocks, self.skew, self.budget, self.seed = uncertain.blocks, skew, budget, seed
-        self.uncertain = uncertain
+        self.uncertain, self.tuning = uncertain, tuning
         loop, self.names = disk_channels(uncertain.M, k, uncertain.delta_shape, at, skew, sign)
         q, p = uncertain.delta_shape
         if channel is not None:
@@ -195,7 +186,7 @@ class _Search:
             self.lower = self.nominal.lower
             return
         alone = margin_within(
-            UncertainModel(self.loop.delta_channels, self.blocks), self.budget.share(ALONE), seed=self.seed
+            UncertainModel(self.loop.delta_channels, self.blocks), self.budget.share(self.tuning.alone), seed=self.seed
         )
         if alone.upper <= 1:  # a member on the stability boundary, if not beyond
             self._take(alone, alone.delta)
@@ -205,7 +196,9 @@ class _Search:
         while self.upper > self.lower * (1 + accuracy) and not self.budget.over:
             before = self.lower, self.upper
             self._step(self._next(accuracy))
-            if len(self.asked) >= MAX_MARGINS or (before == (self.lower, self.upper) and self._closed_in(accuracy)):
+            if len(self.asked) >= self.tuning.margins or (
+                before == (self.lower, self.upper) and self._closed_in(accuracy)
+            ):
                 return
 
     def _next(self, accuracy: float) -> float:
@@ -246,7 +239,7 @@ class _Search:
         disks: list[Block] = [ComplexScalar(f"disk: {name}") for name in self.names]
         loop = UncertainModel(scaled, [*self.blocks, *disks])
         self.budget.spend(search_work(m.n_states, loop.blocks))
-        return margin_within(loop, self.budget, accuracy=MARGIN_ACCURACY, seed=self.seed)
+        return margin_within(loop, self.budget, accuracy=self.tuning.margin_accuracy, seed=self.seed)
 
     def _take(self, margin: Margin, found: Mapping[str, Any]) -> None:
         """Take the member at ``found``, and at the ends of the set in its direction, as candidates for the worst."""
@@ -274,7 +267,7 @@ class _Search:
             return disk_margin_of(model, self.names, self.skew, self.budget, self.seed)
         except NoTrustworthyNumber:
             speed = float(np.abs(model.poles()).max(initial=0.0))
-            if model.spectral_abscissa() > -ON_THE_AXIS * speed:
+            if model.spectral_abscissa() > -self.tuning.on_the_axis * speed:
                 return None
             return self.member or self.nominal  # stable, only without a number: no candidate
 

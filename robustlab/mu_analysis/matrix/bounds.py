@@ -10,21 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import ComplexArray
-from robustlab.budget import MILLION, Budget, one_thread, search_budget
+from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
 from robustlab.mu_analysis.matrix.certificate import certified_in_balls, has_structure
 from robustlab.mu_analysis.matrix.decomposition import components
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
 __all__ = ["MuBounds", "matrix_stack", "mu"]
-
-
-# What branch and bound may cost, for all matrices of a stack together: about a minute.
-WORK = 60 * MILLION
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +149,7 @@ def mu(
         raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
     if tolerance is not None:
         compile_kernels()
-    budget = search_budget("mu", WORK, effort, time_limit)
+    budget = search_budget("mu", TUNING.work, effort, time_limit)
     with one_thread():
         parts, status = _bounds(stack, structure, seed, certify)
         if tolerance is not None:

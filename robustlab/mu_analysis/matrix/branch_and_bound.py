@@ -25,9 +25,10 @@ from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.mu_analysis.matrix.box import Box, box_matrices, centre_matrix, root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
-from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bound
+from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
+from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = [
@@ -41,11 +42,6 @@ __all__ = [
     "real_blocks",
     "tighten",
 ]
-
-
-BATCH = 16  # regions solved together
-SEARCHED = 2  # regions of a batch in which a Delta is searched for, where the problem is one matrix
-NARROW = 1e-7  # relative width below which a box is not cut again: rounding decides there
 
 
 @dataclass(frozen=True)
@@ -119,7 +115,9 @@ class Problem(Protocol):
         ...
 
 
-def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget) -> Proof:
+def tighten(
+    problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget, tuning: MuTuning = TUNING
+) -> Proof:
     """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
 
     A wide gap is halved first, and halved again: each level costs several times the one before it, so that what is
@@ -137,7 +135,7 @@ def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budg
         gap = min(proof.upper / proof.lower - 1, 2.0)
         level = proof.lower * (1 + (tolerance if gap <= 3 * tolerance else gap / 2))
         regions, leaves = [problem.root(level)], []
-        worse = _prove(problem, regions, level, budget, leaves, proof)
+        worse = _prove(problem, regions, level, budget, leaves, proof, tuning)
         if worse is not None:
             proof.lower, proof.values = worse.level, worse.values
         elif regions:  # the budget is over, or a box has come to rounding size
@@ -153,7 +151,13 @@ def by_regions(count: int) -> str:
 
 
 def _prove(
-    problem: Problem, regions: list[Region], level: float, budget: Budget, leaves: list[Region], proof: Proof
+    problem: Problem,
+    regions: list[Region],
+    level: float,
+    budget: Budget,
+    leaves: list[Region],
+    proof: Proof,
+    tuning: MuTuning,
 ) -> Improved | None:
     """Work on the regions, a stack emptied in place, until all are proved or the budget is over; or a Delta above it.
 
@@ -161,8 +165,8 @@ def _prove(
     """
     real, root = real_blocks(problem.blocks), problem.root(level).box
     while regions and not budget.over:
-        chosen = regions[-BATCH:]
-        del regions[-BATCH:]
+        chosen = regions[-tuning.regions :]
+        del regions[-tuning.regions :]
         before = [list(r.open) for r in chosen]
         proof.solves += len(chosen)
         weights = problem.examine(chosen)
@@ -178,7 +182,7 @@ def _prove(
             found = problem.attack(region)
             if found is not None and found.level > level and (worst is None or found.level > worst.level):
                 worst = found
-            index = _where_to_cut(region.box, weight, real, root)
+            index = _where_to_cut(region.box, weight, real, root, tuning.narrow)
             if index is None:
                 regions.append(region)
                 stuck = True
@@ -196,9 +200,9 @@ def real_blocks(blocks: Sequence[Block]) -> Mask:
     return np.array([b.interval is not None for b in blocks], dtype=bool)
 
 
-def _where_to_cut(box: Box, weight: Array, real: Mask, root: Box) -> int | None:
+def _where_to_cut(box: Box, weight: Array, real: Mask, root: Box, narrow: float) -> int | None:
     """The real block that weighs most in what is not proved, wide intervals first; None where all are narrow."""
-    share = np.where(real & (box.half > NARROW * root.half), box.half / np.maximum(root.half, 1e-300), 0.0)
+    share = np.where(real & (box.half > narrow * root.half), box.half / np.maximum(root.half, 1e-300), 0.0)
     if not share.any():
         return None
     return int(np.argmax((weight / max(float(weight.sum()), 1e-300) + 1e-6) * np.sqrt(share)))
@@ -217,8 +221,8 @@ def block_weights(M: ComplexArray, bound: UpperBound, blocks: Sequence[Block]) -
 class MatrixProblem:
     """mu of one matrix M (p, q)."""
 
-    def __init__(self, M: ComplexArray, blocks: Sequence[Block]) -> None:
-        self.M, self.blocks = M, tuple(blocks)
+    def __init__(self, M: ComplexArray, blocks: Sequence[Block], tuning: MuTuning = TUNING) -> None:
+        self.M, self.blocks, self.tuning = M, tuple(blocks), tuning
         self._found: Improved | None = None
         self._batches = 0
 
@@ -249,7 +253,7 @@ class MatrixProblem:
         # The lower bound that was given is good nearly always: looks at batch 1, 2, 4, 8, ... cost little.
         self._batches += 1
         if self._batches & (self._batches - 1) == 0:
-            for _, k in sorted(failed)[:SEARCHED]:
+            for _, k in sorted(failed)[: self.tuning.searched]:
                 self._search(stack[k], regions[k].box)
         return result
 
@@ -261,7 +265,7 @@ class MatrixProblem:
         half = np.repeat(box.half, [b.rows for b in self.blocks])
         whole = centre_matrix(self.blocks, box.centre) + half[:, None] * delta
         size = delta_norm(self.blocks, whole)
-        if singularity(self.M, whole) <= SINGULAR and (self._found is None or 1 / size > self._found.level):
+        if singularity(self.M, whole) <= self.tuning.singular and (self._found is None or 1 / size > self._found.level):
             self._found = Improved(1 / size, whole)
 
     def attack(self, region: Region) -> Improved | None:

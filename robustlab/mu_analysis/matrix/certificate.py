@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import DependencyMissing, InputError
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.uncertainty.blocks import Block, block_slices
 
 __all__ = [
@@ -230,9 +231,6 @@ def _power_of_two_scaled(
     )
 
 
-PRECISIONS = (128, 512, 2048)  # bits; the next where the one before cannot decide
-
-
 def certified_in_balls(M: ArrayLike, D: ArrayLike, G: ArrayLike, beta: float, D_z: ArrayLike | None = None) -> bool:
     r"""Whether D > 0 and the D-G inequality hold strictly, with all numbers taken as the exact doubles they are.
 
@@ -277,7 +275,7 @@ def certified_in_balls(M: ArrayLike, D: ArrayLike, G: ArrayLike, beta: float, D_
     _check_finite(plant, d_w, d_z, g, beta)
     before = flint.ctx.prec
     try:
-        for bits in PRECISIONS:
+        for bits in TUNING.precisions:
             flint.ctx.prec = bits
             if _proved(flint, plant, d_w, d_z, g, float(beta)):
                 return True

@@ -125,7 +125,7 @@ def _compiled_osborne() -> Callable[[Array, int, float], Array]:
     import numba as nb
 
     @nb.njit(cache=True, error_model="numpy")
-    def osborne(log, sweeps, tol):
+    def osborne(log: Array, sweeps: int, tol: float) -> Array:
         """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about the same norm.
 
         The norms come as logarithms to base 2 (-inf on the diagonal): their squares span more decades than floats do.

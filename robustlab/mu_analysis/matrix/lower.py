@@ -36,30 +36,12 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
     smallest_step,
 )
 from robustlab.mu_analysis.matrix.starting_points import gain_ascent, power_directions, vertex_rays, vertex_search
+from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.uncertainty.blocks import Block, structure_size
 
-__all__ = ["SINGULAR", "lower_bound", "lower_bounds"]
+__all__ = ["lower_bound", "lower_bounds"]
 
 Found = tuple[float, ComplexArray | None]
-
-# Relative smallest singular value below which I - M Delta counts as singular.
-SINGULAR = 1e-11
-# A Delta counts as attaining its bound where an exactly singular one lies within this share of its norm.
-NEARBY = 1e-8
-# Candidates per matrix that are taken to rounding and verified.
-CHOSEN = 6
-# So many times the paths asked for begin where blocks are real; the most promising go on.
-WIDER = 3
-# Candidates per matrix that go down along the singular set, and the rounds of that.
-DESCENDING = 2
-ROUNDS = 12
-# Structures of so few real blocks alone get scattered starts as well, so many.
-FEW = 5
-SCATTERED = 48
-# The farthest that rows and columns are scaled: what lies beyond it is none, and two such factors do not overflow.
-FARTHEST = 2.0**500
-# Numbers that one stack of paths may hold.
-STACK = 4_000_000
 
 
 def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
@@ -78,7 +60,12 @@ def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restart
 
 
 def lower_bounds(
-    stack: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40
+    stack: ComplexArray,
+    blocks: Sequence[Block],
+    seed: int = 0,
+    restarts: int = 12,
+    steps: int = 40,
+    tuning: MuTuning = TUNING,
 ) -> list[Found]:
     """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
     best: list[Found] = [(0.0, None)] * len(stack)
@@ -92,13 +79,13 @@ def lower_bounds(
     for members, group in jobs.items():
         part = [blocks[i] for i in members]
         layout = delta_layout(part)
-        chunk = max(1, STACK // (max(restarts, 1) * layout.p * max(layout.q, layout.p)))
+        chunk = max(1, tuning.stack // (max(restarts, 1) * layout.p * max(layout.q, layout.p)))
         for first in range(0, len(group), chunk):
             some = group[first : first + chunk]
             matrices = np.stack([component.matrix / size for _, component, size in some])
             # A path that leads nowhere may overflow; its end does not verify.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
+                candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps, tuning)
             for (k, component, size), found in zip(some, candidates, strict=True):
                 with np.errstate(over="ignore", invalid="ignore"):  # a Delta that overflows does not verify
                     back = [c for c in (c / size for c in found) if np.isfinite(c).all()]
@@ -118,14 +105,15 @@ def _verified(
         if 1 / norm <= best[0]:
             break
         delta = _embed(candidate, blocks, component)
-        close = singularity(component.matrix, candidate) <= SINGULAR and singularity(M, delta) <= 1e3 * SINGULAR
+        close = singularity(component.matrix, candidate) <= TUNING.singular
+        close = close and singularity(M, delta) <= 1e3 * TUNING.singular
         if close and _singular_nearby(component.matrix, part, candidate):
             return 1 / delta_norm(blocks, delta), delta
     return best
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
-    r"""Whether a Delta of the structure within ``NEARBY`` of this one makes ``I - M Delta`` singular to first order.
+    r"""Whether a Delta of the structure within ``nearby`` of this one makes ``I - M Delta`` singular to first order.
 
     A small singular value alone does not say so: that of ``I - M Delta`` for a nilpotent M falls like
     ``1 / ||Delta||``, and no Delta at all makes it zero.
@@ -135,9 +123,9 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
     for _ in range(3):
         scale_rows /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=1))
-        scale_rows = np.clip(scale_rows, 1 / FARTHEST, FARTHEST)
+        scale_rows = np.clip(scale_rows, 1 / TUNING.farthest, TUNING.farthest)
         scale_cols /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=0))
-        scale_cols = np.clip(scale_cols, 1 / FARTHEST, FARTHEST)
+        scale_cols = np.clip(scale_cols, 1 / TUNING.farthest, TUNING.farthest)
     u, sigma, vh = np.linalg.svd(loop * scale_rows[:, None] * scale_cols)
     y, x, smallest = scale_rows * u[:, -1], scale_cols * np.conj(vh[-1]), sigma[-1]
     rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
@@ -150,13 +138,13 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     with np.errstate(over="ignore", invalid="ignore"):
         step = smallest_step(gains, real)
         reached = (np.where(real, gains * step, np.abs(gains * step))).sum()
-    return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= NEARBY * delta_norm(blocks, delta))
+    return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= TUNING.nearby * delta_norm(blocks, delta))
 
 
 def _within_reach(
     M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array
 ) -> bool:
-    """Whether a loop that is singular to rounding is so for a Delta within ``NEARBY``, or for M with other last bits.
+    """Whether a loop that is singular to rounding is so for a Delta within ``nearby``, or for M with other last bits.
 
     With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
     jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
@@ -171,7 +159,7 @@ def _within_reach(
     off = float(np.abs((gains * along).imag).sum())
     if off > 1e-6 * size:
         return True
-    reach = NEARBY * float(layout.sizes(delta[None]).max())
+    reach = TUNING.nearby * float(layout.sizes(delta[None]).max())
     residual = _exact_residual(M, delta, x, y) * along
     last_places = EPS * float(np.abs(y) @ np.abs(M) @ np.abs(delta) @ np.abs(x))
     return abs(residual.imag) <= max(off * reach, last_places) and abs(residual.real) <= max(size * reach, last_places)
@@ -206,27 +194,29 @@ def _power_of_two(size: Array) -> Array:
 # --- candidates ------------------------------------------------------------------------------------------------------
 
 
-def _candidates(M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int) -> list[list[ComplexArray]]:
+def _candidates(
+    M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int, tuning: MuTuning
+) -> list[list[ComplexArray]]:
     """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
     if layout.real.any():
-        x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
+        x, y, near = _promising(M, layout, *_starts(M, layout, seed, tuning.wider * restarts, steps), restarts)
         x_more, y_more = _ascended(M, layout, near, seed, max(restarts // 3, 1))
         x, y = np.concatenate([x, x_more], axis=1), np.concatenate([y, y_more], axis=1)
     else:
         x, y = _starts(M, layout, seed, restarts, steps)
     delta, norm = _follow(M, layout, x, y, steps=10 + steps // 3)
-    few = layout.real.all() and layout.n <= FEW
+    few = layout.real.all() and layout.n <= tuning.few
     if few:
-        more, more_norm = _scattered(M, layout, norm.min(axis=1), seed)
+        more, more_norm = _scattered(M, layout, norm.min(axis=1), seed, tuning.scattered)
         delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
-    of, chosen = _chosen(norm, CHOSEN)
+    of, chosen = _chosen(norm, tuning.chosen)
     sharp = sharpened(M[of], layout, delta[of, chosen])
     if layout.real.any():
         # The best of each matrix go down to the minimum of their valley.
         sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
-        count = 2 * DESCENDING if few else DESCENDING
+        count = 2 * tuning.descending if few else tuning.descending
         best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
-        lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
+        lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], tuning.rounds))
         sharp, of = np.concatenate([sharp, lower]), np.concatenate([of, of[best]])
     found = [list(sharp[of == k]) for k in range(len(M))]
     if layout.real.all():
@@ -260,21 +250,21 @@ def _residuals(M: ComplexArray, delta: ComplexArray) -> Array:
     return np.linalg.svd(np.eye(M.shape[1]) - M @ delta, compute_uv=False)[:, -1]
 
 
-def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int) -> tuple[ComplexArray, Array]:
-    """Deltas (k, r, q, p), singular, next to random points of the box of the best norm (k,) so far, and their norms.
+def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, Array]:
+    """Singular Deltas (k, count, q, p) next to random points of the box of the best norm (k,) so far, and their norms.
 
     With few real parameters valleys are narrow, and steps to the corners jump over them.
     """
     rng = np.random.default_rng([seed, 3])
     k = len(M)
     radius = np.where(np.isfinite(norm), norm, 3.0)
-    values = rng.uniform(-1, 1, (1, SCATTERED, layout.n)) * radius[:, None, None]
-    ones = np.ones((k * SCATTERED, layout.q), dtype=complex)
+    values = rng.uniform(-1, 1, (1, count, layout.n)) * radius[:, None, None]
+    ones = np.ones((k * count, layout.q), dtype=complex)
     start = layout.deltas(values.reshape(-1, layout.n).astype(complex), ones, ones)
-    repeated = _repeated(M, SCATTERED)
+    repeated = _repeated(M, count)
     found = sharpened(repeated, layout, start, steps=8)
     sizes = np.where(_residuals(repeated, found) <= 1e-8, layout.sizes(found).max(axis=1), np.inf)
-    return found.reshape(k, SCATTERED, layout.q, layout.p), sizes.reshape(k, SCATTERED)
+    return found.reshape(k, count, layout.q, layout.p), sizes.reshape(k, count)
 
 
 def _starts(

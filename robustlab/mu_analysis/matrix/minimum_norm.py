@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout
+from robustlab.mu_analysis.tuning import TUNING
 
 __all__ = [
     "descended",
@@ -27,19 +28,8 @@ __all__ = [
 ]
 
 
-# Steps, undamped, at the beginning of a path.
-FREE = 6
-# Steps at its end that restore singularity.
-RESTORING = 5
-# Residual below which a Delta of a path is kept; `sharpened` takes it to rounding.
-CLOSE = 1e-7
-# Share of the norm by which every real block may move where singularity is restored.
-LEAST_ROOM = 0.02
-# Shares of the way to the smallest step that descent tries, and the least relative fall of the norm it goes on for.
+# Shares of the way to the smallest step that descent tries.
 FRACTIONS = 0.5 ** np.arange(7)
-LEAST_DESCENT = 1e-4
-# Entries of Delta beyond this size lead nowhere; M is of order one.
-HUGE = 1e9
 
 
 def minimum_norm_paths(
@@ -67,21 +57,22 @@ def minimum_norm_paths(
     phase, averaging = index * 0.754877666 % 1.0, index % 2 == 1
     for step in range(steps):
         row = rows(M, x, y)
-        if step >= steps - RESTORING and delta is not None:
+        if step >= steps - TUNING.restoring and delta is not None:
             delta = restored(layout, delta, row, x)
         else:
             new = layout.deltas(smallest_step(layout.gains(row, x), layout.real), row, x)
-            if delta is None or step < FREE:
+            if delta is None or step < TUNING.free:
                 delta = new
             else:
                 gain = 0.5 + 0.5 * ((phase + step * 0.569840291) % 1.0)
-                gain = np.where(averaging, 2.0 / (step - FREE + 3.0), gain)
+                gain = np.where(averaging, 2.0 / (step - TUNING.free + 3.0), gain)
                 delta = delta + gain[:, None, None] * (new - delta)
         delta = _limited(delta)
         x, y, residual = null_directions(M, delta, x, y)
-        if step >= min(FREE, steps - RESTORING) - 1:
+        if step >= min(TUNING.free, steps - TUNING.restoring) - 1:
             norm = layout.sizes(delta).max(axis=1)
-            better = (residual <= CLOSE) & (norm < best_norm * (1 - 1e-6 * (residual > 1e-12))) & (norm > 0)
+            lower = norm < best_norm * (1 - 1e-6 * (residual > 1e-12))
+            better = (residual <= TUNING.path_residual) & lower & (norm > 0)
             best[better], best_norm[better] = delta[better], norm[better]
     return best, best_norm
 
@@ -134,10 +125,11 @@ def descended(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, rounds:
             x, y, _ = null_directions(m, tried, x, y)
             tried = _limited(restored(layout, tried, rows(m, x, y), x))
         x, y, residual = null_directions(m, tried, x, y)
-        reached = np.where(residual <= CLOSE, layout.sizes(tried).max(axis=1), np.inf).reshape(-1, trials)
+        reached = np.where(residual <= TUNING.path_residual, layout.sizes(tried).max(axis=1), np.inf)
+        reached = reached.reshape(-1, trials)
         best = reached.argmin(axis=1)
         reached = reached[np.arange(len(going)), best]
-        better = reached < norm[going] * (1 - LEAST_DESCENT)
+        better = reached < norm[going] * (1 - TUNING.least_descent)
         chosen = tried.reshape(-1, trials, layout.q, layout.p)[np.arange(len(going)), best]
         delta[going[better]], norm[going[better]] = chosen[better], reached[better]
         going = going[better]
@@ -181,7 +173,7 @@ def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Com
     parts = layout.contributions(delta, row, x)
     sizes = layout.sizes(delta)
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
-    room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
+    room = np.where(layout.real, np.maximum(norm - sizes, TUNING.least_room * norm), 0.0)
     gains = layout.gains(row, x)
     total = parts.sum(axis=1)
     columns: ComplexArray = np.concatenate([total[:, None], np.where(layout.real, gains * room, 1j * parts)], axis=1)
@@ -211,11 +203,11 @@ def unit_rows(v: ComplexArray, instead: ComplexArray | None = None) -> ComplexAr
 
 def _limited(delta: ComplexArray) -> ComplexArray:
     size = np.abs(delta).max(axis=(1, 2))
-    wild = ~(size <= HUGE)
+    wild = ~(size <= TUNING.huge)
     if not wild.any():
         return delta
     delta = np.where(np.isfinite(delta), delta, 0.0)
-    return np.clip(delta.real, -HUGE, HUGE) + 1j * np.clip(delta.imag, -HUGE, HUGE)
+    return np.clip(delta.real, -TUNING.huge, TUNING.huge) + 1j * np.clip(delta.imag, -TUNING.huge, TUNING.huge)
 
 
 def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:

@@ -15,31 +15,14 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-# Sums may be taken in any order; NaN and infinity keep their meaning, as the tests for them need it.
-ENTRY: dict[str, Any] = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "nsz"},
-}
+FAST = {"contract", "reassoc", "nsz"}  # sums in any order; NaN and infinity keep their meaning: tests need it
+ENTRY: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": FAST}
 # The others are called from compiled code only: without entrances from Python they compile in half the time. For the
 # same reason sums of arrays are written as loops; numba compiles a kernel of its own for each array expression.
 INSIDE: dict[str, Any] = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 # Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
 SHORT_G = 1e-4
-
-
-class Pattern(NamedTuple):
-    """The entries of the sparse E(x) of `ScalingSpace`."""
-
-    rows: np.ndarray
-    cols: np.ndarray
-    coefficients: np.ndarray
-    first: np.ndarray  # (size + 1,) where each parameter's entries begin
-    owner: np.ndarray  # (size,) diagonal block of D_w that a parameter belongs to; -1 for those of G
-    trace: np.ndarray  # (size,) gradient of the trace of D_w
-    blocks: np.ndarray  # where each diagonal block of D_w begins, and its order last
 
 
 class Point(NamedTuple):
@@ -101,18 +84,6 @@ def product(A, B):
 
 
 @nb.njit(**INSIDE)
-def adjoint_product(A, B):
-    """``A^* B``."""
-    C = np.zeros((A.shape[1], B.shape[1]), dtype=np.complex128)
-    for k in range(A.shape[0]):
-        for i in range(A.shape[1]):
-            a = np.conj(A[k, i])
-            for j in range(B.shape[1]):
-                C[i, j] += a * B[k, j]
-    return C
-
-
-@nb.njit(**INSIDE)
 def along(X, a, Y):
     """``X + a Y``."""
     C = np.empty(X.shape, dtype=np.complex128)
@@ -120,12 +91,6 @@ def along(X, a, Y):
         for j in range(X.shape[1]):
             C[i, j] = X[i, j] + a * Y[i, j]
     return C
-
-
-@nb.njit(**INSIDE)
-def blank(n):
-    """A zero matrix."""
-    return np.zeros((n, n), dtype=np.complex128)
 
 
 @nb.njit(**INSIDE)
@@ -138,27 +103,10 @@ def dot(x, y):
 
 
 @nb.njit(**INSIDE)
-def assign(X, a, Y):
-    """``X = a Y`` in place."""
-    for i in range(X.shape[0]):
-        for j in range(X.shape[1]):
-            X[i, j] = a * Y[i, j]
-
-
-@nb.njit(**INSIDE)
 def shift(x, a, y):
     """``x += a y`` in place."""
     for i in range(len(x)):
         x[i] += a * y[i]
-
-
-@nb.njit(**INSIDE)
-def step_to(x, a, y):
-    """``x + a y``."""
-    out = np.empty(len(x))
-    for i in range(len(x)):
-        out[i] = x[i] + a * y[i]
-    return out
 
 
 @nb.njit(**INSIDE)
@@ -234,7 +182,7 @@ def inverse(L, blocks):
 @nb.njit(**INSIDE)
 def block_product(A, B, blocks):
     """``A B`` of block-diagonal matrices."""
-    C = blank(len(A))
+    C = np.zeros_like(A)
     for b in range(len(blocks) - 1):
         for i in range(blocks[b], blocks[b + 1]):
             for k in range(blocks[b], blocks[b + 1]):
@@ -258,19 +206,24 @@ def form(x, t, tall, pattern):
             else:
                 for j in range(q):
                     B[row, j] += a * tall[col, j]
-    return symmetrise(along(B[:q], 1.0, adjoint_product(tall[q:], B[q:])))
+    lower = np.zeros((q, q), dtype=np.complex128)  # M^* times the rows of z
+    for k in range(q, len(tall)):
+        for i in range(q):
+            a = np.conj(tall[k, i])
+            for j in range(q):
+                lower[i, j] += a * B[k, j]
+    return symmetrise(along(B[:q], 1.0, lower))
 
 
 @nb.njit(**INSIDE)
 def d_form(x, pattern):
     """``D_w(x)``."""
     q = pattern.blocks[-1]
-    W = blank(q)
+    W = np.zeros((q, q), dtype=np.complex128)
     for i in range(len(x)):
-        if pattern.owner[i] >= 0:
-            for e in range(pattern.first[i], pattern.first[i + 1]):
-                if pattern.rows[e] < q:
-                    W[pattern.rows[e], pattern.cols[e]] += pattern.coefficients[e] * x[i]
+        for e in range(pattern.first[i], pattern.first[i + 1]):
+            if pattern.rows[e] < q and pattern.cols[e] < q:
+                W[pattern.rows[e], pattern.cols[e]] += pattern.coefficients[e] * x[i]
     return W
 
 
@@ -279,10 +232,8 @@ def sandwich(X, tall):
     """``U^* X U``."""
     n, q = tall.shape
     W = np.empty((n, n), dtype=np.complex128)
+    W[:q, :q] = X
     J = product(tall[q:], X)
-    for i in range(q):
-        for j in range(q):
-            W[i, j] = X[i, j]
     for i in range(n - q):
         for j in range(q):
             W[q + i, j] = J[i, j]
@@ -315,16 +266,18 @@ def d_traces(X, pattern):
     q = pattern.blocks[-1]
     out = np.zeros(len(pattern.trace))
     for i in range(len(out)):
-        if pattern.owner[i] >= 0:
-            for e in range(pattern.first[i], pattern.first[i + 1]):
-                if pattern.rows[e] < q:
-                    out[i] += (pattern.coefficients[e] * X[pattern.cols[e], pattern.rows[e]]).real
+        for e in range(pattern.first[i], pattern.first[i + 1]):
+            if pattern.rows[e] < q and pattern.cols[e] < q:
+                out[i] += (pattern.coefficients[e] * X[pattern.cols[e], pattern.rows[e]]).real
     return out
 
 
 @nb.njit(**INSIDE)
-def curvature(V, W, t, T, Y, pattern):
-    """``Re tr(F_i P F_j Z) + Re tr(D_i T D_j Y)`` from ``V = U^* P U`` and ``W = U^* Z U``; lower half."""
+def curvature(V, W, t, T, Y, pattern, short):
+    """``Re tr(F_i P F_j Z) + Re tr(D_i T D_j Y)`` from ``V = U^* P U`` and ``W = U^* Z U``; lower half.
+
+    With the curvature of ``short |G|^2 / 2``.
+    """
     n, q = len(pattern.trace), pattern.blocks[-1]
     rows, cols, first, owner = pattern.rows, pattern.cols, pattern.first, pattern.owner
     c = np.empty(len(rows), dtype=np.complex128)
@@ -345,6 +298,8 @@ def curvature(V, W, t, T, Y, pattern):
                             a = pattern.coefficients[e] * T[cols[e], rows[f]]
                             total += (a * pattern.coefficients[f] * Y[cols[f], rows[e]]).real
             H[i, j] = total
+        if owner[i] < 0:
+            H[i, i] += short
     return H
 
 
@@ -358,11 +313,12 @@ def g_part(x, pattern):
 
 
 @nb.njit(**INSIDE)
-def shorten(H, weight, pattern):
-    """Add the curvature of ``weight |G|^2 / 2``."""
-    for i in range(len(H)):
-        if pattern.owner[i] < 0:
-            H[i, i] += weight
+def centring(x, t, V, T, pattern):
+    """Downward slope of the barrier at x, from ``V = U^* P U`` and T."""
+    down = traces(V, t, pattern)
+    shift(down, 1.0, d_traces(T, pattern))
+    shift(down, -SHORT_G, g_part(x, pattern))
+    return down
 
 
 @nb.njit(**INSIDE)
@@ -415,16 +371,12 @@ def newton_solve(H, scale, right):
 @nb.njit(**INSIDE)
 def longest(X, dX, bend, S, dS, blocks, top, halvings):
     """Largest step a up to ``top``, by bisection, with ``X + a dX + a^2 bend > 0`` and ``S + a dS > 0``."""
-    L, whole = blank(len(X)), np.array([0, len(X)])
+    L, whole = np.zeros_like(X), np.array([0, len(X)])
     low, high, a = 0.0, top, top
     for _ in range(3 * halvings):
         inside = np.isfinite(factor(along(S, a, dS), blocks, L))
-        if inside:
-            inside = np.isfinite(factor(along(along(X, a, dX), a * a, bend), whole, L))
-        if inside:
-            low = a
-        else:
-            high = a
+        inside = inside and np.isfinite(factor(along(along(X, a, dX), a * a, bend), whole, L))
+        low, high = (a, high) if inside else (low, a)
         # A step was found and is known to a part of 2^-halvings of the longest one thinkable.
         if low == top or (low > 0 and high - low <= top * 0.5**halvings):
             break
@@ -438,8 +390,7 @@ def evaluate(x, t, tall, pattern):
     q = tall.shape[1]
     S = d_form(x, pattern)
     F = form(x, t, tall, pattern)
-    L, K = blank(q), blank(q)
-    whole = np.array([0, q])
+    L, K, whole = np.zeros_like(F), np.zeros_like(S), np.array([0, q])
     barrier = -factor(F, whole, L) - factor(S, pattern.blocks, K)
     if np.isfinite(barrier):
         return Point(F, S, inverse(L, whole), inverse(K, pattern.blocks)), barrier
@@ -450,9 +401,8 @@ def evaluate(x, t, tall, pattern):
 def descent(point, dF, dS, barrier, blocks, linear, square):
     """A step along dF, dS that lowers the barrier well: the longest, then shorter ones as long as they do better."""
     F, S = point.F, point.S
-    L, K = blank(len(F)), blank(len(S))
-    whole = np.array([0, len(F)])
-    a = 0.9 * longest(F, dF, blank(len(F)), S, dS, blocks, 4.0, 4)
+    L, K, whole = np.zeros_like(F), np.zeros_like(S), np.array([0, len(F)])
+    a = 0.9 * longest(F, dF, L.copy(), S, dS, blocks, 4.0, 4)
     best, best_a = barrier, 0.0
     for _ in range(20):
         trial = -factor(along(F, a, dF), whole, L) - factor(along(S, a, dS), blocks, K)
@@ -466,24 +416,21 @@ def descent(point, dF, dS, barrier, blocks, linear, square):
 
 
 @nb.njit(**INSIDE)
-def centre(x, t, tall, pattern, Z, Y):
-    """Newton steps of x, in place, to the analytic centre at t, where Z and Y become feasible. Their number, or -1."""
+def centre(x, t, tall, pattern):
+    """Newton steps of x, in place, to the analytic centre at t: their number, or -1, and feasible Z and Y there."""
     q, blocks = tall.shape[1], pattern.blocks
+    none = np.zeros((q, q), dtype=np.complex128)
     for count in range(30):
         point, barrier = evaluate(x, t, tall, pattern)
         if not np.isfinite(barrier):
-            return -1
+            break
         P, T = point.P, point.T
         V = sandwich(P, tall)
-        H = curvature(V, V, t, T, T, pattern)
-        shorten(H, SHORT_G, pattern)
+        H = curvature(V, V, t, T, T, pattern, SHORT_G)
         scale, good = newton_factor(H)
         if not good:
-            return -1
-        down = traces(V, t, pattern)
-        shift(down, 1.0, d_traces(T, pattern))
-        G = g_part(x, pattern)
-        shift(down, -SHORT_G, G)
+            break
+        down = centring(x, t, V, T, pattern)
         dx, keep = newton_solve(H, scale, down), newton_solve(H, scale, pattern.trace)
         shift(dx, -dot(pattern.trace, dx) / dot(pattern.trace, keep), keep)
         dF = form(dx, t, tall, pattern)
@@ -494,17 +441,15 @@ def centre(x, t, tall, pattern, Z, Y):
             pair = along(P, -1.0, product(product(P, dF), P))
             pair_d = along(T, -1.0, block_product(block_product(T, dS, blocks), T, blocks))
             size = inner(pair, point.S)
-            if not (size > 0 and np.isfinite(factor(pair, whole, blank(q)))):
-                return -1
-            assign(Z, 1 / size, symmetrise(pair))
-            assign(Y, 1 / size, symmetrise(pair_d))
-            return count + 1
-        dG = g_part(dx, pattern)
+            if not (size > 0 and np.isfinite(factor(pair, whole, none.copy()))):
+                break
+            return count + 1, along(none, 1 / size, symmetrise(pair)), along(none, 1 / size, symmetrise(pair_d))
+        G, dG = g_part(x, pattern), g_part(dx, pattern)
         a = descent(point, dF, dS, barrier, blocks, SHORT_G * dot(G, dG), 0.5 * SHORT_G * dot(dG, dG))
         if a == 0:
-            return -1
+            break
         shift(x, a, dx)
-    return -1
+    return -1, none, none
 
 
 @nb.njit(**INSIDE)
@@ -542,27 +487,24 @@ def allowance(x, tall, point, pattern):
 def newton_system(x, t, tall, pattern, point, Z, Y, nu):
     """The factorised system in dx, and what is left of it for dt and the multiplier of the fixed trace."""
     V, W = sandwich(point.P, tall), sandwich(Z, tall)
-    H = curvature(V, W, t, point.T, Y, pattern)
-    shorten(H, nu * SHORT_G, pattern)
+    H = curvature(V, W, t, point.T, Y, pattern, nu * SHORT_G)
     scale, good = newton_factor(H)
     X = symmetrise(product(product(point.P, point.S), Z))
     b = traces(sandwich(X, tall), t, pattern)
     shift(b, -1.0, d_traces(Z, pattern))
     Hb, Hc = newton_solve(H, scale, b), newton_solve(H, scale, pattern.trace)
-    centring = traces(V, t, pattern)
-    shift(centring, 1.0, d_traces(point.T, pattern))
-    shift(centring, -SHORT_G, g_part(x, pattern))
     tt, tc, cc = inner(X, point.S) - dot(b, Hb), -dot(b, Hc), -dot(pattern.trace, Hc)
     good = good and tt * cc - tc * tc != 0
-    return System(H, scale, b, Hb, Hc, tt, tc, cc, centring, inner(point.P, point.S)), good
+    return System(H, scale, b, Hb, Hc, tt, tc, cc, centring(x, t, V, point.T, pattern), inner(point.P, point.S)), good
 
 
 @nb.njit(**INSIDE)
 def direction(tall, t, pattern, system, point, Z, Y, nu, second):
     """Newton direction to the point of the central path with ``F Z = nu I``; ``second`` holds terms of second order."""
-    q, blocks, P, T = tall.shape[1], pattern.blocks, point.P, point.T
+    blocks, P, T = pattern.blocks, point.P, point.T
     C = symmetrise(product(P, along(product(second.bend, Z), 1.0, second.twist)))
-    right = step_to(second.push, nu, system.centring)
+    right = second.push.copy()
+    shift(right, nu, system.centring)
     shift(right, -1.0, traces(sandwich(C, tall), t, pattern))
     shift(right, -1.0, d_traces(second.twist_d, pattern))
     right_t = nu * system.centring_t - 1.0 + second.push_t - inner(C, point.S)
@@ -570,7 +512,8 @@ def direction(tall, t, pattern, system, point, Z, Y, nu, second):
     r1, r2 = right_t - dot(system.b, y), -dot(pattern.trace, y)
     determinant = system.tt * system.cc - system.tc * system.tc
     dt = (r1 * system.cc - system.tc * r2) / determinant
-    dx = step_to(y, -dt, system.Hb)
+    dx = y.copy()
+    shift(dx, -dt, system.Hb)
     shift(dx, -(system.tt * r2 - system.tc * r1) / determinant, system.Hc)
     dS = d_form(dx, pattern)
     dF = along(form(dx, t, tall, pattern), dt, point.S)
@@ -578,17 +521,18 @@ def direction(tall, t, pattern, system, point, Z, Y, nu, second):
     dZ = along(along(Z, 1.0, symmetrise(product(P, curved))), -nu, P)
     dY = along(symmetrise(block_product(block_product(T, dS, blocks), Y, blocks)), 1.0, second.twist_d)
     dY = along(along(dY, 1.0, Y), -nu, T)
-    return Direction(dx, dt, dF, dS, along(blank(q), -1.0, dZ), along(blank(q), -1.0, dY))
+    zero = np.zeros_like(dZ)
+    return Direction(dx, dt, dF, dS, along(zero, -1.0, dZ), along(zero, -1.0, dY))
 
 
 @nb.njit(**INSIDE)
 def advance(x, t, tall, pattern, point, Z, Y, gap):
-    """One predictor-corrector step of x, Z and Y in place: change of t, and the shorter of both step lengths."""
+    """One predictor-corrector step, of x in place: change of t, the shorter of both step lengths, and Z, Y after it."""
     blocks, F, S = pattern.blocks, point.F, point.S
-    q, zero = len(F), blank(len(F))
+    q, zero = len(F), np.zeros_like(F)
     system, good = newton_system(x, t, tall, pattern, point, Z, Y, gap / (2 * q))
     if not good:
-        return np.nan, 0.0
+        return np.nan, 0.0, Z, Y
     second = Second(zero, zero, zero, np.zeros(len(x)), 0.0)
     d = direction(tall, t, pattern, system, point, Z, Y, 0.0, second)
     ap = longest(F, d.dF, zero, S, d.dS, blocks, 1.0, 4)
@@ -597,33 +541,33 @@ def advance(x, t, tall, pattern, point, Z, Y, gap):
     ratio = min(max(ahead / gap, 0.0), 1.0)
     nu = min(max(ratio**2, 1e-3 if min(ap, ad) > 0.9 else 0.05), 0.9) * gap / (2 * q)
     twist_d = symmetrise(block_product(block_product(point.T, d.dS, blocks), d.dY, blocks))
-    push = step_to(np.zeros(len(x)), d.dt, d_traces(d.dZ, pattern))
+    push = np.zeros(len(x))
+    shift(push, d.dt, d_traces(d.dZ, pattern))
     second = Second(along(zero, d.dt, d.dS), product(d.dF, d.dZ), twist_d, push, inner(d.dZ, d.dS))
     d = direction(tall, t, pattern, system, point, Z, Y, nu, second)
     bend = along(zero, d.dt, d.dS)
     ap = min(1.0, 0.96 * longest(F, d.dF, bend, S, d.dS, blocks, 1.05, 5))
     ad = min(1.0, 0.96 * longest(Z, d.dZ, zero, Y, d.dY, blocks, 1.05, 5))
     shift(x, ap, d.dx)
-    assign(Z, 1.0, along(Z, ad, d.dZ))
-    assign(Y, 1.0, along(Y, ad, d.dY))
-    return ap * d.dt, min(ap, ad)
+    return ap * d.dt, min(ap, ad), along(Z, ad, d.dZ), along(Y, ad, d.dY)
 
 
 @nb.njit(**ENTRY)
 def descend(x, t, tall, pattern, tol, goal, max_steps):
-    """Follow the central path down from x, t.
+    """The best x down the central path from x, t, and whether its t is the optimum within ``tol``.
 
-    Returns the best x, whether its t is the optimum within ``tol`` (or its goal was reached, or shown out of reach),
-    and the number of Newton systems.
+    Or its goal was reached, or shown out of reach.
     """
-    Z, Y = blank(tall.shape[1]), blank(tall.shape[1])
-    best_x, best_t = step_to(x, 0.0, x), np.inf
+    Z = Y = np.zeros((tall.shape[1], tall.shape[1]), dtype=np.complex128)
+    best_x, best_t = x.copy(), np.inf
     steps, restarts, short, settled = 0, 0, True, False
     last, left = np.inf, np.inf
     while steps < max_steps:
         if short:
             restarts += 1
-            used = centre(x, t, tall, pattern, Z, Y) if restarts <= 4 else -1
+            if restarts > 4:
+                break
+            used, Z, Y = centre(x, t, tall, pattern)
             if used < 0:
                 break
             steps += used
@@ -633,14 +577,14 @@ def descend(x, t, tall, pattern, tol, goal, max_steps):
         reached = t + allowance(x, tall, point, pattern)
         if reached < best_t:
             best_t = reached
-            best_x = step_to(x, 0.0, x)
+            best_x = x.copy()
         gap = inner(Z, point.F) + inner(Y, point.S)
         # A D far from I makes the gap lie: the steps of t have to die out too.
         settled = best_t <= max(goal, 0.0) or (gap <= tol * t and left <= 3 * tol * t)
         settled = settled or (goal > 0 and t - 2 * gap - left > goal)
         if settled:
             break
-        move, length = advance(x, t, tall, pattern, point, Z, Y, gap)
+        move, length, Z, Y = advance(x, t, tall, pattern, point, Z, Y, gap)
         if not np.isfinite(move):
             break
         t += move
@@ -648,4 +592,4 @@ def descend(x, t, tall, pattern, tol, goal, max_steps):
         left, last = abs(move) * ratio / (1 - ratio), move
         steps += 1
         short = length < 0.05
-    return best_x, settled, steps
+    return best_x, settled

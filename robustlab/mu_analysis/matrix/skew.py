@@ -31,17 +31,11 @@ from robustlab.mu_analysis.matrix.gain import largest_gain
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
+from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, structure_size
 
 __all__ = ["divided", "skew_lower", "skew_mu", "skew_upper", "varying_inputs"]
-
-
-ROUNDS = 14
-# Factors by which a level is raised until its D, G prove it.
-INFLATIONS = (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
-# Levels above this, for a matrix of norm one, count as infinite: the fixed blocks alone are at the edge of singular.
-LARGEST = 1e8
 
 
 @told_as("skew_mu")
@@ -127,11 +121,11 @@ def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: flo
     if not M[:, varying].any():
         return _when_nothing_varies(M, blocks, plain)
     level, best, proof = max(size, 1e-300), float("inf"), plain
-    for _ in range(ROUNDS):
+    for _ in range(TUNING.skew_rounds):
         bound = upper_bounds(divided(M, varying, level)[None], blocks, tol)[0]
         reached = level * _level_of(divided(M, varying, level), bound, varying)
         if not np.isfinite(reached):
-            if np.isfinite(best) or level > LARGEST * size:
+            if np.isfinite(best) or level > TUNING.largest_level * size:
                 break
             level *= 8
             continue
@@ -238,7 +232,7 @@ def _level_of(M: ComplexArray, bound: UpperBound, varying: Mask) -> float:
 
 def _certified(M: ComplexArray, varying: Mask, level: float, bound: UpperBound) -> float:
     """The level, raised until D, G prove it with their rounding errors; inf where they never do."""
-    for inflation in INFLATIONS:
+    for inflation in TUNING.inflations:
         raised = level * (1 + inflation)
         G = _carried(bound.G, varying, 1 / (1 + inflation))
         # M / level carries one rounding more a entry, far inside the allowance of `proves`.

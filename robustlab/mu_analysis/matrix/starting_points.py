@@ -30,13 +30,9 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, positive
 from robustlab.mu_analysis.matrix.minimum_norm import unit_rows
+from robustlab.mu_analysis.tuning import TUNING
 
 __all__ = ["gain_ascent", "power_directions", "vertex_rays", "vertex_search"]
-
-
-SWEEPS = 2
-# Vertices of so many real parameters are all tried.
-EXHAUSTIVE = 7
 
 
 def power_directions(
@@ -105,7 +101,7 @@ def gain_ascent(
 
     Only real blocks move, inside [-radius, radius] (k,).
     """
-    for _ in range(SWEEPS):
+    for _ in range(TUNING.sweeps):
         for i in np.flatnonzero(layout.real):
             w, z = np.flatnonzero(layout.of_w == i), np.flatnonzero(layout.of_z == i)
             now = delta[:, w[0], z[0]].real
@@ -137,7 +133,7 @@ def vertex_search(M: Array, signs: Array, rounds: int = 40) -> list[tuple[float,
     it negative, a smaller singular vertex has been passed, and the size shrinks to it.
     """
     n = len(M)
-    if n <= EXHAUSTIVE:
+    if n <= TUNING.exhaustive:
         bits = (np.arange(2 ** (n - 1))[:, None] >> np.arange(n)) & 1
         return vertex_rays(M, 1.0 - 2.0 * bits)
     found = vertex_rays(M, signs)

@@ -26,7 +26,7 @@ from robustlab.recipe.vocabulary import (
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
-    from robustlab.mu_analysis.covering import Cover
+    from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.statespace import StateSpaceModel
 
 AmplitudePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
