@@ -18,7 +18,7 @@ from robustlab.errors import EnvironmentFault, NoTrustworthyNumber, UsageError, 
 from robustlab.units import same_unit
 
 if TYPE_CHECKING:
-    from robustlab.identification import Comparison
+    from robustlab.identification.comparison.comparison_result import Comparison
     from robustlab.identification.naming.discovery_result import Discovery
     from robustlab.provenance import Provenance
     from robustlab.record import Record
@@ -201,7 +201,7 @@ def compare(
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     """
-    from robustlab.identification import compare as compare_with
+    from robustlab.identification.comparison.comparison import compare as compare_with
     from robustlab.statespace import as_model
 
     system = _plant_or_model(model, settings or [])

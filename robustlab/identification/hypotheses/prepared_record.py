@@ -13,6 +13,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.response.response import slowest_time_constant
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
@@ -102,10 +103,7 @@ class PreparedRecord:
 def window_length(plant: LinearPlant, records: list[Record], tuning: NamingTuning = TUNING) -> int:
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant where it fits."""
     n = min(r.n for r in records)
-    poles = plant.state_space().poles()
-    rates = np.abs(poles.real)
-    rates = rates[rates > 1e-9 * max(np.abs(poles).max(initial=0.0), 1e-300)]
-    slowest = round(float(1.0 / rates.min()) / records[0].dt) if len(rates) else 0
+    slowest = round(slowest_time_constant(plant.state_space()) / records[0].dt)
     length = min(max(20 * n // (20 * tuning.windows_wanted + 1), tuning.shortest_window), tuning.longest_window)
     return min(max(length, min(slowest, 2 * tuning.longest_window)), n // tuning.fewest_windows)
 
