@@ -117,7 +117,7 @@ class NextExperiment(Evidence):
     if_named
         The same over the pairs with the named hypothesis as the truth.
     now
-        Smallest refit distance of the named hypothesis and a rival for the present records (`rivals.refit_distance`).
+        Smallest refit distance of the named hypothesis and a rival for the present records (`refit_distance`).
     hypotheses
         What is to be separated, the named one first.
     pairs

@@ -421,7 +421,8 @@ class Problem:
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
         if bent < self.tuning.most_bent**2 * straight:
             return bent_z, bent_xi
-        return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
+        still: list[Array] = [np.zeros_like(d) for d in dxi]
+        return np.zeros_like(dz), still
 
     def _linearised(
         self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
