@@ -28,12 +28,7 @@ from robustlab.identification.response.windowed_simulation import fit_state, wei
 from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = [
-    "InputDisturbance",
-    "input_disturbance",
-    "NoiseGap",
-    "noise_gaps",
-]
+__all__ = ["InputDisturbance", "NoiseGap", "input_disturbance", "noise_gaps"]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from robustlab.identification.hypotheses.effect_fit import (
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.record import Record
 
-__all__ = ["Bench", "Entry", "Limits", "Pair", "SAFE", "Trial", "distances", "noise_of", "trials_of"]
+__all__ = ["SAFE", "Bench", "Entry", "Limits", "Pair", "Trial", "distances", "noise_of", "trials_of"]
 
 
 SAFE = 10.0  # noise sigmas

@@ -21,12 +21,7 @@ from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.units import share
 
-__all__ = [
-    "candidates",
-    "spatial_orders",
-    "nuisance_parameters",
-    "stated_tolerances",
-]
+__all__ = ["candidates", "nuisance_parameters", "spatial_orders", "stated_tolerances"]
 
 
 def candidates(

@@ -44,13 +44,14 @@ from robustlab.identification.tuning import TUNING, NamingTuning
 __all__ = [
     "Candidate",
     "Fit",
+    "FitPlan",
     "Hypothesis",
     "NoiseModel",
     "Nuisance",
     "Problem",
-    "simulated_outputs",
     "predicted",
     "refit_distance",
+    "simulated_outputs",
 ]
 
 

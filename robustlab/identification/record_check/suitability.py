@@ -40,15 +40,15 @@ from robustlab.record import Record
 from robustlab.result import Evidence
 
 __all__ = [
-    "Finding",
-    "Suitability",
-    "quantisation_step",
-    "suitability",
     "ChannelSummary",
+    "Finding",
     "RecordCheck",
+    "Suitability",
     "channel_warnings",
     "check_record",
     "clipped_runs",
+    "quantisation_step",
+    "suitability",
 ]
 
 

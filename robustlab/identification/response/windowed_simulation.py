@@ -36,15 +36,15 @@ from robustlab.identification.response.response import Response, Stretch
 from robustlab.result import Evidence
 
 __all__ = [
-    "WindowedSimulation",
-    "recursive_residual",
-    "window_edges",
-    "windowed_simulation",
     "InitialState",
     "StateFit",
+    "WindowedSimulation",
     "fit_state",
+    "recursive_residual",
     "starting_state",
     "weighted_least_squares",
+    "window_edges",
+    "windowed_simulation",
 ]
 
 

@@ -23,13 +23,14 @@ Mathematics of Operations Research 32 (2007), theorem 2.1, for when the multipli
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array, ComplexArray, Indices, Mask
+from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
 from robustlab.identification.validation.result import (
@@ -112,12 +113,7 @@ def validate_by_lines(
     progress(f"{problem.n} lines: gamma {found.lower:.4g} .. {found.upper:.4g}")
     alone: dict[str, tuple[float, float]] = {}
     if per_block and np.isfinite(found.upper):
-
-        def bounds(scaled: Mask) -> tuple[float, float]:
-            part = smallest_by_lines(problem, replace(search, scaled=scaled))
-            return part.lower, part.upper
-
-        alone = each_alone(problem.names, bounds, progress)
+        alone = each_alone(problem.names, search, partial(smallest_by_lines, problem), progress)
     said = (
         *spectrum.said,
         *(("the noise bound was estimated from the record's own periods",) if estimated else ()),

@@ -36,12 +36,12 @@ __all__ = [
     "SampledProblem",
     "held",
     "noise_bounds",
+    "powers",
     "prepared",
     "sampled",
     "shown",
-    "with_delta_of",
-    "powers",
     "states",
+    "with_delta_of",
 ]
 
 
