@@ -405,7 +405,7 @@ class Problem:
         noise: NoiseModel,
         step: tuple[Array, list[Array]],
         damping: float,
-    ) -> tuple[Array, list[Array]]:
+    ) -> tuple[Array, Sequence[Array]]:
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
         ahead = [x + self.tuning.bend * d for x, d in zip(xi, dxi, strict=True)]
@@ -422,8 +422,7 @@ class Problem:
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
         if bent < self.tuning.most_bent**2 * straight:
             return bent_z, bent_xi
-        still: list[Array] = [np.zeros_like(d) for d in dxi]
-        return np.zeros_like(dz), still
+        return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 
     def _linearised(
         self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
