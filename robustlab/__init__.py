@@ -98,7 +98,7 @@ _PUBLIC = {
     "sampled_data_norm": "synthesis.sampled.sampled_norm",
     "sampled_robustness": "synthesis.sampled.sampled_robustness",
     # measurements
-    "compare": "identification",
+    "compare": "identification.comparison.comparison",
     "discover": "identification.naming.discovery",
     "DataCover": "identification.validation.data_cover",
     "data_cover": "identification.validation.data_cover",

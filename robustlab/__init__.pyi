@@ -9,7 +9,7 @@ from robustlab.errors import InputError as InputError
 from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
 from robustlab.errors import RobustlabError as RobustlabError
 from robustlab.frequency import frequency_response as frequency_response
-from robustlab.identification import compare as compare
+from robustlab.identification.comparison.comparison import compare as compare
 from robustlab.identification.naming.discovery import discover as discover
 from robustlab.identification.naming.updated_plant import uncertain_from as uncertain_from
 from robustlab.identification.validation import FrequencyData as FrequencyData

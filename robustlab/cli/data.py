@@ -337,7 +337,7 @@ def compare(
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     """
-    from robustlab.identification import compare as compare_with
+    from robustlab.identification.comparison.comparison import compare as compare_with
     from robustlab.statespace import as_model
 
     system = _plant_or_model(model, settings or [])

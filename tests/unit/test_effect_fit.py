@@ -17,6 +17,7 @@ from robustlab.identification.hypotheses.candidates import candidates, nuisance_
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Fit,
+    FitPlan,
     Hypothesis,
     NoiseModel,
     Problem,
@@ -103,7 +104,7 @@ def linear_hypotheses() -> dict[str, Hypothesis]:
 
 def fitted(hypothesis: Hypothesis, **options) -> Fit:
     problem = exact()[0]
-    return problem.fit(hypothesis, WHITE, np.zeros(problem.size(hypothesis)), tolerance=1e-9, **options)
+    return problem.fit(hypothesis, WHITE, np.zeros(problem.size(hypothesis)), plan=FitPlan(tolerance=1e-9, **options))
 
 
 @pytest.mark.parametrize("name", ["load", "bias", "both"])
@@ -178,7 +179,7 @@ def test_the_robust_covariance_is_the_sandwich_over_windows():
 def test_with_fixed_parameters_only_the_starts_are_fitted():
     problem, hypothesis = exact()[0], linear_hypotheses()["both"]
     z = np.array([0.7, -1.3])
-    fit = problem.fit(hypothesis, WHITE, z, fixed=True, tolerance=1e-9)
+    fit = problem.fit(hypothesis, WHITE, z, plan=FitPlan(fixed=True, tolerance=1e-9))
     assert fit.z.tolist() == z.tolist()
     r, j, x = dense_parts(problem, hypothesis, WHITE)
     for w, start in enumerate(fit.starts[0]):
@@ -199,8 +200,8 @@ def test_borrowed_derivatives_give_the_same_step():
     base = problem.fit(NONE, WHITE, np.zeros(2))
     borrowed = problem.derivatives(base)
     z = np.append(base.z, 0.0)
-    own = problem.fit(load, WHITE, z, base.starts, iterations=1)
-    lent = problem.fit(load, WHITE, z, base.starts, iterations=1, borrowed=borrowed)
+    own = problem.fit(load, WHITE, z, base.starts, FitPlan(1))
+    lent = problem.fit(load, WHITE, z, base.starts, FitPlan(1), borrowed)
     assert lent.z == pytest.approx(own.z, abs=1e-4)
     assert lent.cost == pytest.approx(own.cost, rel=1e-4)
 
@@ -250,7 +251,9 @@ def test_missing_samples_carry_no_weight():
     rows = slice(100, 200)  # the second window's speed
     gone = ready.y.copy()
     gone[rows, 1] = np.nan
-    fit = problem.on([replace(ready, y=gone)]).fit(linear_hypotheses()["load"], WHITE, np.zeros(1), tolerance=1e-9)
+    fit = problem.on([replace(ready, y=gone)]).fit(
+        linear_hypotheses()["load"], WHITE, np.zeros(1), plan=FitPlan(tolerance=1e-9)
+    )
     r, j, x = dense_parts(problem, linear_hypotheses()["load"], WHITE)
     known = np.arange(r.shape[1]) % 2 == 0  # residuals are (points, outputs) in a row: q, v, q, v
     for part in (r, j, x):
@@ -266,7 +269,7 @@ def test_records_of_different_sensors_are_fitted_together():
     model, load = port_model(AXIS), linear_hypotheses()["load"]
     both = [prepare(AXIS, model, r, 100, outputs={"q", "v"}) for r in (run, encoder)]
     problem = exact()[0].on(both)
-    fit = problem.fit(load, WHITE, np.zeros(1), tolerance=1e-9)
+    fit = problem.fit(load, WHITE, np.zeros(1), plan=FitPlan(tolerance=1e-9))
     # One by one: the encoder's record alone, its noise alone.
     alone = exact()[0].on([prepare(AXIS, model, encoder, 100)])
     parts = exact()[0].cost(load, WHITE, fit.z, fit.starts[:1])
@@ -289,7 +292,7 @@ def test_what_a_sensor_tells_is_learnt_from_the_records_that_have_it():
 def test_changed_parameters_of_the_plant_are_found():
     true = AXIS.with_parameters(M=1.04 * AXIS.values["M"], Fv=1.5 * AXIS.values["Fv"])
     problem, _ = problem_of(rl.simulate(true, T, U))
-    fit = problem.fit(NONE, first_noise(problem), np.zeros(2), iterations=20)
+    fit = problem.fit(NONE, first_noise(problem), np.zeros(2), plan=FitPlan(20))
     assert problem.split(NONE, fit.z)[0] == pytest.approx({"M": 1.04, "Fv": 1.5}, rel=1e-6)
     outputs = simulated_outputs(problem, fit)[0]
     assert np.abs(outputs - problem.records[0].measured).max() < 1e-6 * np.ptp(problem.records[0].y)
@@ -301,7 +304,7 @@ def test_tied_parameters_of_a_motor_are_found():
     true = motor.with_parameters(Km=1.05 * p["Km"], Kb=1.05 * p["Kb"], J=0.95 * p["J"])
     problem, _ = problem_of(rl.simulate(true, T, U), plant=motor)
     noise = NoiseModel(1e-6 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 3)))
-    fit = problem.fit(NONE, noise, np.zeros(problem.size(NONE)), iterations=25)
+    fit = problem.fit(NONE, noise, np.zeros(problem.size(NONE)), plan=FitPlan(25))
     factors = problem.split(NONE, fit.z)[0]
     assert factors == pytest.approx({"Km": 1.05, "Kb": 1.05, "J": 0.95, "R": 1, "L": 1, "Kf": 1}, rel=1e-6)
 
@@ -317,7 +320,7 @@ def test_coulomb_friction_is_found_in_an_event_driven_simulation():
     friction = pool["coulomb-friction @ v"]
     hypothesis = Hypothesis((friction,))
     start = np.array([0.0, 0.0, *friction.standardised(friction.starts[0])])
-    fit = problem.fit(hypothesis, first_noise(problem), start, iterations=25)
+    fit = problem.fit(hypothesis, first_noise(problem), start, plan=FitPlan(25))
     factors, (values,) = problem.split(hypothesis, fit.z)
     assert values["Fc"] == pytest.approx(20.0, rel=5e-4)  # a step of 1 ms against events between the steps
     assert factors == pytest.approx({"M": 1.03, "Fv": 1.0}, rel=5e-4)
@@ -330,7 +333,7 @@ def test_parameters_lie_within_their_intervals():
         problem, pool = problem_of(noisy(with_friction(), seed))
         friction = pool["coulomb-friction @ v"]
         noise = NoiseModel(1e-3 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 2)))
-        fit = problem.fit(Hypothesis((friction,)), noise, np.zeros(3), iterations=20)
+        fit = problem.fit(Hypothesis((friction,)), noise, np.zeros(3), plan=FitPlan(20))
         spread = np.array([n.spread for n in problem.nuisances] + [friction.parameters[0].prior.spread])
         centre = np.array([0.0, 0.0, math.log(friction.parameters[0].prior.centre)])
         misses.append((fit.z - (true - centre) / spread) / fit.std)
@@ -360,6 +363,6 @@ def test_only_the_chosen_windows_are_fitted():
     problem = exact()[0]
     few = problem.on(problem.records, [np.array([1, 4])])
     r, j, x = dense_parts(problem, linear_hypotheses()["load"], WHITE)
-    fit = few.fit(linear_hypotheses()["load"], WHITE, np.zeros(1), tolerance=1e-9)
+    fit = few.fit(linear_hypotheses()["load"], WHITE, np.zeros(1), plan=FitPlan(tolerance=1e-9))
     assert fit.z == pytest.approx(marginal(r[[1, 4]], j[[1, 4]], x[[1, 4]])["z"], abs=1e-5)
     assert len(fit.window_cost) == 2

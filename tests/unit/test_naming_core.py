@@ -17,6 +17,7 @@ from robustlab.identification.hypotheses.candidates import candidates, nuisance_
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Fit,
+    FitPlan,
     Hypothesis,
     NoiseModel,
     Problem,
@@ -27,7 +28,6 @@ from robustlab.identification.hypotheses.effect_fit import (
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.discovery import beyond_tolerance
 from robustlab.identification.naming.greedy_naming import (
-    CANNOT_TELL,
     Alternative,
     Naming,
     Step,
@@ -38,6 +38,7 @@ from robustlab.identification.naming.greedy_naming import (
 )
 from robustlab.identification.naming.ranking import Ranked, Ranking, rank, whitening
 from robustlab.identification.naming.residual_after_naming import left_over
+from robustlab.identification.tuning import TUNING
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 
@@ -85,10 +86,10 @@ def fitted(problem: Problem, *effects: Candidate) -> Fit:
     starts = [c.starts for c in effects]
     z0 = np.zeros(len(problem.nuisances))
     if not effects:
-        return problem.fit(NONE, noise_of(problem), z0, iterations=20)
+        return problem.fit(NONE, noise_of(problem), z0, plan=FitPlan(20))
     (only,) = effects
     tries = [np.concatenate([z0, only.standardised(s)]) for s in starts[0]]
-    fits = [problem.fit(Hypothesis((only,)), noise_of(problem), z, iterations=20) for z in tries]
+    fits = [problem.fit(Hypothesis((only,)), noise_of(problem), z, plan=FitPlan(20)) for z in tries]
     return min(fits, key=lambda f: f.cost)
 
 
@@ -112,8 +113,8 @@ def test_a_delay_before_and_behind_a_linear_plant_cannot_be_told_apart():
         found = fit.hypothesis.candidates[0].values(fit.z[2:])
         assert found["d"] == pytest.approx(0.004, abs=5e-4)
     # They differ in how far the starts of the windows move, which has a price, and in the sensor's past before them.
-    assert refit_distance(problem, before, behind) < CANNOT_TELL / 3
-    assert refit_distance(problem, behind, before) < CANNOT_TELL / 3
+    assert refit_distance(problem, before, behind) < TUNING.cannot_tell / 3
+    assert refit_distance(problem, behind, before) < TUNING.cannot_tell / 3
 
 
 def test_a_delay_and_a_gain_are_told_apart_safely():
@@ -135,8 +136,8 @@ def test_a_gain_of_the_input_and_one_of_the_only_sensor_are_one_model():
     before, behind = fits["input-gain @ u"], fits["sensor-gain @ q"]
     for fit in (before, behind):
         assert fit.hypothesis.candidates[0].values(fit.z[2:])["s"] == pytest.approx(1.08, abs=0.02)
-    assert refit_distance(problem, before, behind) < CANNOT_TELL / 3
-    assert refit_distance(problem, behind, before) < CANNOT_TELL / 3
+    assert refit_distance(problem, before, behind) < TUNING.cannot_tell / 3
+    assert refit_distance(problem, behind, before) < TUNING.cannot_tell / 3
     assert behind.evidence == pytest.approx(before.evidence, abs=1.5)
 
 
@@ -180,7 +181,7 @@ def test_the_distance_is_the_root_of_what_the_refit_leaves():
     # The rival may move no parameter, only the starts: its refit is a linear least-squares problem in each window.
     problem, _ = problem_of(noisy(rl.simulate(AXIS, T, U)))
     z = np.array([1.5, -0.8])
-    true = problem.fit(NONE, noise_of(problem), z, fixed=True)
+    true = problem.fit(NONE, noise_of(problem), z, plan=FitPlan(fixed=True))
     goal = predicted(problem, true)
     assert np.abs(goal.records[0].measured - simulated_outputs(problem, true)[0]).max() == 0.0
     rigid = problem.on(problem.records)
@@ -197,7 +198,7 @@ def test_the_distance_is_the_root_of_what_the_refit_leaves():
         left += r[w] @ np.linalg.solve(s, r[w])
     assert left > 100.0  # 4 % more mass and a fourth less friction are seen
     goal.nuisances = ()
-    fitted_again = goal.fit(NONE, true.noise, np.zeros(0), rival.starts, iterations=10)
+    fitted_again = goal.fit(NONE, true.noise, np.zeros(0), rival.starts, FitPlan(10))
     assert np.sqrt(fitted_again.cost - z @ z - (true.starts[0] ** 2).sum()) == pytest.approx(np.sqrt(left), rel=1e-4)
     held = Fit(rival.hypothesis, np.zeros(2), rival.starts, 0.0, rival.window_cost, np.eye(2), true.noise, 0)
     assert refit_distance(problem, true, held) < 0.05 * np.sqrt(left)  # free to move, it comes there
@@ -220,7 +221,7 @@ def test_with_the_true_effect_nothing_is_left_and_without_it_something_is():
 
 def test_what_is_left_without_friction_is_the_friction():
     problem, _ = problem_of(rubbing())
-    as_built = problem.fit(NONE, noise_of(problem), np.zeros(2), fixed=True)
+    as_built = problem.fit(NONE, noise_of(problem), np.zeros(2), plan=FitPlan(fixed=True))
     left = left_over(problem, as_built, noise_of(problem))
     assert left is not None
     v = left.coordinates["speed"]
@@ -245,7 +246,7 @@ def test_whitening_finds_the_autoregression_of_the_errors():
         past = [e[:, k - lag, 0] if k >= lag else np.zeros(40) for lag in (1, 2, 3)]
         e[:, k, 0] = ar @ past + 0.03 * rng.normal(size=40)
     e[3, 50:80] = np.nan  # samples that are missing
-    problem = SimpleNamespace(errors=lambda *_: [e])
+    problem = SimpleNamespace(errors=lambda *_: [e], tuning=TUNING)
     found = whitening(problem, SimpleNamespace(hypothesis=NONE, z=None, starts=None))  # type: ignore[arg-type]
     assert found.ar[:, 0] == pytest.approx(ar, abs=0.03)  # three standard errors, 1 / sqrt(12000)
     assert found.std == pytest.approx([0.03], rel=0.02)

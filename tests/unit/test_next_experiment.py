@@ -14,7 +14,7 @@ from robustlab.identification.experiment import experiment_bench as bench
 from robustlab.identification.experiment.experiment_menu import Piece, experiment_menu
 from robustlab.identification.experiment.next_experiment import propose_experiment
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Hypothesis, NoiseModel, Problem, simulated_outputs
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, NoiseModel, Problem, simulated_outputs
 from robustlab.identification.hypotheses.prepared_record import prepare, window_length
 from robustlab.identification.naming.ranking import first_noise, whitening
 from robustlab.result import plain
@@ -138,7 +138,7 @@ def test_a_saturation_above_the_recorded_range_is_out_of_reach_and_says_so():
     saturation = next(c for c in pool if c.effect.id == "input-saturation")
     bare = opened("none", "square", "none")[2][0]
     z = np.array([*bare.z, *saturation.standardised({"u_max": 0.9999 * top})])
-    high = problem.fit(Hypothesis((saturation,)), bare.noise, z, iterations=0)
+    high = problem.fit(Hypothesis((saturation,)), bare.noise, z, plan=FitPlan(0))
     found = propose_experiment(problem, bare, [high])
     assert found.separation < 3
     assert f"u between {-top:.3g} and {top:.3g} V" in found.advice

@@ -13,7 +13,7 @@ from robustlab.budget import Budget
 from robustlab.cli.console import main_guard
 from robustlab.cli.data import app
 from robustlab.identification.comparison.best_linear_approximation import held_response
-from robustlab.identification.validation.line_programme import line_lagrangian, smallest_by_lines
+from robustlab.identification.validation.frequency_domain import line_lagrangian, smallest_by_lines
 from robustlab.identification.validation.spectral_problem import spectrum_of_record, spectrum_of_response
 from robustlab.identification.validation.tuning import Search
 from robustlab.report.validation_figures import validation_figures

@@ -210,9 +210,9 @@ def periodic_bla(
     if nonlinear is not None:
         rest = rest + nonlinear**2 * realisations
     coherence = np.divide(linear, linear + rest, out=np.zeros_like(linear), where=linear > 0)
-    return _judged(
-        method, f, response, variance, np.sqrt(noise_variance), nonlinear, coherence, at, degrees, tuple(notes)
-    )
+    return _Estimate(
+        method, f, response, variance, degrees, coherence, at, tuple(notes), np.sqrt(noise_variance), nonlinear
+    ).judged()
 
 
 def arbitrary_bla(
@@ -280,7 +280,7 @@ def arbitrary_bla(
     result: dict[str, BestLinearApproximation] = {}
     for j, name in enumerate(names):
         variance = (1.0 - coherence) * Syy * inverse[:, j, j].real / spare
-        result[name] = _judged("Welch H1", f, G[:, j], variance, None, None, coherence, at[:, j], spare, notes)
+        result[name] = _Estimate("Welch H1", f, G[:, j], variance, spare, coherence, at[:, j], notes).judged()
     return result
 
 
@@ -331,44 +331,38 @@ def _band_index(f: Array, bands: Array) -> NDArray[np.int_]:
     return np.clip(np.searchsorted(bands, f, side="right") - 1, 0, len(bands) - 2)
 
 
-def _judged(
-    method: str,
-    f: Array,
-    response: ComplexArray,
-    variance: Array,
-    noise_std: Array | None,
-    nonlinear_std: Array | None,
-    coherence: Array,
-    model: ComplexArray,
-    degrees: float,
-    notes: tuple[str, ...],
-) -> BestLinearApproximation:
-    """The estimate with the model's error band by band; ``variance`` was estimated with so many complex degrees."""
-    # |e|² / s² of a complex normal e exceeds x with the probability (1 + x / d)^-d.
-    circle = degrees * (MISSED ** (-1.0 / degrees) - 1.0)
-    bands = log_bands(f[0], f[-1])
-    part = _band_index(f, bands)
-    error = np.abs(model - response) ** 2
-    relative: list[float | None] = []
-    outside: list[float | None] = []
-    for k in range(len(bands) - 1):
-        inside = part == k
-        size = float((np.abs(response[inside]) ** 2).sum())
-        relative.append(float(np.sqrt(error[inside].sum() / size)) if size else None)
-        # Rounding is no disagreement.
-        limit = circle * variance[inside] + (1e-9 * np.abs(response[inside])) ** 2
-        outside.append(float(np.mean(error[inside] > limit)) if inside.any() else None)
-    return BestLinearApproximation(
-        method,
-        f,
-        response,
-        np.sqrt(variance),
-        noise_std,
-        nonlinear_std,
-        coherence,
-        model,
-        bands,
-        tuple(relative),
-        tuple(outside),
-        notes,
-    )
+@dataclass(frozen=True)
+class _Estimate:
+    """A frequency response with its variance, estimated with so many complex degrees, and the model's beside it."""
+
+    method: str
+    f: Array
+    response: ComplexArray
+    variance: Array
+    degrees: float
+    coherence: Array
+    model: ComplexArray
+    notes: tuple[str, ...]
+    noise_std: Array | None = None
+    nonlinear_std: Array | None = None
+
+    def judged(self) -> BestLinearApproximation:
+        """The estimate with the model's error band by band."""
+        # |e|² / s² of a complex normal e exceeds x with the probability (1 + x / d)^-d.
+        circle = self.degrees * (MISSED ** (-1.0 / self.degrees) - 1.0)
+        bands = log_bands(self.f[0], self.f[-1])
+        part = _band_index(self.f, bands)
+        error = np.abs(self.model - self.response) ** 2
+        relative: list[float | None] = []
+        outside: list[float | None] = []
+        for k in range(len(bands) - 1):
+            inside = part == k
+            size = float((np.abs(self.response[inside]) ** 2).sum())
+            relative.append(float(np.sqrt(error[inside].sum() / size)) if size else None)
+            # Rounding is no disagreement.
+            limit = circle * self.variance[inside] + (1e-9 * np.abs(self.response[inside])) ** 2
+            outside.append(float(np.mean(error[inside] > limit)) if inside.any() else None)
+        return BestLinearApproximation(
+            self.method, self.f, self.response, np.sqrt(self.variance), self.noise_std, self.nonlinear_std,
+            self.coherence, self.model, bands, tuple(relative), tuple(outside), self.notes,
+        )  # fmt: skip

@@ -1,4 +1,4 @@
-r"""The error of a model, told as what would have to be added to its input.
+r"""The gap of a model on two other scales: as an addition to its input, and in multiples of the noise.
 
 An output error grows and is carried on by the model's own dynamics; where it comes from is plainer at the input. The
 record is cut into short pieces, and in each a constant :math:`d` is fitted together with the initial state,
@@ -8,7 +8,7 @@ record is cut into short pieces, and in each a constant :math:`d` is fitted toge
 so that the model with the input :math:`u_j + d` reproduces the piece best. Sorted by speed, d shows a friction that
 the model lacks as a friction curve (with its sign turned round, in units of the input).
 
-The gap of a model against the noise floor of a record that repeats.
+Where a record repeats, the same gap is set against its noise floor: 1 is a model as good as the noise allows.
 """
 
 from __future__ import annotations
@@ -25,15 +25,10 @@ from robustlab.identification.comparison.localisation import REST, Motion
 from robustlab.identification.comparison.noise_floor import Excess, NoiseFloor
 from robustlab.identification.response.response import Response, Stretch
 from robustlab.identification.response.windowed_simulation import fit_state, weighted_least_squares, window_edges
-from robustlab.record import UNIFORM_TOLERANCE, Record
+from robustlab.record import Record
 from robustlab.result import Evidence
 
-__all__ = [
-    "InputDisturbance",
-    "input_disturbance",
-    "NoiseGap",
-    "noise_gaps",
-]
+__all__ = ["InputDisturbance", "NoiseGap", "input_disturbance", "noise_gaps"]
 
 
 @dataclass(frozen=True)
@@ -80,9 +75,7 @@ def input_disturbance(response: Response, name: str, whole: Stretch, length: int
     value, std = np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
     before = after = 0.0
     # The responses are the same in all pieces where the clock is uniform.
-    step = np.diff(t)
-    uniform = len(t) >= length and bool(np.abs(step - step.mean()).max() <= UNIFORM_TOLERANCE * step.mean())
-    shared = _responses(response, name, t[:length]) if uniform else None
+    shared = _responses(response, name, t[:length]) if len(t) >= length and whole.is_uniform else None
     for k, (first, last) in enumerate(pairwise(edges.tolist())):
         piece = whole.cut(first, last)
         free, held = shared or _responses(response, name, piece.t)

@@ -14,26 +14,20 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.identification.experiment.experiment_menu import Excitation, experiment_menu
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.effect_fit import (
-    START_STEP,
-    STEP,
     Fit,
+    FitPlan,
     NoiseModel,
     Problem,
     predicted,
     refit_distance,
 )
-from robustlab.identification.hypotheses.prepared_record import FEWEST_WINDOWS, PreparedRecord
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.record import Record
 
-__all__ = ["Bench", "Entry", "Limits", "Pair", "SAFE", "Trial", "distances", "noise_of", "preference", "trials_of"]
+__all__ = ["SAFE", "Bench", "Entry", "Limits", "Pair", "Trial", "distances", "noise_of", "trials_of"]
 
 
 SAFE = 10.0  # noise sigmas
-REFITTED = 5  # entries of the menu
-ITERATIONS = 12  # of a refit; valleys of two parameters that nearly do the same are long
-ASSUMED_NOISE = 1e-3  # of the range, of a sensor that was not recorded so far
-SENSOR_WORTH = 0.25  # share of d that a new sensor must bring
-SMALLER = (1.0, 0.5, 0.25, 0.125)  # shorter beats, where the plant would run out of its travel
 
 
 class Pair(NamedTuple):
@@ -73,14 +67,14 @@ def trials_of(problem: Problem, fits: Sequence[Fit], limits: Limits) -> list[Tri
     """All signals that the plant can take, with shorter beats where the travel asks for them."""
     dt = problem.records[0].record.dt
     warm = any(c.effect.long_memory for f in fits for c in f.hypothesis.candidates)
-    several = len(problem.plant.inputs) > 1
+    several, shorter = len(problem.plant.inputs) > 1, problem.tuning.shorter_beats
     found: list[Trial] = []
     for k, signal in enumerate(problem.plant.inputs):
         lowest, highest = limits.ranges[signal.name]
         if not lowest < highest:
             continue
         done: set[str] = set()
-        for factor in SMALLER if limits.travel else SMALLER[:1]:
+        for factor in shorter if limits.travel else shorter[:1]:
             beat = max(limits.beat * factor, 4.0 * dt)
             for entry in experiment_menu(signal.name, signal.unit, lowest, highest, limits.samples, dt, beat, warm):
                 if entry.name in done:
@@ -117,7 +111,7 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], entry: Excitation, u: Arra
 def noise_of(problem: Problem, present: NoiseModel, trials: Sequence[Trial]) -> tuple[NoiseModel, dict[str, float]]:
     """Noise of all outputs of the plant, averaged: as found where recorded, else assumed, and what it is per sample."""
     spans = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0)
-    std = ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
+    std = problem.tuning.assumed_noise * np.where(spans > 0.0, spans, 1.0)
     assumed = {s.name: float(v) for s, v in zip(problem.plant.outputs, std, strict=True)}
     std /= np.sqrt(problem.records[0].thin)
     ar = np.zeros((len(present.ar), len(std)))
@@ -190,19 +184,6 @@ class Entry:
     refitted: bool
 
 
-def preference(entry: Entry) -> tuple[int, int, int, float]:
-    """Sorts the safe ones first, of these the ones without a new sensor, then the short ones.
-
-    Next come those that are safe if the named hypothesis is right, and then the others, by d. A rival may have come out
-    so weak that no experiment could show it: that must not buy a sensor.
-    """
-    if entry.separation >= SAFE:
-        return 0, len(entry.added), entry.count, -entry.separation
-    if entry.named >= SAFE:
-        return 1, len(entry.added), 0, -entry.separation
-    return 2, 0, 0, -entry.separation / (1.0 + SENSOR_WORTH * len(entry.added))
-
-
 @dataclass(frozen=True, eq=False)
 class Bench:
     """Where the experiments are judged: the problem, the open hypotheses with their labels, noise of all outputs."""
@@ -212,11 +193,23 @@ class Bench:
     labels: tuple[str, ...]
     noise: NoiseModel
 
+    def preference(self, entry: Entry) -> tuple[int, int, int, float]:
+        """Sorts the safe ones first, of these the ones without a new sensor, then the short ones.
+
+        Next come those that are safe if the named hypothesis is right, and then the others, by d. A rival may have come
+        out so weak that no experiment could show it: that must not buy a sensor.
+        """
+        if entry.separation >= SAFE:
+            return 0, len(entry.added), entry.count, -entry.separation
+        if entry.named >= SAFE:
+            return 1, len(entry.added), 0, -entry.separation
+        return 2, 0, 0, -entry.separation / (1.0 + self.problem.tuning.sensor_worth * len(entry.added))
+
     def screened(self, trial: Trial, limits: Limits) -> list[Entry]:
         """The experiment with the present sensors and with each new one, whole and half as long, linearised."""
         present = self.problem.records[0].columns
         whole = len(trial.u) // self.problem.records[0].windows.length
-        counts = [whole] if trial.long or whole < 2 * FEWEST_WINDOWS else [whole // 2, whole]
+        counts = [whole] if trial.long or whole < 2 * self.problem.tuning.fewest_windows else [whole // 2, whole]
         choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
         everything = range(len(self.problem.plant.outputs))
         smallest, named = np.full((2, len(choices), len(counts)), np.inf)
@@ -267,9 +260,9 @@ class Bench:
             smallest = min(p.separation for p in pairs)
             named = min((p.separation for p in pairs if p.truth == self.labels[0]), default=smallest)
             done.append((replace(entry, named=named, separation=smallest, refitted=True), pairs))
-            if done[-1][0].separation >= SAFE or len(done) >= REFITTED:
+            if done[-1][0].separation >= SAFE or len(done) >= self.problem.tuning.refitted_entries:
                 break
-        chosen, pairs = min(done, key=lambda d: preference(d[0]))
+        chosen, pairs = min(done, key=lambda d: self.preference(d[0]))
         return chosen, pairs, [e for e, _ in done]
 
     def _refitted(self, entry: Entry, best: float) -> tuple[Pair, ...]:
@@ -297,7 +290,7 @@ class Bench:
 
 def _proper_distance(there: Problem, rival: Fit, z: Array) -> float:
     """Distance of the rival, refitted from z to predicted outputs."""
-    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, iterations=ITERATIONS).cost
+    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(there.tuning.refit_iterations)).cost
     return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
 
 
@@ -334,6 +327,7 @@ def _products(problem: Problem, rival: Fit, noise: NoiseModel) -> Array:
     n_x, n_y = len(problem.plant.states), len(problem.records[0].columns)
     simulators = problem.simulators(rival.hypothesis)
     rest = np.zeros((len(problem.chosen[0]), n_x))
+    step, start_step = problem.tuning.step, problem.tuning.start_step
 
     def residual(z: Array, start: Array) -> Array:
         errors = problem.errors(rival.hypothesis, z, [start], simulators)
@@ -341,8 +335,8 @@ def _products(problem: Problem, rival: Fit, noise: NoiseModel) -> Array:
         return r.reshape(len(r), -1, n_y)
 
     here = residual(rival.z, rest)
-    over_z = [(residual(rival.z + STEP * e, rest) - here) / STEP for e in np.eye(len(rival.z))]
-    over_x = [(residual(rival.z, rest + START_STEP * e) - here) / START_STEP for e in np.eye(n_x)]
+    over_z = [(residual(rival.z + step * e, rest) - here) / step for e in np.eye(len(rival.z))]
+    over_x = [(residual(rival.z, rest + start_step * e) - here) / start_step for e in np.eye(n_x)]
     columns = np.stack([*over_z, *over_x, here], axis=3)  # (n_windows, n_points, n_y, n)
     columns = np.swapaxes(columns, 1, 2)
     return np.swapaxes(columns, 2, 3) @ columns

@@ -39,22 +39,15 @@ from robustlab.identification.experiment.experiment_bench import (
     Pair,
     distances,
     noise_of,
-    preference,
     trials_of,
 )
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
-from robustlab.identification.hypotheses.prepared_record import FEWEST_WINDOWS
 from robustlab.result import Evidence
 
 __all__ = ["NextExperiment", "Pair", "Tried", "propose_experiment"]
 
 
 CANNOT_TELL = 3.0  # noise sigmas
-LONGEST = 5000  # samples of an experiment
-SEEN = 20.0  # slowest time constants of the plant in an experiment, at least
-SETTLED = 8.0  # the same in a beat of the signals
-BEATS = (16, 4)  # most and fewest beats in an experiment
-MOST_RIVALS = 3
 
 
 class Tried(NamedTuple):
@@ -95,7 +88,7 @@ class NextExperiment(Evidence):
     if_named
         The same over the pairs with the named hypothesis as the truth.
     now
-        Smallest refit distance of the named hypothesis and a rival for the present records (`rivals.refit_distance`).
+        Smallest refit distance of the named hypothesis and a rival for the present records (`refit_distance`).
     hypotheses
         What is to be separated, the named one first.
     pairs
@@ -191,7 +184,7 @@ def propose_experiment(
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
     if not rivals:
         return None
-    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[:MOST_RIVALS]]
+    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[: problem.tuning.most_opponents]]
     labels = _labels(open_ones)
     limits = _limits(problem, input_range, travel, longest, may_add)
     trials = trials_of(problem, open_ones, limits)
@@ -199,7 +192,7 @@ def propose_experiment(
         return None
     noise, assumed = noise_of(problem, named.noise, trials)
     bench = Bench(problem, tuple(open_ones), labels, noise)
-    screened = sorted((e for trial in trials for e in bench.screened(trial, limits)), key=preference)
+    screened = sorted((e for trial in trials for e in bench.screened(trial, limits)), key=bench.preference)
     chosen, pairs, refitted = bench.best_refitted(screened)
     now = min(p.separation for p in distances(problem, open_ones, labels))
     done = {(e.trial.excitation.name, e.sensors, e.count): e for e in refitted}
@@ -212,7 +205,7 @@ def propose_experiment(
         labels,
         open_ones,
         assumed,
-        [_tried(problem, e) for e in sorted(menu, key=preference)],
+        [_tried(problem, e) for e in sorted(menu, key=bench.preference)],
         limits,
     )
 
@@ -227,17 +220,17 @@ def _limits(
     longest: float | None,
     may_add: Sequence[str] | None,
 ) -> Limits:
-    plant, records = problem.plant, problem.records
+    plant, records, tuning = problem.plant, problem.records, problem.tuning
     first = records[0]
     dt, length = first.record.dt, first.windows.length
     outputs = [s.name for s in plant.outputs]
     _known("may_add", may_add or (), outputs)
     new = [k for k, name in enumerate(outputs) if k not in first.columns and (may_add is None or name in may_add)]
     slowest = _slowest(problem)
-    fewest = FEWEST_WINDOWS * length
+    fewest = tuning.fewest_windows * length
     if longest is None:
-        wanted = max(round(SEEN * slowest / dt), *(r.record.n for r in records))
-        samples = max(min(wanted, LONGEST), fewest)
+        wanted = max(round(tuning.time_constants_seen * slowest / dt), *(r.record.n for r in records))
+        samples = max(min(wanted, tuning.longest_experiment), fewest)
     else:
         if not fewest * dt <= longest < np.inf:
             raise InputError(
@@ -245,7 +238,8 @@ def _limits(
             )
         samples = round(longest / dt)
     duration = samples * dt
-    beat = min(max(SETTLED * slowest, duration / BEATS[0]), duration / BEATS[1])
+    shortest, longest_beat = duration / tuning.most_beats, duration / tuning.fewest_beats
+    beat = min(max(tuning.time_constants_a_beat * slowest, shortest), longest_beat)
     return Limits(_ranges(problem, input_range), _travel(problem, travel), samples, beat, tuple(new))
 
 

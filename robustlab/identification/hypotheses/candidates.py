@@ -1,6 +1,5 @@
-"""Which effects a plant and its records allow, where, and at what magnitudes.
-
-Nominal parameters that every hypothesis refits, and the tolerances that hold them.
+"""What a hypothesis may consist of: effects that a plant and its records allow, where and at what magnitudes; and the
+nominal parameters that every hypothesis refits, held by their tolerances.
 """
 
 from __future__ import annotations
@@ -10,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -20,22 +18,18 @@ from robustlab.dynamics.ports.port_model import Port, PortModel, parameter_group
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.hypotheses.effect_fit import Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.units import share
 
-__all__ = [
-    "candidates",
-    "spatial_orders",
-    "nuisance_parameters",
-    "stated_tolerances",
-]
+__all__ = ["candidates", "nuisance_parameters", "spatial_orders", "stated_tolerances"]
 
 
-ORDERS = 3  # spatial lines tried
-FINEST_LINES = 1500  # per range of the position
 ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
 
 
-def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
+def candidates(
+    plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning = TUNING
+) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
     An effect whose period over the position must be known is given once for each strong spatial line.
@@ -50,7 +44,7 @@ def candidates(plant: LinearPlant, model: PortModel, records: Sequence[PreparedR
             if site.kind == "output" and not _recorded(plant, site, records):
                 continue
             if site not in known:
-                known[site] = _scales(site, plant, model, records)
+                known[site] = _scales(site, plant, model, records, tuning)
             found.extend(_at(effect, site, known[site]))
     return found
 
@@ -83,7 +77,9 @@ def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
     return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in variants]
 
 
-def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:
+def _scales(
+    site: Site, plant: LinearPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning
+) -> Scales:
     dt, duration = records[0].record.dt, max(r.record.duration for r in records)
     if site.kind == "input":
         k = [s.name for s in plant.inputs].index(site.name)
@@ -92,7 +88,7 @@ def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[
     if site.kind == "output":
         k = [s.name for s in plant.outputs].index(site.name)
         half = max(float(np.ptp(r.record.outputs[site.name])) for r in records) / 2.0
-        orders = _orders_at_output(plant, model, site, records)
+        orders = _orders_at_output(plant, model, site, records, tuning)
         return Scales(dt=dt, duration=duration, output=half or 1.0, signal_unit=plant.outputs[k].unit, orders=orders)
     if site.kind == "parameter":
         return Scales(dt=dt, duration=duration)
@@ -120,7 +116,7 @@ def _scales(site: Site, plant: LinearPlant, model: PortModel, records: Sequence[
         highest=max(float(q.max()) for q, _, _, _ in motion),
         inertia=inertia,
         current=float(max(currents, default=1.0)) or 1.0,
-        orders=_merged_orders(motion) if port.position is not None else (),
+        orders=_merged_orders(motion, tuning) if port.position is not None else (),
         force_unit=port.unit,
         speed_unit=port.speed_unit,
         position_unit=port.position_unit,
@@ -138,31 +134,31 @@ def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Arra
 
 
 def _orders_at_output(
-    plant: LinearPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord]
+    plant: LinearPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord], tuning: NamingTuning
 ) -> tuple[float, ...]:
     """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
     row = model.C[[s.name for s in plant.outputs].index(site.name)]
     for port in model.ports.values():
         if port.position is not None and np.array_equal(row[: model.own] != 0, port.position != 0):
-            return _merged_orders([_port_motion(port, r) for r in records])
+            return _merged_orders([_port_motion(port, r) for r in records], tuning)
     return ()
 
 
-def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple[float, ...]:
+def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]], tuning: NamingTuning) -> tuple[float, ...]:
     q = np.concatenate([m[0] for m in motion])
     v = np.concatenate([m[1] for m in motion])
     d = np.concatenate([m[2] for m in motion])
     moving = np.abs(v) > 0.01 * np.abs(v).max(initial=0.0)
-    plain, flipped = spatial_orders(q, d, v, moving), spatial_orders(q, d * np.sign(v), v, moving)
+    plain, flipped = (spatial_orders(q, force, v, moving, tuning) for force in (d, d * np.sign(v)))
     merged: list[float] = []
     for pair in zip(plain, flipped, strict=False):
         for k in pair:
             if all(abs(k - other) > 0.02 * other for other in merged):
                 merged.append(k)
-    return tuple(merged[: 2 * ORDERS])
+    return tuple(merged[: 2 * tuning.spatial_lines])
 
 
-def spatial_orders(q: Array, d: Array, v: Array, moving: NDArray[np.bool_]) -> tuple[float, ...]:
+def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, tuning: NamingTuning = TUNING) -> tuple[float, ...]:
     """Strongest spatial frequencies of the force d over the position q, in rad per unit of q, strongest first.
 
     A periodogram over the position, after the part of d that depends on the direction and linearly on the speed is
@@ -175,15 +171,15 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: NDArray[np.bool_]) -> t
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
     # Force summed in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
-    bins = int(min(4 * FINEST_LINES, max(64, len(q) // 2)))
+    bins = int(min(4 * tuning.finest_lines, max(64, len(q) // 2)))
     place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
     padded = 8 * bins
     k = 2.0 * np.pi / span * bins / padded * np.arange(padded // 2 + 1)
-    keep = (k >= 2.0 * np.pi / span) & (k <= 2.0 * np.pi / span * min(FINEST_LINES, bins / 4))
+    keep = (k >= 2.0 * np.pi / span) & (k <= 2.0 * np.pi / span * min(tuning.finest_lines, bins / 4))
     k = k[keep]
     found: list[float] = []
     # A line brings side lobes that stand above weaker lines; each is taken out before the next is looked for.
-    for _ in range(ORDERS):
+    for _ in range(tuning.spatial_lines):
         power = np.abs(np.fft.rfft(np.bincount(place, weights=rest, minlength=bins), padded))[keep]
         peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
         if not len(peaks):

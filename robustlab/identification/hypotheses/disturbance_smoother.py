@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +44,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import UNIFORM_TOLERANCE
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel, real_array
+
+if TYPE_CHECKING:
+    from robustlab.identification.hypotheses.smoother_kernels import Filter
 
 __all__ = ["Jump", "SmoothedRecord", "smooth_disturbance"]
 
@@ -399,16 +403,19 @@ def _roots(task: _Task, q: Array) -> tuple[Array, NDArray[np.int64]]:
     return np.stack([root(q), *(root(q + task.shock[k] / task.h) for k in at)]), kind
 
 
-def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:
-    """Sums of log variance and squared innovation, and their number."""
-    from robustlab.identification.hypotheses.smoother_kernels import forward
+def _filter(task: _Task, log_bandwidth: Array, sigma: Array) -> Filter:
+    from robustlab.identification.hypotheses.smoother_kernels import Filter
 
     roots, kind = _roots(task, _intensities(task, log_bandwidth, sigma))
-    none2, none3 = np.zeros((0, 0)), np.zeros((0, 0, 0))
-    return forward(
-        task.phi, roots, kind, task.forced, task.H, task.y, sigma, np.diag(task.start), False, np.empty_like(task.y),
-        none2, none2, np.zeros(0, np.int64), none3, none3, none3, np.zeros_like(task.phi),
-    )  # fmt: skip
+    return Filter(task.phi, roots, kind, task.forced, task.H, sigma, np.diag(task.start))
+
+
+def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:
+    """Sums of log variance and squared innovation, and their number."""
+    from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
+
+    nothing = Kept.of(0, len(task.phi))
+    return forward(_filter(task, log_bandwidth, sigma), task.y, False, np.empty_like(task.y), nothing)
 
 
 def _searched(task: _Task, given: Array | None) -> _Choice:
@@ -455,19 +462,14 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
 
 
 def _smoothed(task: _Task, choice: _Choice) -> _Run:
-    from robustlab.identification.hypotheses.smoother_kernels import backward, forward
+    from robustlab.identification.hypotheses.smoother_kernels import Kept, backward, forward
 
     n, n_z = len(task.t), len(task.phi)
-    roots, kind = _roots(task, _intensities(task, choice.bandwidth, choice.sigma))
-    innovation, slot, last = np.empty_like(task.y), np.zeros(n, np.int64), np.zeros((n_z, n_z))
-    predicted, filtered, mean = np.empty((n, n_z)), np.empty((n, n_z)), np.empty((n, n_z))
-    root, gain, rest = np.empty((n, n_z, n_z)), np.empty((n, n_z, n_z)), np.empty((n, n_z, n_z))
-    covariance, score, precision = np.empty((n, n_z, n_z)), np.zeros((n, task.m)), np.zeros((n, task.m))
-    forward(
-        task.phi, roots, kind, task.forced, task.H, task.y, choice.sigma, np.diag(task.start), True, innovation,
-        predicted, filtered, slot, root, gain, rest, last,
-    )  # fmt: skip
-    backward(predicted, filtered, slot, root, gain, rest, last, task.model.n_states, mean, covariance, score, precision)
+    kept, innovation = Kept.of(n, n_z), np.empty_like(task.y)
+    mean, covariance = np.empty((n, n_z)), np.empty((n, n_z, n_z))
+    score, precision = np.zeros((n, task.m)), np.zeros((n, task.m))
+    forward(_filter(task, choice.bandwidth, choice.sigma), task.y, True, innovation, kept)
+    backward(kept, task.model.n_states, mean, covariance, score, precision)
     if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
         raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
     return _Run(mean, covariance, score, precision, innovation)

@@ -12,12 +12,12 @@ complement), so that a step costs one simulation a parameter and one a state. Th
 
 .. math:: \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
 
-How far apart two hypotheses are for given records.
+How far apart two hypotheses A and B are for given records is told by the refit distance
 
 .. math:: d^2 = \min_{z, \xi} V_B\bigl(z, \xi;\, \hat y_A\bigr) - \|z_A\|^2
 
-with :math:`\hat y_A` what hypothesis A predicts for the records without noise: B is refitted to it under its priors.
-d is in noise sigmas; below 3 no test on these records can tell B from A, beyond 10 the choice is safe.
+with :math:`\hat y_A` what A predicts for the records without noise: B is refitted to it under its priors. d is in noise
+sigmas; below 3 no test on these records can tell B from A, beyond 10 the choice is safe.
 
 References
 ----------
@@ -33,39 +33,28 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.tuning import TUNING, NamingTuning
 
 __all__ = [
     "Candidate",
     "Fit",
+    "FitPlan",
     "Hypothesis",
     "NoiseModel",
     "Nuisance",
     "Problem",
-    "simulated_outputs",
     "predicted",
     "refit_distance",
+    "simulated_outputs",
 ]
 
 
-STEP = 2e-3  # of a standardised parameter, for differences
-START_STEP = 0.02  # of a window's start
-FARTHEST = 8.0  # standardised parameters are kept within this of their priors
-RELATIVE = 1e-5  # fall of V below which a fit stops
-# Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
-# millionth of its diagonal, and a damping above that creeps.
-DAMPING, LEAST_DAMPING = 1e-4, 1e-10
-BEND = 0.1  # of a step, at which its curvature is measured
-MOST_BENT = 0.75  # share of a step that its correction may be
-TRIES = 8  # damped steps before a fit gives up
-HOPE = 2.0  # times the expected fall of V that a fit may still fall by
-LONGEST_STEP = 2.0  # of a standardised parameter in one step
 WILD = 1e6  # errors beyond this many standard deviations count as this
 
 
@@ -169,6 +158,34 @@ class Fit:
         return np.maximum(laplace, np.sqrt(np.abs(np.diag(self.covariance))))
 
 
+@dataclass(frozen=True)
+class FitPlan:
+    """When a fit ends, and what is wanted of it.
+
+    Attributes
+    ----------
+    iterations
+        At most.
+    tolerance
+        Fall of V, reached or to be expected, below which it ends.
+    fixed
+        The parameters stay and only the window starts are fitted: a prediction of data that the fit did not see.
+    robust
+        With the sandwich covariance.
+    draft
+        The Hessian may be that of the point before: the cost is compared, or it is fitted further.
+    ceiling
+        It is given up after its first step where twice the fall that can be expected does not bring V below this.
+    """
+
+    iterations: int = 12
+    tolerance: float = 0.05
+    fixed: bool = False
+    robust: bool = False
+    draft: bool = False
+    ceiling: float = np.inf
+
+
 class Problem:
     """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows.
 
@@ -182,6 +199,8 @@ class Problem:
         Nominal parameters that every hypothesis refits.
     chosen
         For each record the indices of the windows to use.
+    tuning
+        Numbers of the fits, and of whatever is done with them.
     """
 
     def __init__(
@@ -189,14 +208,15 @@ class Problem:
         plant: LinearPlant,
         records: Sequence[PreparedRecord],
         nuisances: Sequence[Nuisance],
-        chosen: Sequence[NDArray[np.int_]] | None = None,
+        chosen: Sequence[Indices] | None = None,
+        tuning: NamingTuning = TUNING,
     ) -> None:
-        self.plant, self.records, self.nuisances = plant, tuple(records), tuple(nuisances)
+        self.plant, self.records, self.nuisances, self.tuning = plant, tuple(records), tuple(nuisances), tuning
         self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
 
-    def on(self, records: Sequence[PreparedRecord], chosen: Sequence[NDArray[np.int_]] | None = None) -> Problem:
+    def on(self, records: Sequence[PreparedRecord], chosen: Sequence[Indices] | None = None) -> Problem:
         """The same plant and nuisances over other records or windows."""
-        return Problem(self.plant, records, self.nuisances, chosen)
+        return Problem(self.plant, records, self.nuisances, chosen, self.tuning)
 
     # --- parameters --------------------------------------------------------------------------------------------------
 
@@ -293,34 +313,26 @@ class Problem:
         noise: NoiseModel,
         z: Array,
         starts: Sequence[Array] | None = None,
-        iterations: int = 12,
-        tolerance: float = 0.05,
-        fixed: bool = False,
+        plan: FitPlan = FitPlan(),
         borrowed: Sequence[tuple[Array, Array]] | None = None,
-        robust: bool = False,
-        draft: bool = False,
-        ceiling: float = np.inf,
     ) -> Fit:
-        """Levenberg-Marquardt from z; stops when V falls, or can be expected to fall, by less than ``tolerance``.
+        """Levenberg-Marquardt from z.
 
-        With ``fixed`` the parameters stay and only the window starts are fitted (a prediction of data that the fit
-        did not see). ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from
-        elsewhere (`derivatives`) to save their simulations in a first look. ``robust`` adds the sandwich covariance.
-        The Hessian of a ``draft`` is not that of its last point (its cost is compared, or it is fitted further).
-        A fit is given up after its first step where twice the fall that can be expected does not bring V below the
-        ``ceiling``.
+        ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from elsewhere
+        (`derivatives`) to save their simulations in a first look.
         """
+        fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
         n_x = len(self.plant.states)
         xi = [np.zeros((len(c), n_x)) if starts is None else starts[k].copy() for k, c in enumerate(self.chosen)]
         simulators = self.simulators(hypothesis)
-        damping, count = DAMPING, 0
+        damping, count = self.tuning.damping, 0
         residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
         cost = _total(residual, xi, z)
         hessian = np.eye(len(z))
         parts: list[_Linearised] = []
-        rounds = iterations
-        while rounds > 0 or not draft:
+        rounds = plan.iterations
+        while rounds > 0 or not plan.draft:
             parts = [
                 self._linearised(
                     k, hypothesis, z, xi[k], residual[k], simulators[k], noise, fixed, borrowed[k] if borrowed else None
@@ -330,28 +342,28 @@ class Problem:
             count += 1
             hessian = np.eye(len(z)) + sum(p.reduced(0.0).hessian for p in parts)
             fall = self._expected(z, xi, parts, fixed)
-            if rounds <= 0 or fall < tolerance or (count > 1 and cost - HOPE * fall > ceiling):
+            if rounds <= 0 or fall < tolerance or (count > 1 and cost - self.tuning.hope * fall > plan.ceiling):
                 break
             improved = 0.0
-            for _ in range(TRIES):
+            for _ in range(self.tuning.tries):
                 dz, dxi = self._step(z, xi, parts, damping, fixed)
                 if not fixed and not borrowed:
                     bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
-                there, moved = _within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
+                there, moved = self._within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
                 trial = self.whitened(self.errors(hypothesis, there, moved, simulators), noise)
                 found = _total(trial, moved, there)
                 if found < cost:
                     improved, cost = cost - found, found
                     z, xi, residual = there, moved, trial
-                    damping = max(0.1 * damping, LEAST_DAMPING)
+                    damping = max(0.1 * damping, self.tuning.least_damping)
                     break
-                damping = max(damping, DAMPING) * 10.0
+                damping = max(damping, self.tuning.damping) * 10.0
             rounds -= 1
-            if improved < max(tolerance, RELATIVE * cost):
+            if improved < max(tolerance, self.tuning.relative * cost):
                 break
         window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
-        covariance = _sandwich(parts, hessian) if robust else None
+        covariance = _sandwich(parts, hessian) if plan.robust else None
         return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
 
     def cost(self, hypothesis: Hypothesis, noise: NoiseModel, z: Array, starts: Sequence[Array]) -> float:
@@ -368,16 +380,18 @@ class Problem:
         gradient = z + sum(r.gradient for r in reduced)
         return fall + float(gradient @ np.linalg.solve(np.eye(len(z)) + sum(r.hessian for r in reduced), gradient))
 
-    @staticmethod
+    def _within(self, z: Array) -> Array:
+        return np.clip(z, -self.tuning.farthest, self.tuning.farthest)
+
     def _step(
-        z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], damping: float, fixed: bool
+        self, z: Array, xi: Sequence[Array], parts: Sequence[_Linearised], damping: float, fixed: bool
     ) -> tuple[Array, list[Array]]:
         """The damped step of the parameters and of the window starts."""
         reduced = [p.reduced(damping) for p in parts]
         dz = np.zeros_like(z)
         if not fixed:
             dz = -np.linalg.solve(_damped(reduced, parts, damping), z + sum(r.gradient for r in reduced))
-            dz = _within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
+            dz = self._within(z + np.clip(dz, -self.tuning.longest_step, self.tuning.longest_step)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
     def _bent(
@@ -391,13 +405,13 @@ class Problem:
         noise: NoiseModel,
         step: tuple[Array, list[Array]],
         damping: float,
-    ) -> tuple[Array, list[Array]]:
+    ) -> tuple[Array, Sequence[Array]]:
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
-        ahead = [x + BEND * d for x, d in zip(xi, dxi, strict=True)]
-        errors = self.whitened(self.errors(hypothesis, z + BEND * dz, ahead, simulators), noise)
+        ahead = [x + self.tuning.bend * d for x, d in zip(xi, dxi, strict=True)]
+        errors = self.whitened(self.errors(hypothesis, z + self.tuning.bend * dz, ahead, simulators), noise)
         curved = [
-            p.with_residual(2.0 / BEND * ((e - r) / BEND - p.along(dz, d)))
+            p.with_residual(2.0 / self.tuning.bend * ((e - r) / self.tuning.bend - p.along(dz, d)))
             for p, r, e, d in zip(parts, residual, errors, dxi, strict=True)
         ]
         reduced = [p.reduced(damping) for p in curved]
@@ -406,7 +420,7 @@ class Problem:
         bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
         straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
-        if bent < MOST_BENT**2 * straight:
+        if bent < self.tuning.most_bent**2 * straight:
             return bent_z, bent_xi
         return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 
@@ -423,16 +437,16 @@ class Problem:
 
         known = len(self.nuisances) if borrowed else 0
         units = np.eye(len(z))[known:] if not fixed else []
-        columns = [moved(z + STEP * unit, xi, STEP)[:, :, None] for unit in units]
+        columns = [moved(z + self.tuning.step * unit, xi, self.tuning.step)[:, :, None] for unit in units]
         j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
         if borrowed:
             return _Linearised.of(residual, np.concatenate([borrowed[0], j], axis=2), borrowed[1], xi)
-        x = [moved(z, xi + START_STEP * unit, START_STEP) for unit in np.eye(xi.shape[1])]
+        x = [moved(z, xi + self.tuning.start_step * unit, self.tuning.start_step) for unit in np.eye(xi.shape[1])]
         return _Linearised.of(residual, j, np.stack(x, axis=2), xi)
 
     def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
         """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
-        pairs = []
+        pairs, step, start_step = [], self.tuning.step, self.tuning.start_step
         for k, simulator in enumerate(self.simulators(fit.hypothesis)):
             xi = fit.starts[k]
 
@@ -441,8 +455,8 @@ class Problem:
                 return _whiten(self._record_errors(k, simulator, factors, values, start), fit.noise)
 
             here = residual(fit.z, xi)
-            over_z = [(residual(fit.z + STEP * e, xi) - here) / STEP for e in np.eye(len(fit.z))[: len(self.nuisances)]]
-            over_x = [(residual(fit.z, xi + START_STEP * e) - here) / START_STEP for e in np.eye(xi.shape[1])]
+            over_z = [(residual(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))[: len(self.nuisances)]]
+            over_x = [(residual(fit.z, xi + start_step * e) - here) / start_step for e in np.eye(xi.shape[1])]
             empty = np.zeros((*here.shape, 0))
             pairs.append((np.stack(over_z, axis=2) if over_z else empty, np.stack(over_x, axis=2) if over_x else empty))
         return pairs
@@ -512,10 +526,6 @@ def _damped(reduced: Sequence[_Reduced], parts: Sequence[_Linearised], damping: 
     return hessian
 
 
-def _within(z: Array) -> Array:
-    return np.clip(z, -FARTHEST, FARTHEST)
-
-
 def _sandwich(parts: Sequence[_Linearised], hessian: Array) -> Array:
     """Covariance of z from the scatter of the windows' gradients, starts eliminated: it holds under any noise."""
     scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
@@ -582,5 +592,5 @@ def refit_distance(problem: Problem, true: Fit, rival: Fit) -> float:
     """D of the rival's hypothesis, refitted from where it stands, to the prediction of the true one."""
     there = predicted(problem, true)
     prior = float(true.z @ true.z) + sum(float((x**2).sum()) for x in true.starts)
-    fitted = there.fit(rival.hypothesis, true.noise, rival.z, rival.starts, iterations=10)
+    fitted = there.fit(rival.hypothesis, true.noise, rival.z, rival.starts, FitPlan(10))
     return float(np.sqrt(max(0.0, fitted.cost - prior)))

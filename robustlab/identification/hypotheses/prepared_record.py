@@ -6,27 +6,19 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Mask
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.response.response import slowest_time_constant
+from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["PreparedRecord", "prepare", "start_std", "window_length"]
-
-
-WINDOWS_WANTED = 12
-SHORTEST, LONGEST = 40, 480  # samples of a window
-FEWEST_WINDOWS = 4
-POINTS_PER_WINDOW = 80  # into which the errors of a window are averaged
-LONGEST_GUESS = 2  # samples in a row without any output: the input between them is held
-CURRENT_SHARE = 2.0  # of its RMS: how far a fit may move a current at a window start
-START_INFLATION = 30.0  # the smoother has seen the window itself, so its start is told by the fit and not by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +100,12 @@ class PreparedRecord:
         return (1.0 - part) * x[k] + part * x[k + 1]
 
 
-def window_length(plant: LinearPlant, records: list[Record]) -> int:
+def window_length(plant: LinearPlant, records: list[Record], tuning: NamingTuning = TUNING) -> int:
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant where it fits."""
     n = min(r.n for r in records)
-    poles = plant.state_space().poles()
-    rates = np.abs(poles.real)
-    rates = rates[rates > 1e-9 * max(np.abs(poles).max(initial=0.0), 1e-300)]
-    slowest = round(float(1.0 / rates.min()) / records[0].dt) if len(rates) else 0
-    length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), SHORTEST), LONGEST)
-    return min(max(length, min(slowest, 2 * LONGEST)), n // FEWEST_WINDOWS)
+    slowest = round(slowest_time_constant(plant.state_space()) / records[0].dt)
+    length = min(max(20 * n // (20 * tuning.windows_wanted + 1), tuning.shortest_window), tuning.longest_window)
+    return min(max(length, min(slowest, 2 * tuning.longest_window)), n // tuning.fewest_windows)
 
 
 def prepare(
@@ -124,8 +113,9 @@ def prepare(
     model: PortModel,
     record: Record,
     length: int,
-    valid: dict[str, NDArray[np.bool_]] | None = None,
+    valid: dict[str, Mask] | None = None,
     outputs: Collection[str] = (),
+    tuning: NamingTuning = TUNING,
 ) -> PreparedRecord:
     """Cut a uniform record into windows of ``length`` samples and smooth it.
 
@@ -159,11 +149,11 @@ def prepare(
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
             y[~valid[names[k]], j] = np.nan
-    if record.n // length < FEWEST_WINDOWS:
+    if record.n // length < tuning.fewest_windows:
         raise InputError(
             f"discover {record.name}",
             f"{record.n} samples",
-            f"at least {FEWEST_WINDOWS * length} ({FEWEST_WINDOWS} windows)",
+            f"at least {tuning.fewest_windows * length} ({tuning.fewest_windows} windows)",
         )
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.column_stack([p.force for p in joints]) if joints else model.B
@@ -174,25 +164,25 @@ def prepare(
     smoothed = replace(smoothed, noise_std=noise_std)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
-    stretches = _between_gaps(lost)
+    stretches = _between_gaps(lost, tuning.longest_guess)
     starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
-    if len(usable) < FEWEST_WINDOWS:
+    if len(usable) < tuning.fewest_windows:
         raise InputError(
             f"discover {record.name}",
             f"{len(usable)} windows of {length} samples without gaps",
-            f"at least {FEWEST_WINDOWS}",
+            f"at least {tuning.fewest_windows}",
             "shorter windows, or a record with fewer gaps",
         )
     windows = Windows(np.array(usable, dtype=np.int64), length)
-    std = start_std(smoothed, windows)
+    std = start_std(smoothed, windows, tuning)
     for port in model.ports.values():
         moved = port.velocity != 0.0
         # A current that no sensor tells is told by the voltage, which an effect may delay or change.
         if port.kind == "current" and not bare.C[:, moved].any():
             amperes = smoothed.x @ port.velocity
-            std[:, moved] = np.maximum(std[:, moved], CURRENT_SHARE * float(np.sqrt(np.mean(amperes**2))))
-    thin = max(1, length // POINTS_PER_WINDOW)
+            std[:, moved] = np.maximum(std[:, moved], tuning.current_share * float(np.sqrt(np.mean(amperes**2))))
+    thin = max(1, length // tuning.points_per_window)
     return PreparedRecord(
         record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, told, push, thin, resolution
     )
@@ -222,15 +212,15 @@ def _lead(first: int, last: int, length: int) -> int:
     return first + min((last - first) % length, length // 20)
 
 
-def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
+def start_std(smoothed: SmoothedRecord, windows: Windows, tuning: NamingTuning) -> Array:
     """How far a fit may move the window starts, (n_windows, n_x): far beyond what the smoother leaves open."""
-    return START_INFLATION * smoothed.x_std[windows.starts]
+    return tuning.start_inflation * smoothed.x_std[windows.starts]
 
 
-def _between_gaps(lost: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:
     """First sample and end of each stretch between runs of lost samples that are too long to hold the input over."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
-    gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > LONGEST_GUESS]
+    gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > longest_guess]
     firsts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(lost)]
     return list(zip(firsts, ends, strict=True))
 

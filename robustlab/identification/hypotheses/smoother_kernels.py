@@ -24,12 +24,55 @@ IEEE TAC 41 (1996); de Jong, Penzer, "Diagnosing shocks in time series", JASA 93
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+
+from robustlab.arrays import Array, Indices
 
 # Roots that change by less than this share of their rows are taken as repeating.
 REPEATS = 1e-12
+
+_1, _2, _3 = (types.Array(types.float64, k, "C") for k in (1, 2, 3))
+_PLACES = types.Array(types.int64, 1, "C")
+
+
+class Filter(NamedTuple):
+    """The linear system of the module's header; ``kind`` (n,) chooses the root of the noise after each sample."""
+
+    phi: Array
+    roots: Array
+    kind: Indices
+    forced: Array
+    H: Array
+    sigma: Array
+    S0: Array
+
+
+class Kept(NamedTuple):
+    """What the filter leaves to the smoother; the matrices of sample k stand in place ``slot[k]``."""
+
+    predicted: Array
+    filtered: Array
+    slot: Indices
+    root: Array
+    G: Array
+    rest: Array
+    last: Array
+
+    @classmethod
+    def of(cls, n: int, n_z: int) -> Kept:
+        """Room for n samples of n_z states; for none where nothing but the last root is to be kept."""
+        means, matrices = np.empty((n, n_z)), np.empty((n, n_z, n_z))
+        return cls(
+            means, means.copy(), np.zeros(n, np.int64), matrices, matrices.copy(), matrices.copy(),
+            np.zeros((n_z, n_z)),
+        )  # fmt: skip
+
+
+_FILTER = (_2, _3, _PLACES, _2, _2, _1, _2)
+_KEPT = (_2, _2, _PLACES, _3, _3, _3, _2)
 
 
 @njit(nogil=True, error_model="numpy")
@@ -126,20 +169,19 @@ def _repeats(S_new, S):
 
 
 @njit(
-    "(f8[:,::1],f8[:,:,::1],i8[::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[:,::1],b1,f8[:,::1],f8[:,::1],"
-    "f8[:,::1],i8[::1],f8[:,:,::1],f8[:,:,::1],f8[:,:,::1],f8[:,::1])",
+    [(types.NamedTuple(_FILTER, Filter), _2, types.boolean, _2, types.NamedTuple(_KEPT, Kept))],
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def forward(
-    phi, roots, kind, forced, H, y, sigma, S0, keep, innovation, predicted, filtered, slot, root, G, rest, last
-):
-    """Run the filter from zero mean and the root S0; ``last`` receives the filtered root of the last sample.
+def forward(model, y, keep, innovation, kept):
+    """Run the filter from zero mean and the root S0; ``kept.last`` receives the filtered root of the last sample.
 
     ``innovation`` (n, n_y) receives v / sqrt(a), NaN where y is. With ``keep`` the other arrays are filled for the
     smoother, else they may be empty. Returns the sum of log a and of v^2 / a over all but the first n_z full updates.
     """
+    phi, roots, kind, forced, H, sigma, S0 = model
+    predicted, filtered, slot, root, G, rest, last = kept
     n, n_y, n_z = y.shape[0], y.shape[1], len(phi)
     z, z_next, S = np.zeros(n_z), np.zeros(n_z), S0.copy()
     S_pred, S_new, work = S0.copy(), np.zeros((n_z, n_z)), np.zeros((2 * n_z, 2 * n_z))
@@ -214,18 +256,18 @@ def _solve_covariance(S, b):
 
 
 @njit(
-    "(f8[:,::1],f8[:,::1],i8[::1],f8[:,:,::1],f8[:,:,::1],f8[:,:,::1],f8[:,::1],i8,f8[:,::1],f8[:,:,::1],f8[:,::1],"
-    "f8[:,::1])",
+    [(types.NamedTuple(_KEPT, Kept), types.int64, _2, _3, _2, _2)],
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def backward(predicted, filtered, slot, root, G, rest, last, n_x, mean, covariance, shock, precision):
+def backward(kept, n_x, mean, covariance, shock, precision):
     """Smoothed mean (n, n_z) and covariance (n, n_z, n_z), and what speaks for a jump of the states from n_x on.
 
     ``shock[k, j]`` is the score of a jump of state n_x + j between samples k and k + 1 and ``precision`` its variance:
     their quotient estimates the jump, and shock / sqrt(precision) is standard normal where there is none.
     """
+    predicted, filtered, slot, root, G, rest, last = kept
     n, n_z = filtered.shape
     mean[n - 1] = filtered[n - 1]
     covariance[n - 1] = last @ last.T

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -48,9 +48,10 @@ from robustlab.identification.naming.greedy_naming import (
     spans,
     white,
 )
-from robustlab.identification.naming.ranking import BEYOND_NOISE, noise_ratio
+from robustlab.identification.naming.ranking import noise_ratio
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
 from robustlab.identification.naming.updated_plant import updated_plant
+from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
@@ -58,16 +59,12 @@ from robustlab.statespace import StateSpaceModel, as_model
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
     from robustlab.identification.experiment.next_experiment import NextExperiment
+    from robustlab.identification.record_check.suitability import Finding
 
 __all__ = ["discover"]
 
 
-HELD_OUT_EVERY = 4  # without a held-out record, every fourth window is kept from the fit
 INTERVAL = 1.96  # standard deviations of a 95 % interval
-EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
-# Held-out error in percent of the range that is no machine's noise, where it is also this many times the sensors'.
-COARSE, ABOVE_NOISE = 3.0, 5.0
-REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +81,31 @@ class _Data:
         return self.problem.on(known)
 
 
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """One call of `discover`: what was given, checked and prepared."""
+
+    plant: LinearPlant
+    records: Sequence[Record]
+    repeats: Sequence[Record]
+    period: float | None
+    stated: Mapping[str, tuple[float, bool]]
+    findings: tuple[Finding, ...]
+    data: _Data
+    pool: Sequence[Candidate]
+
+
+class _Judgement(NamedTuple):
+    """The verdict and what it rests on: residual force, error over the sensors' noise, noise floor and F against it."""
+
+    verdict: Verdict
+    complete: bool
+    left: LeftOver | None
+    noise_ratio: float
+    floor: NoiseFloor | None
+    excess: Mapping[str, float]
+
+
 @one_thread()
 def discover(
     plant: Any,
@@ -96,6 +118,7 @@ def discover(
     repeats: Sequence[Record] = (),
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
+    tuning: NamingTuning = TUNING,
 ) -> Discovery:
     """Name what a model lacks.
 
@@ -119,6 +142,8 @@ def discover(
         Effect ids that are not to be tried.
     progress
         Called with a line of text now and then.
+    tuning
+        Numbers that choose speed and accuracy, and how much evidence a name needs.
 
     Returns
     -------
@@ -145,8 +170,9 @@ def discover(
     findings = _checked(linear, [*measured, *kept_out])
     stated = stated_tolerances(linear, tolerances)
     model = port_model(linear)
-    data = _data(linear, model, measured, kept_out, nuisance_parameters(linear, stated), window)
-    pool = [c for c in candidates(linear, model, data.problem.records) if c.effect.id not in left_out]
+    data = _data(linear, model, measured, kept_out, nuisance_parameters(linear, stated), window, tuning)
+    pool = [c for c in candidates(linear, model, data.problem.records, tuning) if c.effect.id not in left_out]
+    case = _Case(linear, measured, repeats, period, stated, findings, data, pool)
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(linear)}
 
     def allowed(problem: Problem, fit: Fit, candidate: Candidate) -> bool:
@@ -156,7 +182,7 @@ def discover(
     naming, others = overtaken(data.problem, naming, allowed)
     rivals = [a for a in others if a.cannot_be_told and allowed(data.problem, a.fit, a.candidate)]
     rivals += in_doubt(data.problem, naming, allowed)
-    return _result(linear, data, naming, rivals, stated, findings, pool, measured, repeats, period, began)
+    return replace(_result(case, naming, rivals), seconds=time.perf_counter() - began)
 
 
 def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
@@ -186,11 +212,11 @@ def _linear(plant: Any) -> LinearPlant:
     return linear_plant_of(as_model(plant, "discover"), "discover")
 
 
-def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Any, ...]:
+def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Finding, ...]:
     """Findings on the records; raises where one forbids a naming."""
     from robustlab.identification.record_check.suitability import suitability
 
-    findings: list[Any] = []
+    findings: list[Finding] = []
     for record in records:
         found = suitability(plant, record)
         found.require()
@@ -200,75 +226,71 @@ def _checked(plant: LinearPlant, records: Sequence[Record]) -> tuple[Any, ...]:
 
 def _data(
     plant: LinearPlant, model: Any, records: Sequence[Record], held_out: Sequence[Record], nuisances: Any,
-    window: float | None,
+    window: float | None, tuning: NamingTuning,
 ) -> _Data:  # fmt: skip
     from robustlab.identification.record_check.resampling import clock_step, uniform
 
     dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
     uniformed = [uniform(r, None if r.is_uniform else dt) for r in (*records, *held_out)]
     everything = [u.record for u in uniformed]
-    length = window_length(plant, everything) if window is None else max(8, round(window / dt))
+    length = window_length(plant, everything, tuning) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
-    prepared = [prepare(plant, model, u.record, length, dict(u.valid), seen) for u in uniformed]
+    prepared = [prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed]
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     if judged:
-        problem = Problem(plant, fitted, nuisances)
+        problem = Problem(plant, fitted, nuisances, tuning=tuning)
         return _Data(problem, problem.on(judged), ", ".join(r.name for r in held_out))
-    apart = [np.arange(r.count) % HELD_OUT_EVERY == HELD_OUT_EVERY // 2 for r in fitted]
-    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart])
+    every = tuning.held_out_every
+    apart = [np.arange(r.count) % every == every // 2 for r in fitted]
+    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
-    return _Data(problem, held, f"every {HELD_OUT_EVERY}th window of the records, kept from the fit")
+    return _Data(problem, held, f"every {every}th window of the records, kept from the fit")
 
 
 # --- the result ------------------------------------------------------------------------------------------------------
 
 
-def _result(
-    plant: LinearPlant, data: _Data, naming: Naming, rivals: Sequence[Alternative],
-    stated: Mapping[str, tuple[float, bool]], findings: tuple[Any, ...], pool: Sequence[Candidate],
-    records: Sequence[Record], repeats: Sequence[Record], period: float | None, began: float,
-) -> Discovery:  # fmt: skip
-    problem, held = data.problem, data.held
-    verdict, complete, left, ratio, floor = _judged(data, naming, records, repeats, period, bool(rivals))
+def _result(case: _Case, naming: Naming, rivals: Sequence[Alternative]) -> Discovery:
+    problem, held = case.data.problem, case.data.held
+    judged = _judged(case, naming, bool(rivals))
+    verdict, complete = judged.verdict, judged.complete
     if not complete and naming.fit.hypothesis.candidates:
         naming = replace(naming, settled=settled(problem, naming.fit, naming.noise, 1))
-        _, _, left, ratio, floor = _judged(data, naming, records, repeats, period, bool(rivals))
+        judged = _judged(case, naming, bool(rivals))
     if verdict == "unknown" and not naming.fit.hypothesis.candidates:
         rivals = ()  # nothing was named, and nothing is missing no longer stands beside them
-    fit = naming.settled
+    fit, left = naming.settled, judged.left
     gaps, series = _gaps(held, naming)
-    effects = tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates)))
-    remains = left is not None and not complete
-    overall = {key: _overall(gaps, key) for key in ("nominal", "refitted", "updated")}
+    names = tuple(r.name for r in case.records)
+    structure = {"noise_ratio": judged.noise_ratio}
     return Discovery(
         status=Status.CONVERGED if verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
         verdict=verdict,
         complete=complete,
-        effects=effects,
+        effects=tuple(_named(problem, naming, k, rivals) for k in range(len(fit.hypothesis.candidates))),
         rivals=tuple(_rival(problem, a) for a in rivals),
-        nominal=_nominal(problem, fit, stated),
-        gap_before=overall["nominal"],
-        gap_refitted=overall["refitted"],
-        gap_after=overall["updated"],
+        nominal=_nominal(problem, fit, case.stated),
+        gap_before=_overall(gaps, "nominal"),
+        gap_refitted=_overall(gaps, "refitted"),
+        gap_after=_overall(gaps, "updated"),
         gaps=gaps,
-        held_out=data.held_text,
-        plant=plant.name,
-        records=tuple(r.name for r in records),
+        held_out=case.data.held_text,
+        plant=case.plant.name,
+        records=names,
         window=problem.records[0].windows.length * problem.records[0].record.dt,
         steps=tuple(_step(s) for s in naming.steps),
-        candidates=tuple(dict.fromkeys(c.effect.id for c in pool)),
-        structure={"noise_ratio": ratio} | (vars(left.structure) | {"found": left.structure.found} if left else {}),
-        residual_force=left.curves() if remains and left else None,
-        unnamed=left.unnamed() if remains and left else None,
-        noise_floor=floor[0],
-        floor_excess=floor[1],
-        remaining_lines=remaining_lines(left) if left else (),
-        findings=findings,
+        candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
+        structure=structure | (vars(left.structure) | {"found": left.structure.found} if left else {}),
+        residual_force=left.curves() if left and not complete else None,
+        unnamed=left.unnamed() if left and not complete else None,
+        noise_floor=judged.floor,
+        floor_excess=judged.excess,
+        remaining_lines=remaining_lines(left, problem.tuning) if left else (),
+        findings=case.findings,
         series=series,
-        model=updated_plant(problem, fit, f"fitted to {', '.join(r.name for r in records)}"),
+        model=updated_plant(problem, fit, f"fitted to {', '.join(names)}"),
         next_experiment=_next_experiment(problem, naming, rivals),
-        seconds=time.perf_counter() - began,
     )
 
 
@@ -281,20 +303,19 @@ def _next_experiment(problem: Problem, naming: Naming, rivals: Sequence[Alternat
     return propose_experiment(problem, naming.fit, [a.fit for a in rivals])
 
 
-def _floor_excess(
-    records: Sequence[Record], repeats: Sequence[Record], period: float | None, naming: Naming, problem: Problem
-) -> tuple[NoiseFloor | None, dict[str, float]]:
+def _floor_excess(case: _Case, naming: Naming) -> tuple[NoiseFloor | None, dict[str, float]]:
     """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
     from robustlab.identification.comparison.noise_floor import noise_floor
 
+    problem, record = case.data.problem, case.records[0]
     first = problem.records[0]
     names = [problem.plant.outputs[k].name for k in first.columns]
     own = [name for name in names if name in first.record.outputs]
     try:
-        floor = noise_floor(records[0], period=period, repeats=repeats, outputs=own)
+        floor = noise_floor(record, period=case.period, repeats=case.repeats, outputs=own)
     except NoTrustworthyNumber:
         return None, {}
-    if floor.source != "periods" or first.record.n != records[0].n:
+    if floor.source != "periods" or first.record.n != record.n:
         return floor, {}
     # Windows at the same phases of every period.
     per_period = max(1, round(floor.samples / first.windows.length))
@@ -302,7 +323,7 @@ def _floor_excess(
     starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
     windows = Windows(starts.astype(np.int64), length)
     s = first.smoothed
-    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows))
+    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows, problem.tuning))
     there = problem.on([cut])
     fit = held_out_fit(there, naming.settled, white(naming.noise))
     errors = cut.measured - simulated_outputs(there, fit)[0]
@@ -360,34 +381,23 @@ def _overall(gaps: Mapping[str, Gap], key: str) -> float:
     return float(100.0 * np.sqrt(np.mean(np.square(shares))))
 
 
-def _judged(
-    data: _Data,
-    naming: Naming,
-    records: Sequence[Record],
-    repeats: Sequence[Record],
-    period: float | None,
-    has_rivals: bool,
-) -> tuple[Verdict, bool, LeftOver | None, float, tuple[NoiseFloor | None, dict[str, float]]]:
-    """Verdict, completeness, and what they rest on: the residual force, error over noise, and F of the floor."""
+def _judged(case: _Case, naming: Naming, has_rivals: bool) -> _Judgement:
+    data, tuning = case.data, case.data.problem.tuning
     left = left_over(data.everything(), naming.settled, naming.noise)
-    floor = _floor_excess(records, repeats, period, naming, data.problem)
+    floor, excess = _floor_excess(case, naming)
     ratio = noise_ratio(data.problem, naming.settled)
     gap = rms_percent(data.held, held_out_fit(data.held, naming.settled, white(naming.noise)))
-    large = ratio > BEYOND_NOISE or (gap > COARSE and ratio > ABOVE_NOISE)
-    return *_verdict(naming, left, floor[1], large, has_rivals), left, ratio, floor
-
-
-def _verdict(
-    naming: Naming, left: LeftOver | None, floor: Mapping[str, float], large: bool, has_rivals: bool
-) -> tuple[Verdict, bool]:
-    """The verdict, and whether the model is complete with what was named."""
+    large = ratio > tuning.beyond_noise or (gap > tuning.coarse and ratio > tuning.above_noise)
     structure = left is not None and left.structure.found
-    remains = structure or large or any(f > REPEATABLE for f in floor.values())
+    remains = structure or large or any(f > tuning.repeatable for f in excess.values())
+    verdict: Verdict
     if not naming.fit.hypothesis.candidates:
-        return ("unknown", False) if remains else ("no missing effect", True)
-    if remains and _explained(naming) < EXPLAINED:
-        return "unknown", False
-    return ("ambiguous" if has_rivals else "named"), not remains
+        verdict, complete = ("unknown", False) if remains else ("no missing effect", True)
+    elif remains and _explained(naming) < tuning.explained:
+        verdict, complete = "unknown", False
+    else:
+        verdict, complete = "ambiguous" if has_rivals else "named", not remains
+    return _Judgement(verdict, complete, left, ratio, floor, excess)
 
 
 def _explained(naming: Naming) -> float:

@@ -8,9 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Fit,
+    FitPlan,
+    Hypothesis,
+    NoiseModel,
+    Problem,
+    refit_distance,
+)
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.naming.ranking import AR_ORDER, Ranked, Ranking, first_noise, rank, whitening
+from robustlab.identification.naming.ranking import Ranked, Ranking, bootstrap_wins, first_noise, rank, whitening
+from robustlab.identification.tuning import TUNING, NamingTuning
 
 __all__ = [
     "Alternative",
@@ -26,26 +35,6 @@ __all__ = [
     "spans",
     "white",
 ]
-
-
-MOST_EFFECTS = 5
-SETTLING = 15  # iterations of the reported fits
-# A new effect must be this much more probable than none, on top of the number of effects that were tried.
-CONVINCING = 4.0
-WRONG_PARAMETER = 2.0  # the same for a parameter beyond its tolerance: those are few, and asked for by name
-MOST_FAILURES = 4  # effects that are tried on held-out data before the search ends
-HELD_OUT_GAIN = 3.0  # log-likelihood on held-out data
-HELD_OUT_LOSS = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well, by chance better
-HELD_OUT_RISE = 0.1  # of the held-out error that it may cost
-HELD_OUT_FALL = 0.03  # of the held-out error
-ROUGH_FALL = 0.10  # the same while something is still missing: small effects then fit what is not theirs
-# Rivals.
-OVERTAKING = 0.5  # log evidence by which a refitted alternative takes the place of the named effect
-EVIDENCE_TIE = 3.0
-WIN_SHARE = 0.05
-CANNOT_TELL = 3.0  # refit distance in noise sigmas
-MOST_RIVALS = 5  # looked at for each named effect
-FAR_BEHIND = 40.0  # log evidence; beyond this the distance is not worth its time
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +96,7 @@ class Alternative:
     evidence: float
     wins: float
     distance: float
+    tuning: NamingTuning = TUNING
 
     @property
     def cannot_be_told(self) -> bool:
@@ -115,8 +105,8 @@ class Alternative:
         Of two wrong gains the records tell nothing but what the tolerances do, which the evidence has weighed.
         """
         gains = self.instead_of is not None and _both_gains(self.candidate, self.instead_of)
-        close = self.distance < CANNOT_TELL and not gains
-        return self.evidence > -EVIDENCE_TIE or self.wins >= WIN_SHARE or close
+        close = self.distance < self.tuning.cannot_tell and not gains
+        return self.evidence > -self.tuning.evidence_tie or self.wins >= self.tuning.win_share or close
 
 
 def name_effects(
@@ -158,16 +148,16 @@ def name_effects(
             break
         fit = step.taken.fit
         base, z = fit.hypothesis, fit.z
-        if len(base.candidates) >= MOST_EFFECTS:
+        if len(base.candidates) >= problem.tuning.most_effects:
             break
     checked = _checked_backwards(problem, fit, noise)
     reported = settled(problem, checked, noise)
-    again = problem.fit(bare.hypothesis, noise, bare.z, bare.starts, iterations=8)
+    again = problem.fit(bare.hypothesis, noise, bare.z, bare.starts, FitPlan(8))
     points = sum(r.size for r in problem.whitened(problem.errors(bare.hypothesis, again.z, again.starts), noise))
     return Naming(
         checked,
         reported,
-        settled(problem, bare, noise, 1 if checked.hypothesis.candidates else AR_ORDER),
+        settled(problem, bare, noise, 1 if checked.hypothesis.candidates else None),
         tuple(steps),
         noise,
         again.cost,
@@ -190,7 +180,7 @@ def _two_at_once(
     open_ones = [c for c in candidates if _may_follow(c, base)]
     ranking = rank(problem, base, first.fit.z, open_ones, step.ranking.noise, progress)
     second = _decided(problem, held, base, ranking, len({c.key for c in open_ones}), allowed)
-    if second.taken is None or not second.held_out < (1.0 - HELD_OUT_FALL) * step.before:
+    if second.taken is None or not second.held_out < (1.0 - problem.tuning.held_out_fall) * step.before:
         return None
     text = f"{first.id}: does not help on held-out data by itself, but together with the next"
     return [Step(step.base, step.ranking, first, text, np.nan), second]
@@ -220,14 +210,14 @@ def _decided(
     allowed: Callable[[Problem, Fit, Candidate], bool],
 ) -> Step:
     names = {c.effect.id for c in base.candidates}
-    threshold = CONVINCING + np.log(max(tried, 1))
+    threshold = problem.tuning.convincing + np.log(max(tried, 1))
     failed: list[Step] = []
     for entry in ranking.ranked:
-        if entry.candidate is None or len(failed) == MOST_FAILURES:
+        if entry.candidate is None or len(failed) == problem.tuning.most_failures:
             if failed:
                 return failed[0]
             return Step(base, ranking, None, "stop: nothing is more probable than what is named", np.nan)
-        if entry.evidence - ranking.base.evidence < (WRONG_PARAMETER if _is_gain(entry) else threshold):
+        if entry.evidence - ranking.base.evidence < (problem.tuning.wrong_parameter if _is_gain(entry) else threshold):
             if any(_is_gain(later) for later in ranking.ranked[ranking.ranked.index(entry) + 1 :]):
                 continue
             if failed:
@@ -276,9 +266,11 @@ def _judged_on_held_out(held: Problem, base: Hypothesis, ranking: Ranking, chose
         rms_percent(held, held_out_fit(held, fit, white(ranking.noise))) for fit in (ranking.base.fit, chosen.fit)
     )
     # The refit may have stretched a tolerance to fit a wrong parameter; naming it then explains, but gains nothing.
-    rough = len(ranking.noise.ar) < AR_ORDER
-    helps = gain > HELD_OUT_GAIN and fall_after < (1.0 - (ROUGH_FALL if rough else HELD_OUT_FALL)) * fall_before
-    harmless = gain > -HELD_OUT_LOSS and fall_after < (1.0 + HELD_OUT_RISE) * fall_before
+    tuning = held.tuning
+    rough = len(ranking.noise.ar) < tuning.ar_order
+    fall = tuning.rough_fall if rough else tuning.held_out_fall
+    helps = gain > tuning.held_out_gain and fall_after < (1.0 - fall) * fall_before
+    harmless = gain > -tuning.held_out_loss and fall_after < (1.0 + tuning.held_out_rise) * fall_before
     if not helps and not (_is_gain(chosen) and _relieves(chosen.fit, ranking.base.fit) and harmless and not rough):
         text = (
             f"stop: {chosen.id} does not help on held-out data "
@@ -296,7 +288,7 @@ def _relieves(gain: Fit, base: Fit) -> bool:
 
 def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
     """The hypothesis on other windows: parameters as fitted, only the window starts are found anew."""
-    return held.fit(fit.hypothesis, noise, fit.z, iterations=8, fixed=True, tolerance=0.5)
+    return held.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
 
 
 def white(noise: NoiseModel) -> NoiseModel:
@@ -318,23 +310,23 @@ def spans(records: Sequence[PreparedRecord]) -> Array:
     return np.max([[np.ptp(y) if y.size else 0.0 for y in row] for row in known], axis=0)
 
 
-def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int = AR_ORDER) -> Fit:
+def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = None) -> Fit:
     """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows.
 
     Full whitening is right where the errors are noise. Where something is still missing it is not: then the first
     order, from a start by least squares, trusts differences between neighbouring points less, in which what is not
     modelled (a small ripple) shows first.
     """
-    found = fit
+    found, settling = fit, problem.tuning.settling
     if order == 1:
         errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
         flat = np.concatenate([e.reshape(-1, e.shape[2]) for e in errors])
         size = np.maximum(np.sqrt(np.nanmean(flat**2, axis=0)), noise.std)
         plain = NoiseModel(size, noise.ar[:0])
-        found = problem.fit(fit.hypothesis, plain, fit.z, fit.starts, SETTLING, tolerance=1e-3)
+        found = problem.fit(fit.hypothesis, plain, fit.z, fit.starts, FitPlan(settling, 1e-3))
     for _ in range(2):
         own = whitening(problem, found, order)
-        found = problem.fit(fit.hypothesis, own, found.z, found.starts, SETTLING, tolerance=1e-3, robust=True)
+        found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(settling, 1e-3, robust=True))
     return found
 
 
@@ -353,14 +345,14 @@ def _without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
 
 def _checked_backwards(problem: Problem, fit: Fit, noise: NoiseModel) -> Fit:
     """Drop effects that later ones have made needless."""
-    fit = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, iterations=4)
+    fit = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(4))
     while len(fit.hypothesis.candidates) > 1:
         less = []
         for k in range(len(fit.hypothesis.candidates)):
             hypothesis, z = _without(problem, fit, k)
-            less.append(problem.fit(hypothesis, noise, z, fit.starts, iterations=8))
+            less.append(problem.fit(hypothesis, noise, z, fit.starts, FitPlan(8)))
         best = max(less, key=lambda f: f.evidence)
-        if fit.evidence - best.evidence > CONVINCING:
+        if fit.evidence - best.evidence > problem.tuning.convincing:
             return fit
         fit = best
     return fit
@@ -374,6 +366,7 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
     """
     found = []
     taken = [step for step in naming.steps if step.taken is not None]
+    least = problem.tuning.wrong_parameter
     for k, named in enumerate(naming.fit.hypothesis.candidates):
         step = next((s for s in taken if s.entry(named) is not None), None)
         if step is None:
@@ -385,12 +378,12 @@ def alternatives(problem: Problem, naming: Naming) -> list[Alternative]:
             for entry in step.ranking.ranked
             if entry.candidate is not None
             and entry.candidate.key != named.key
-            and (entry.evidence - step.ranking.base.evidence > WRONG_PARAMETER or _both_gains(entry.candidate, named))
-            and (not last or entry.evidence > -FAR_BEHIND)
+            and (entry.evidence - step.ranking.base.evidence > least or _both_gains(entry.candidate, named))
+            and (not last or entry.evidence > -problem.tuning.far_behind)
             and _may_follow(entry.candidate, rest)
             and not (entry.candidate.effect.refines == named.effect.id and entry.candidate.site == named.site)
         ]
-        found.extend(_judged(problem, naming, named, rest, z, entries[:MOST_RIVALS]))
+        found.extend(_judged(problem, naming, named, rest, z, entries[: problem.tuning.most_rivals]))
     return found
 
 
@@ -400,9 +393,7 @@ def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, 
     Tolerances of other parameters explain the records as well; but what they hide may be beyond its own tolerance. A
     gain that has no tolerance of its own contradicts nothing: it is in doubt only where it is more probable than none.
     """
-    from robustlab.identification.hypotheses.effect_fit import refit_distance
-
-    ranking = naming.steps[-1].ranking
+    ranking, tuning = naming.steps[-1].ranking, problem.tuning
     if naming.fit.hypothesis.candidates or ranking.base.fit.hypothesis.candidates:
         return []
     found = []
@@ -410,10 +401,10 @@ def in_doubt(problem: Problem, naming: Naming, allowed: Callable[[Problem, Fit, 
         more = entry.evidence - ranking.base.evidence
         if entry.candidate is None or not _is_gain(entry) or not _relieves(entry.fit, ranking.base.fit):
             continue
-        least = WRONG_PARAMETER - EVIDENCE_TIE if entry.candidate.site.kind == "parameter" else 0.0
+        least = tuning.wrong_parameter - tuning.evidence_tie if entry.candidate.site.kind == "parameter" else 0.0
         if more > least and allowed(problem, entry.fit, entry.candidate):
             distance = refit_distance(problem, entry.fit, ranking.base.fit)
-            found.append(Alternative(entry.candidate, None, entry.fit, more, entry.wins, distance))
+            found.append(Alternative(entry.candidate, None, entry.fit, more, entry.wins, distance, problem.tuning))
     return found
 
 
@@ -429,7 +420,7 @@ def overtaken(
     for _ in range(len(naming.fit.hypothesis.candidates)):
         stronger = [a for a in found if allowed(problem, a.fit, a.candidate)]
         best = max(stronger, key=lambda a: a.evidence, default=None)
-        if best is None or best.evidence <= OVERTAKING:
+        if best is None or best.evidence <= problem.tuning.overtaking:
             break
         naming = replace(naming, fit=best.fit, settled=settled(problem, best.fit, naming.noise))
         found = alternatives(problem, naming)
@@ -444,8 +435,6 @@ def _judged(
     z: Array,
     entries: Sequence[tuple[Candidate, Fit]],
 ) -> list[Alternative]:
-    from robustlab.identification.hypotheses.effect_fit import refit_distance
-
     rivals = [candidate for candidate, _ in entries]
     fits = []
     for candidate, fit in entries:
@@ -454,24 +443,13 @@ def _judged(
         if fit.hypothesis.key == hypothesis.key:
             points.append((fit.z, fit.starts))
         point = min(points, key=lambda p: problem.cost(hypothesis, naming.noise, *p))
-        fits.append(problem.fit(hypothesis, naming.noise, *point, iterations=SETTLING))
-    wins = _wins([naming.fit, *fits])
+        fits.append(problem.fit(hypothesis, naming.noise, *point, FitPlan(problem.tuning.settling)))
+    wins = bootstrap_wins([naming.fit, *fits], problem.tuning)
     found = []
     for candidate, fit, share in zip(rivals, fits, wins[1:], strict=True):
         behind = fit.evidence - naming.fit.evidence
-        if behind < -FAR_BEHIND:
+        if behind < -problem.tuning.far_behind:
             continue
         distance = refit_distance(problem, naming.fit, fit)
-        found.append(Alternative(candidate, named, fit, behind, share, distance))
+        found.append(Alternative(candidate, named, fit, behind, share, distance, problem.tuning))
     return found
-
-
-def _wins(fits: Sequence[Fit]) -> Array:
-    from robustlab.identification.naming.ranking import BOOTSTRAPS, SEED
-
-    window = np.array([f.window_cost for f in fits])
-    offset = np.array([f.evidence for f in fits]) + 0.5 * window.sum(axis=1)
-    rng = np.random.default_rng(SEED)
-    n = window.shape[1]
-    counts = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS)
-    return np.bincount(np.argmax(offset[:, None] - 0.5 * window @ counts.T, axis=0), minlength=len(fits)) / BOOTSTRAPS

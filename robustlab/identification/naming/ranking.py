@@ -14,26 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.tuning import NamingTuning
 
-__all__ = ["BEYOND_NOISE", "Ranking", "Ranked", "first_noise", "noise_ratio", "rank", "whitening"]
-
-
-WORKERS = 2
-# Where the errors are noise, the third order makes them white; where something is still missing, whose small and fast
-# part that would bring out, the first order.
-AR_ORDER = 3
-BEYOND_NOISE = 60.0  # times the sensors' noise; torque noise of a quiet machine stays below 25
-BOOTSTRAPS = 500
-SEED = 20261121
-# Successive halving: iterations of the base and of each round, and how many hypotheses enter the next. The base must be
-# at its optimum, or whatever is added would seem to gain what it still had to gain itself.
-BASE, FIRST, SECOND, LAST = 25, 4, 6, 8
-ROUGH = 0.5  # fall of V at which the first two rounds stop
-KEPT_SECOND, KEPT_LAST = 10, 7
-PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
-MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
-FIRST_WINDOWS, SECOND_WINDOWS = 6, 18
+__all__ = ["Ranked", "Ranking", "bootstrap_wins", "first_noise", "noise_ratio", "rank", "whitening"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +74,9 @@ def first_noise(problem: Problem) -> NoiseModel:
     return NoiseModel(np.max(std, axis=0), np.zeros((0, std[0].shape[0])))
 
 
-def whitening(problem: Problem, fit: Fit, order: int = AR_ORDER) -> NoiseModel:
-    """Autoregression and innovation size of a fit's errors, output by output."""
+def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseModel:
+    """Autoregression (of the usual order where left out) and innovation size of a fit's errors, output by output."""
+    order = problem.tuning.ar_order if order is None else order
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     n_y = errors[0].shape[2]
     ar, std = np.zeros((order, n_y)), np.ones(n_y)
@@ -143,7 +128,8 @@ def rank(
     noise
         Noise model of the first rounds; the final one is estimated from the best hypothesis.
     """
-    base_fit = problem.fit(base, noise, base_z, iterations=BASE)
+    tuning = problem.tuning
+    base_fit = problem.fit(base, noise, base_z, plan=FitPlan(tuning.base))
     jobs = [
         (candidate, *_extended(problem, base, base_fit.z, candidate, start))
         for candidate in candidates
@@ -151,57 +137,53 @@ def rank(
     ]
     jobs += [job for candidate in candidates for job in _unstretched(problem, base_fit, candidate)]
 
-    few, few_starts = _thinned(problem, base_fit, FIRST_WINDOWS)
-    some, some_starts = _thinned(problem, base_fit, SECOND_WINDOWS)
-    few_base = few.fit(base, noise, base_fit.z, few_starts, 1)
-    some_base = some.fit(base, noise, base_fit.z, some_starts, 1)
+    few, few_starts = _thinned(problem, base_fit, tuning.first_windows)
+    some, some_starts = _thinned(problem, base_fit, tuning.second_windows)
+    few_base = few.fit(base, noise, base_fit.z, few_starts, FitPlan(1))
+    some_base = some.fit(base, noise, base_fit.z, some_starts, FitPlan(1))
     borrowed = few.derivatives(few_base)
 
     def first(job: tuple[Candidate, Hypothesis, Array]) -> tuple[Candidate, Fit]:
-        ceiling = few_base.cost - 2.0 * PROMISING
-        return job[0], few.fit(
-            job[1], noise, job[2], few_base.starts, FIRST, ROUGH, borrowed=borrowed, draft=True, ceiling=ceiling
-        )
+        plan = FitPlan(tuning.first, tuning.rough, draft=True, ceiling=few_base.cost - 2.0 * tuning.promising)
+        return job[0], few.fit(job[1], noise, job[2], few_base.starts, plan, borrowed)
 
     def second_of(entry: tuple[Candidate, Fit]) -> tuple[Candidate | None, Fit]:
-        ceiling = some_base.cost - 2.0 * PROMISING
-        return entry[0], some.fit(
-            entry[1].hypothesis, noise, entry[1].z, some_base.starts, SECOND, ROUGH, draft=True, ceiling=ceiling
-        )
+        plan = FitPlan(tuning.second, tuning.rough, draft=True, ceiling=some_base.cost - 2.0 * tuning.promising)
+        return entry[0], some.fit(entry[1].hypothesis, noise, entry[1].z, some_base.starts, plan)
 
     def placed(entry: tuple[Candidate | None, Fit]) -> tuple[Candidate | None, Fit]:
-        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, 2, draft=True)
+        return entry[0], problem.fit(entry[1].hypothesis, noise, entry[1].z, base_fit.starts, FitPlan(2, draft=True))
 
     def finally_(entry: tuple[Candidate, Fit]) -> tuple[Candidate, Fit]:
         candidate, fit = entry
         gain = candidate.effect.gain_like
         z, starts = _better_start(problem, final_base, candidate, fit) if gain else (fit.z, fit.starts)
-        ceiling = np.inf if gain else final_base.cost - 2.0 * PROMISING
+        ceiling = np.inf if gain else final_base.cost - 2.0 * tuning.promising
         return candidate, problem.fit(
-            fit.hypothesis, final_noise, z, starts, BASE if gain else LAST, tolerance=0.02, ceiling=ceiling
+            fit.hypothesis, final_noise, z, starts, FitPlan(tuning.base if gain else tuning.last, 0.02, ceiling=ceiling)
         )
 
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with ThreadPoolExecutor(tuning.workers) as pool:
         fitted = _best_of_each(pool.map(first, jobs))
         if progress:
             progress(f"{len(jobs)} starts of {len(fitted)} effects tried")
         gain = {key: few_base.cost - fit.cost for key, (_, fit) in fitted.items()}
-        kept = [key for key in sorted(gain, key=gain.__getitem__, reverse=True) if gain[key] > 2.0 * PROMISING]
-        second = list(pool.map(second_of, [fitted[key] for key in kept[:KEPT_SECOND]]))
+        kept = [key for key in sorted(gain, key=gain.__getitem__, reverse=True) if gain[key] > 2.0 * tuning.promising]
+        second = list(pool.map(second_of, [fitted[key] for key in kept[: tuning.kept_second]]))
         second.sort(key=lambda c: c[1].cost)
-        gaining = [c for c in second if c[1].cost < some_base.cost][:KEPT_LAST]
+        gaining = [c for c in second if c[1].cost < some_base.cost][: tuning.kept_last]
         second = list(pool.map(placed, gaining)) if some is not problem else gaining
         leader = min([base_fit, *(fit for _, fit in second)], key=lambda f: f.cost)
         base_fit = _from_leader(problem, base_fit, leader)
-        order = AR_ORDER if noise_ratio(problem, leader) < BEYOND_NOISE else 1
+        order = tuning.ar_order if noise_ratio(problem, leader) < tuning.beyond_noise else 1
         final_noise = whitening(problem, leader, order)
         # A wrong parameter and a stretched tolerance leave the same errors; what separates them is the prior alone.
-        reached = {c.key for c, _ in second[:KEPT_LAST] if c is not None}
+        reached = {c.key for c, _ in second[: tuning.kept_last] if c is not None}
         wrong = [fitted[key] for key in fitted if key not in reached and fitted[key][0].effect.gain_like]
-        final_base = problem.fit(base, final_noise, base_fit.z, base_fit.starts, BASE, tolerance=0.02)
-        last = [*second[:KEPT_LAST], *((c, replace(fit, starts=base_fit.starts)) for c, fit in wrong)]
+        final_base = problem.fit(base, final_noise, base_fit.z, base_fit.starts, FitPlan(tuning.base, 0.02))
+        last = [*second[: tuning.kept_last], *((c, replace(fit, starts=base_fit.starts)) for c, fit in wrong)]
         final = list(pool.map(finally_, last))
-    return _ranked([(None, final_base), *final], final_noise)
+    return _ranked([(None, final_base), *final], final_noise, tuning)
 
 
 def _better_start(problem: Problem, base: Fit, candidate: Candidate, fit: Fit) -> tuple[Array, Sequence[Array]]:
@@ -226,7 +208,9 @@ def _from_leader(problem: Problem, base: Fit, leader: Fit) -> Fit:
     kept = base.hypothesis.candidates
     if leader is base or leader.hypothesis.candidates[: len(kept)] != kept:
         return base
-    again = problem.fit(base.hypothesis, base.noise, leader.z[: len(base.z)], leader.starts, SECOND)
+    again = problem.fit(
+        base.hypothesis, base.noise, leader.z[: len(base.z)], leader.starts, FitPlan(problem.tuning.second)
+    )
     return again if again.cost < base.cost else base
 
 
@@ -245,7 +229,7 @@ def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[tupl
     if not candidate.effect.gain_like or candidate.site.kind in ("parameter", "joint") or not problem.nuisances:
         return []
     stretch = [n.spread * z for n, z in zip(problem.nuisances, base.z, strict=False)]
-    likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0)
+    likely = max(stretch, key=lambda s: abs(s) if abs(s) < problem.tuning.most_stretched else 0.0)
     found = []
     for sign in (1.0, -1.0):
         start = {candidate.parameters[0].name: float(np.exp(sign * likely))}
@@ -302,15 +286,20 @@ def _best_of_each(fits: object) -> dict[str, tuple[Candidate, Fit]]:
     return best
 
 
-def _ranked(final: Sequence[tuple[Candidate | None, Fit]], noise: NoiseModel) -> Ranking:
-    evidence = np.array([fit.evidence for _, fit in final])
-    window = np.array([fit.window_cost for _, fit in final])
-    offset = evidence + 0.5 * window.sum(axis=1)
-    rng = np.random.default_rng(SEED)
+def bootstrap_wins(fits: Sequence[Fit], tuning: NamingTuning) -> Array:
+    """Share of bootstrap samples of the windows in which each fit has the largest evidence."""
+    window = np.array([fit.window_cost for fit in fits])
+    offset = np.array([fit.evidence for fit in fits]) + 0.5 * window.sum(axis=1)
+    rng = np.random.default_rng(tuning.seed)
     n = window.shape[1]
-    counts = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS)
+    counts = rng.multinomial(n, np.full(n, 1.0 / n), size=tuning.bootstraps)
     winners = np.argmax(offset[:, None] - 0.5 * window @ counts.T, axis=0)
-    wins = np.bincount(winners, minlength=len(final)) / BOOTSTRAPS
+    return np.bincount(winners, minlength=len(fits)) / tuning.bootstraps
+
+
+def _ranked(final: Sequence[tuple[Candidate | None, Fit]], noise: NoiseModel, tuning: NamingTuning) -> Ranking:
+    evidence = np.array([fit.evidence for _, fit in final])
+    wins = bootstrap_wins([fit for _, fit in final], tuning)
     order = np.argsort(-evidence)
     best = evidence[order[0]]
     return Ranking(

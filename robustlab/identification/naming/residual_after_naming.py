@@ -1,10 +1,8 @@
-r"""What is left of the unknown force once the named effects are in the model.
+r"""What is left of the unknown force once the named effects are in the model, and the periodic lines in it.
 
 The named effects' forces, the input as the plant sees it, and what the sensors add to the outputs are known from the
 simulation of the windows. With them as known inputs the model is linear again, and the smoother tells the force that
 still lacks, with its standard deviation, sample by sample.
-
-Periodic lines in the force that is left once the named effects are in the model.
 
 A screw, a gear or a magnet repeats with the position, hum and unbalanced auxiliaries repeat with time. Such a line may
 be too weak to make simulations of unseen data better, so that no effect is named for it, and be certain all the same:
@@ -17,10 +15,9 @@ every time, and over the position in each direction of motion too: a screw pushe
 power that this explains, over the mean power under random signs of the blocks of time, which is what a force of this
 spectrum explains by chance. A level counts against the largest level of all wave numbers under each set of signs, and
 twice where two coordinates are searched, so that looking in many places is paid for (as in
-`robustlab.identification.unnamed.unnamed_effect`). Lines are taken off one by one, the one that explains most first.
-
-Smooth curves over speed, position, time and input are taken off before: they are no lines, and their edges would look
-like some.
+`robustlab.identification.unnamed.unnamed_effect`). Smooth curves over speed, position, time and input are taken off
+before: they are no lines, and their edges would look like some. Lines are then taken off one by one, the one that
+explains most first.
 """
 
 from __future__ import annotations
@@ -36,8 +33,9 @@ from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
-from robustlab.identification.hypotheses.effect_fit import Fit, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.identification.unnamed.block_regression import (
     BlockRegression,
     MovingSamples,
@@ -61,10 +59,6 @@ __all__ = [
     "left_over",
     "remaining_lines",
 ]
-
-
-BLOCKS = 32  # over all records
-MOST_SAMPLES = 6000  # over all records; the force is smooth, so every so manieth sample tells it
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +99,7 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     The parameters stay as fitted; the starts of all windows are found anew.
     """
     everything = problem.on(problem.records)
-    placed = everything.fit(fit.hypothesis, noise, fit.z, iterations=8, fixed=True, tolerance=0.5)
+    placed = everything.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
     parts = [
         _of_record(everything, placed, k, simulator)
         for k, simulator in enumerate(everything.simulators(fit.hypothesis))
@@ -113,8 +107,8 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     known = [p for p in parts if p is not None]
     if not known:
         return None
-    per_record = max(4, BLOCKS // len(known))
-    step = max(1, sum(len(p[2]) for p in known) // MOST_SAMPLES)
+    per_record = max(4, problem.tuning.residual_blocks // len(known))
+    step = max(1, sum(len(p[2]) for p in known) // problem.tuning.residual_samples)
     blocks = [k * per_record + np.arange(len(p[2])) * per_record // len(p[2]) for k, p in enumerate(known)]
     force = np.concatenate([p[2][::step] for p in known])
     std = np.concatenate([p[3][::step] for p in known])
@@ -156,7 +150,7 @@ def _of_record(
         return None
     # The test turns the signs of whole blocks, which must not hang together by the smoother's own memory: where there
     # is hardly any force the likelihood makes that longer than a block, and chance would look like structure.
-    least = max(4, BLOCKS // len(problem.records)) / (len(t) * record.record.dt)
+    least = max(4, problem.tuning.residual_blocks // len(problem.records)) / (len(t) * record.record.dt)
     try:
         smoothed = smooth_disturbance(linear, push[:, None], t, known, y, jumps=False)
         if smoothed.bandwidth[0] < least:
@@ -211,19 +205,8 @@ def _known_inputs(
 
 Turns = NDArray[np.complex128]
 
-ALARM = 0.01
-MOST_LINES = 4
-WORTH = 0.02  # of the mean square of the force: a weaker line is certain and of no use
-FEWEST_TURNS = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
-TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
-MOST_WAVES = 3000
-OVERSAMPLING = 2.0  # wave numbers tried per turn over the range
-CHUNK = 300  # wave numbers at a time: bounds the memory
-STIFFNESS = 1e-4  # of the smooth curves
-FINER = 41  # wave numbers of the last search, between the neighbours of the best one
 
-
-def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
+def remaining_lines(left: LeftOver, tuning: NamingTuning = TUNING) -> tuple[dict[str, float | str], ...]:
     """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first.
 
     Parameters
@@ -251,18 +234,18 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
     if (np.diff(data.block) < 0).any():
         raise InputError("remaining lines: blocks", "labels that go back", "contiguous blocks, one after the other")
     signs = random_signs(data.n_blocks, 0)
-    data = replace(data, d=_without_curves(data))
-    searches = list(_searches(data))
-    least = WORTH * float(data.weight @ data.d**2)
+    data = replace(data, d=_without_curves(data, tuning))
+    searches = list(_searches(data, tuning))
+    least = tuning.line_worth * float(data.weight @ data.d**2)
     found: list[dict[str, float | str]] = []
-    while len(found) < MOST_LINES:
-        sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches)))]
+    while len(found) < tuning.most_lines:
+        sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches), tuning))]
         if not sure:
             break
         power, p, place, at = max(sure, key=lambda line: line[0])
         if power < least:
             break
-        wave = _refined(data, place, at)
+        wave = _refined(data, place, at, tuning)
         fitted, amplitude = _line(data, place, wave)
         data = replace(data, d=data.d - fitted)
         found.append(
@@ -300,7 +283,7 @@ def _records(data: MovingSamples) -> NDArray[np.int_]:
     return np.concatenate([[0], np.cumsum(np.diff(time) < 0)])
 
 
-def _without_curves(data: MovingSamples) -> Array:
+def _without_curves(data: MovingSamples, tuning: NamingTuning) -> Array:
     """The force less a sum of smooth curves over all coordinates."""
     from scipy.linalg import block_diag
 
@@ -309,10 +292,10 @@ def _without_curves(data: MovingSamples) -> Array:
         return data.d - np.average(data.d, weights=data.weight)
     columns = np.hstack([b.columns for b in bases])
     regression = BlockRegression(data, data.d, columns, np.asarray(block_diag(*(b.penalty for b in bases))))
-    return data.d - columns @ regression.solve(STIFFNESS)[:, 0]
+    return data.d - columns @ regression.solve(tuning.curve_stiffness)[:, 0]
 
 
-def _searches(data: MovingSamples) -> Iterator[_Search]:
+def _searches(data: MovingSamples, tuning: NamingTuning) -> Iterator[_Search]:
     """Position and time, each with the wave numbers that its samples can show."""
     record = _records(data)
     for name, x in data.x.items():
@@ -320,40 +303,40 @@ def _searches(data: MovingSamples) -> Iterator[_Search]:
         if role(name) not in ("position", "time") or not span > 0:
             continue
         step = np.abs(np.diff(x))
-        longest, group = span / FEWEST_TURNS, record
+        longest, group = span / tuning.fewest_turns, record
         if role(name) == "time":
             length = float(np.median([np.ptp(x[data.block == b]) for b in range(data.n_blocks)]))
-            longest = min(longest, length / TURNS_PER_BLOCK)
+            longest = min(longest, length / tuning.turns_per_block)
         else:
             group = 2 * record + (data.sign > 0)
         low, high = 1.0 / longest, 0.5 / float(np.median(step[step > 0]))
-        count = min(MOST_WAVES, int((high - low) * span * OVERSAMPLING))
+        count = min(tuning.most_waves, int((high - low) * span * tuning.oversampling))
         if count >= 2:
-            yield _Search(name, x, low + np.arange(count) / (span * OVERSAMPLING), group)
+            yield _Search(name, x, low + np.arange(count) / (span * tuning.oversampling), group)
 
 
 def _strongest(
-    data: MovingSamples, place: _Search, signs: Array, searches: int
+    data: MovingSamples, place: _Search, signs: Array, searches: int, tuning: NamingTuning
 ) -> tuple[float, float, _Search, int] | None:
     """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
-    power = _power(data, place, signs)
+    power = _power(data, place, signs, tuning.waves_at_once)
     mean = power[1:].mean(axis=0)
     level = power / np.where(mean > 0, mean, 1.0)
     chance = np.sort(level[1:].max(axis=1))
     p = searches * (1 + len(chance) - np.searchsorted(chance, level[0])) / len(level)
-    sure = np.flatnonzero(p < ALARM)
+    sure = np.flatnonzero(p < tuning.line_alarm)
     if not len(sure):
         return None
     at = int(sure[power[0, sure].argmax()])
     return float(power[0, at]), float(p[at]), place, at
 
 
-def _power(data: MovingSamples, place: _Search, signs: Array) -> Array:
+def _power(data: MovingSamples, place: _Search, signs: Array, chunk: int) -> Array:
     """Explained power of every wave number for every set of signs, (n_signs, n_waves)."""
     parts = []
-    tables = _tables(place, place.waves[:CHUNK])  # the wave numbers are evenly spaced: each chunk only turns on
-    for first in range(0, len(place.waves), CHUNK):
-        waves = place.waves[first : first + CHUNK]
+    tables = _tables(place, place.waves[:chunk])  # the wave numbers are evenly spaced: each chunk only turns on
+    for first in range(0, len(place.waves), chunk):
+        waves = place.waves[first : first + chunk]
         power = np.zeros((len(signs), len(waves)))
         for moment, inverse in _normal_equations(data, place, waves, tables):
             root = np.einsum("bwp,wpq->qbw", moment, np.linalg.cholesky(inverse))
@@ -393,11 +376,11 @@ def _normal_equations(
         yield np.stack([np.real(moment), np.imag(moment)], axis=2), inverse
 
 
-def _refined(data: MovingSamples, place: _Search, at: int) -> float:
+def _refined(data: MovingSamples, place: _Search, at: int, tuning: NamingTuning) -> float:
     """Wave number of the most power between the neighbours of the best one of the grid."""
-    step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)
-    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, FINER)
-    power = np.zeros(FINER)
+    step = 1.0 / (float(np.ptp(place.x)) * tuning.oversampling)
+    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, tuning.finer_waves)
+    power = np.zeros(tuning.finer_waves)
     for moment, inverse in _normal_equations(data, place, waves):
         whole = moment.sum(axis=0)
         power += np.einsum("wp,wpq,wq->w", whole, inverse, whole)

@@ -18,11 +18,7 @@ from robustlab.errors import InputError
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 
-__all__ = [
-    "fitted_together",
-    "updated_plant",
-    "uncertain_from",
-]
+__all__ = ["fitted_together", "uncertain_from", "updated_plant"]
 
 
 ONE_FACTOR = "scaled by one factor"

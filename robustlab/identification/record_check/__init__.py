@@ -1,1 +1,7 @@
-"""Is a record what it is taken for: quality, channels, clock, data sheets, fitness for naming."""
+"""Is a record what it is taken for?
+
+suitability       `check_record` summarises it, `suitability` says whether an effect may be named from it
+channel_identity  channels with another sign, unit or name than the model's
+resampling        missing samples, jitter, two clocks: brought on one uniform clock
+steady_state      a data sheet's operating points against a plant
+"""

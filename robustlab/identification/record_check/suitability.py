@@ -19,7 +19,8 @@ kind                    fatal  what was found
 ``quantisation``        no     an encoder's step, found from the samples
 ======================  =====  ===============================================================================
 
-What a record's samples say about how it was taken: clock, constant and clipped channels, units not stated.
+What the samples say of themselves (constant and clipped channels, the clock, units) `check_record` tells of any record,
+without a model.
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ from robustlab.record import Record
 from robustlab.result import Evidence
 
 __all__ = [
-    "Finding",
-    "Suitability",
-    "quantisation_step",
-    "suitability",
     "ChannelSummary",
+    "Finding",
     "RecordCheck",
+    "Suitability",
     "channel_warnings",
     "check_record",
     "clipped_runs",
+    "quantisation_step",
+    "suitability",
 ]
 
 
@@ -108,14 +109,19 @@ def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str
     standing = [name for name in (*inputs, *outputs) if not np.ptp(record[name])]
     warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in standing]
     for name in outputs:
-        runs = clipped_runs(record[name])
-        count = sum(last - first for first, last in runs)
-        if count > CLIPPED_SHARE * record.n:
+        if runs := _clipped(record, name):
+            count = sum(last - first for first, last in runs)
             warnings.append(
                 f"{name} looks clipped: {count} of {record.n} samples stand at the end of its range, reached at full "
                 f"slope (first: samples {runs[0][0]} to {runs[0][1] - 1})"
             )
     return warnings
+
+
+def _clipped(record: Record, name: str) -> list[tuple[int, int]]:
+    """`clipped_runs` of a channel; none where they hold next to nothing of the record."""
+    runs = clipped_runs(record[name])
+    return runs if sum(last - first for first, last in runs) > CLIPPED_SHARE * record.n else []
 
 
 def clipped_runs(y: Array) -> list[tuple[int, int]]:
@@ -365,9 +371,8 @@ def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     found: list[Finding] = []
     for name in outputs:
         y, unit = record[name], record.unit(name)
-        runs = clipped_runs(y)
-        count = sum(last - first for first, last in runs)
-        if count > CLIPPED_SHARE * record.n:
+        if runs := _clipped(record, name):
+            count = sum(last - first for first, last in runs)
             text = f"clipped: {count} of {record.n} samples stand at the end of its range, reached at full slope"
             evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
             hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"

@@ -1,1 +1,6 @@
-"""The model's response to a record: matched by names and units, whole or in windows with their own starts."""
+"""A linear model's response to a record, matched by names and units.
+
+response             `response_of`: model and record matched; simulations of stretches of the record
+windowed_simulation  each window from its own best start; the residual that such windows leave
+windowed_response    what an input does to an output, whatever the start and a constant disturbance
+"""

@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
-from robustlab.record import Record
+from robustlab.record import UNIFORM_TOLERANCE, Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.units import factor_to_si, same_unit
 
@@ -19,6 +19,7 @@ __all__ = [
     "Response",
     "Stretch",
     "response_of",
+    "slowest_time_constant",
 ]
 
 
@@ -46,6 +47,12 @@ class Stretch:
     u: Mapping[str, Array]
     y: Array
     weight: Array
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether all steps of the clock are alike."""
+        step = np.diff(self.t)
+        return bool(np.abs(step - step.mean()).max() <= UNIFORM_TOLERANCE * step.mean())
 
     def cut(self, first: int, last: int) -> Stretch:
         """Samples ``first .. last - 1``."""
@@ -125,13 +132,18 @@ class Response:
         return np.column_stack([record.outputs[name] for name in self.output_names])
 
     def slowest_time_constant(self) -> float:
-        """Slowest time constant in s over the poles that are no integrators; 0 where there is none."""
-        poles = self.model.poles()
-        if self.model.is_discrete:
-            poles = np.log(poles[np.abs(poles) > 0]) / self.model.dt
-        rate = np.abs(poles.real)
-        rate = rate[rate > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]
-        return float(1.0 / rate.min()) if len(rate) else 0.0
+        """That of the model."""
+        return slowest_time_constant(self.model)
+
+
+def slowest_time_constant(model: StateSpaceModel) -> float:
+    """Slowest time constant in s over the poles that are no integrators; 0 where there is none."""
+    poles = model.poles()
+    if model.is_discrete:
+        poles = np.log(poles[np.abs(poles) > 0]) / model.dt
+    rate = np.abs(poles.real)
+    rate = rate[rate > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]
+    return float(1.0 / rate.min()) if len(rate) else 0.0
 
 
 def response_of(plant_or_model: Any, record: Record) -> Response:

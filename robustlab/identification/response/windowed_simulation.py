@@ -1,8 +1,10 @@
 r"""Simulation in windows, each from its own best initial state, and the residual that such windows leave.
 
 Over a long record a model with an integrator drifts, and its error says little about where the model is wrong. So the
-record is cut into windows, and in each the initial state is fitted by least squares over the whole window: what is
-left is the part of the error that no initial state explains.
+record is cut into windows, and in each the initial state is fitted by least squares over the whole window: with the
+forced response :math:`y_u` and the free response :math:`S(t) = C e^{A t}`, :math:`x_0` minimises
+:math:`\sum_k \| W (y_k - y_u(t_k) - S(t_k) x_0) \|^2`. What is left is the part of the error that no initial state
+explains.
 
 The windowed error itself is not white even for a perfect model, because the fit uses up n_x directions in each
 window, and because the fit must weigh outputs of unknown noise against each other. The *recursive residual* has no
@@ -15,11 +17,6 @@ before k,
 If the model is right and the output noise white, the :math:`w_k` are white with the variance of the noise, exactly
 and for every window length. They come from a QR decomposition that is updated by one row at a time (no matrix is
 inverted).
-
-Initial state from measured outputs, by least squares over the free response.
-
-For a linear model :math:`y(t) = y_u(t) + S(t) x_0` with the forced response :math:`y_u` and the free response
-:math:`S(t) = C e^{A t}`; :math:`x_0` minimises :math:`\sum_k \| W (y_k - y_u(t_k) - S(t_k) x_0) \|^2`.
 
 References
 ----------
@@ -36,26 +33,26 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.identification.response.response import Response, Stretch
-from robustlab.record import UNIFORM_TOLERANCE
 from robustlab.result import Evidence
 
 __all__ = [
-    "WindowedSimulation",
-    "recursive_residual",
-    "window_edges",
-    "windowed_simulation",
     "InitialState",
     "StateFit",
+    "WindowedSimulation",
     "fit_state",
+    "recursive_residual",
     "starting_state",
     "weighted_least_squares",
+    "window_edges",
+    "windowed_simulation",
 ]
 
 
 SHORTEST_START = 20  # samples
-RANK_TOLERANCE = (
-    1e-10  # singular values of the column-scaled sensitivity below this share of the largest are not observed
-)
+# Singular values of the column-scaled sensitivity below this share of the largest are not observed.
+RANK_TOLERANCE = 1e-10
+# Entries of the free response below this share of its largest column carry no information on the state.
+NO_INFORMATION = 1e-10
 
 
 @dataclass(frozen=True)
@@ -171,10 +168,6 @@ def weighted_least_squares(free: Array, error: Array, weight: Array) -> tuple[Ar
     return x0, std, rank
 
 
-# Entries of the free response below this share of its largest column carry no information on the state.
-NO_INFORMATION = 1e-10
-
-
 @dataclass(frozen=True)
 class WindowedSimulation:
     """Windowed simulation of a record.
@@ -217,10 +210,8 @@ def windowed_simulation(response: Response, whole: Stretch, length: int) -> Wind
     t, y = whole.t, whole.y
     edges = window_edges(len(t), length)
     longest = int(np.diff(edges).max())
-    step = np.diff(t)
     # The free response is the same in all windows where the clock is uniform.
-    uniform = bool(np.abs(step - step.mean()).max() <= UNIFORM_TOLERANCE * step.mean())
-    shared = response.free_response(t[:longest]) if uniform else None
+    shared = response.free_response(t[:longest]) if whole.is_uniform else None
     n_windows = len(edges) - 1
     simulated, states = np.empty_like(y), np.empty((n_windows, response.n_states))
     error, residual = np.full((longest, y.shape[1], n_windows), np.nan), np.empty_like(y)

@@ -7,9 +7,8 @@ time_domain            sample by sample: constants, systems, both
   time_invariant       systems that do not: pulse responses along a central path
   contraction_kernel   their norm and its barrier
   constant_parameters  constants: descent, branch and bound
-frequency_domain       line by line
+frequency_domain       line by line: cone programmes from above, multipliers from below
   spectral_problem     model and data at the lines, `FrequencyData`
-  line_programme       cone programmes from above, multipliers from below
 cone_programme         the door to the solver
 result                 `Validation`, and what both domains end with
 data_cover             the unmodelled dynamics that a plant's records need

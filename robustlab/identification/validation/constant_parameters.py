@@ -172,7 +172,7 @@ class WindowFit:
         """Least noise over its bound, the noise of each window, and the dual weights: window -> (its samples,)."""
         if at is None:
             return np.inf, [], {}
-        rest = [e - Q @ (Q.T @ e) for e, Q in zip(at.e, at.basis, strict=True)]
+        rest: list[Array] = [e - Q @ (Q.T @ e) for e, Q in zip(at.e, at.basis, strict=True)]
         if self.recorded.norm == "rms":
             return self._rms(rest)
         peaks = np.array([np.abs(r).max(initial=0.0) for r in rest])
@@ -356,7 +356,7 @@ def _descend(fit: WindowFit, delta: Array, search: Search) -> tuple[Array, float
         sides = [[fit.windows(delta + s * step * np.eye(m)[k]) for s in (1, -1)] for k in range(m)]
         if any(side is None for pair in sides for side in pair):
             break
-        lean = [
+        lean: list[Array] = [
             np.column_stack([(ahead.e[i] - back.e[i]) / (2 * step) for ahead, back in sides])  # pyright: ignore[reportOptionalMemberAccess]
             for i in fit.every
         ]

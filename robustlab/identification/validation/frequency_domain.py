@@ -1,16 +1,38 @@
-"""Validation in the frequency domain, from a record in steady state or from a measured frequency response."""
+r"""Validation in the frequency domain, line by line: cone programmes from above, multipliers from below.
+
+The data are a record in steady state or a measured frequency response (`spectral_problem`). A block of size gamma
+explains w from z if :math:`|w_k|^2 \le \gamma^2 |z_k|^2`. With the tangent
+:math:`\epsilon_k = 2 \operatorname{Re} \bar z^c_k z_k - |z^c_k|^2 \le |z_k|^2` that is kept by
+:math:`|w_k|^2 \le g\, \epsilon_k`, :math:`g = \gamma^2`, a second-order cone: exact where z is known (then
+:math:`\epsilon = |z|^2`), otherwise repeated around the last z (convex-concave procedure).
+
+From below, for any :math:`D_{ik} \ge 0` and :math:`\Lambda \ge 0`
+
+.. math:: L = \sum_{ik} D_{ik} (\gamma_i^2 |z_{ik}|^2 - |w_{ik}|^2) + \sum_j \Lambda_j
+              \Bigl(r_j^2 - \sum_k \omega_k |n_{jk}|^2\Bigr) \ge 0
+
+at every explanation, so :math:`\max_w L < 0` disproves gamma; the maximum is one small Hermitian system at each line.
+With at most three such forms the test loses nothing (S-procedure over complex numbers); with more it is a relaxation.
+
+References
+----------
+Smith and Doyle (1992), section IV; Huang and Zhang, "Complex matrix decomposition and quadratic programming",
+Mathematics of Operations Research 32 (2007), theorem 2.1, for when the multipliers are exact.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array, ComplexArray, Mask
+from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.validation.line_programme import SpectralSizes, smallest_by_lines
+from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
 from robustlab.identification.validation.result import (
     BlockSize,
     Validation,
@@ -30,7 +52,13 @@ from robustlab.identification.validation.tuning import Search
 from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["fits_frequency_domain", "validate_by_lines"]
+__all__ = ["fits_frequency_domain", "line_lagrangian", "smallest_by_lines", "validate_by_lines"]
+
+
+# Rounding in the noise of an explanation, over its bound.
+SLACK = 1e-9
+# A multiplier of this share of the largest keeps the Lagrangian of a line strictly concave.
+FLOOR = 1e-9
 
 
 def fits_frequency_domain(
@@ -85,12 +113,7 @@ def validate_by_lines(
     progress(f"{problem.n} lines: gamma {found.lower:.4g} .. {found.upper:.4g}")
     alone: dict[str, tuple[float, float]] = {}
     if per_block and np.isfinite(found.upper):
-
-        def bounds(scaled: Mask) -> tuple[float, float]:
-            part = smallest_by_lines(problem, replace(search, scaled=scaled))
-            return part.lower, part.upper
-
-        alone = each_alone(problem.names, bounds, progress)
+        alone = each_alone(problem.names, search, partial(smallest_by_lines, problem), progress)
     said = (
         *spectrum.said,
         *(("the noise bound was estimated from the record's own periods",) if estimated else ()),
@@ -180,3 +203,307 @@ def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
     whole = np.zeros((n // 2 + 1, moved.shape[1]), dtype=complex)
     whole[len(whole) - problem.n :] = moved * n
     return spectrum.nominal + np.fft.irfft(whole, n, axis=0)
+
+
+# --- the smallest gamma over all lines -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LineMultipliers:
+    """Multipliers of a certificate: D (n, blocks), and noise (n, n_y); the same over all lines for a total bound."""
+
+    D: Array
+    noise: Array
+
+
+@dataclass(frozen=True)
+class SpectralSizes:
+    """What `smallest_by_lines` found.
+
+    Attributes
+    ----------
+    lower, upper
+        Bounds of gamma; both inf where no Delta of any size explains the data.
+    w
+        (n, q); zeros where nothing was found.
+    multipliers
+        Those of the lower bound.
+    least_noise
+        By what factor the noise bound would have to grow for any Delta at all to explain the data; at most 1: none.
+    known
+        Whether z is known, and the test thereby convex.
+    recheck
+        The lower bound once more, from the multipliers alone.
+    """
+
+    lower: float
+    upper: float
+    w: ComplexArray
+    multipliers: LineMultipliers
+    least_noise: float
+    known: bool
+    recheck: Callable[[], float] | None
+
+
+def smallest_by_lines(problem: SpectralProblem, search: Search) -> SpectralSizes:
+    """Bounds over the blocks that are scaled; the others keep the size 1.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        The solver gives no answer, or an impossibility that its multipliers do not prove.
+    """
+    programme = _Programme(problem, search)
+    known = not np.abs(problem.M11).max(initial=0.0)
+    none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
+    empty = LineMultipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
+    if problem.excess(problem.noise(none)) <= 1:
+        return SpectralSizes(0.0, 0.0, none, empty, problem.excess(problem.noise(none)), known, None)
+    free = programme.least_noise()
+    least = problem.excess(problem.noise(free.w))
+    if least > 1 + SLACK:
+        multipliers = LineMultipliers(empty.D, programme.multipliers(free).noise)
+        if not line_lagrangian(problem, multipliers, np.ones(len(problem.blocks))) < 0:
+            raise NoTrustworthyNumber("validate", f"the noise bound is missed by {least - 1:.1e} of itself, unproved")
+        return SpectralSizes(np.inf, np.inf, none, multipliers, least, known, None)
+    best, at, lower, multipliers = np.inf, none, 0.0, empty
+    for start in (problem.z0, problem.z(free.w)):
+        gamma, w, solved = _descend(programme, start, known)
+        if solved is not None:
+            trial = programme.multipliers(solved)
+            # With several programmes in one the multipliers of a line are those of its own gamma: the worst decides.
+            top = gamma if np.isfinite(gamma) else float(np.sqrt(solved.g.max(initial=0.0)))
+            disproved = _largest_disproved(problem, trial, search, top)
+            lower, multipliers = (disproved, trial) if disproved > lower else (lower, multipliers)
+        if gamma < best:
+            best, at = gamma, w
+        if known or lower >= best * (1 - search.precision):
+            break
+
+    def recheck() -> float:
+        return _largest_disproved(problem, multipliers, search, lower * (1 + 1e-6))
+
+    return SpectralSizes(lower, best, at, multipliers, min(least, 1.0), known, recheck if lower > 0 else None)
+
+
+def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float, ComplexArray, _Solved | None]:
+    """Best gamma that its own w shows, that w, and the last programme solved."""
+    problem, search = programme.problem, programme.search
+    best, at, last, before = np.inf, np.zeros_like(problem.e[:, :0]), None, np.inf
+    for _ in range(1 if known else search.tuning.line_rounds):
+        solved = programme.smallest(z)
+        if solved is None:
+            break
+        last = solved
+        z = problem.z(solved.w)
+        gamma = _shown_size(problem, solved.w, search)
+        if gamma < best:
+            best, at = gamma, solved.w
+        if gamma > before * (1 - 0.02 * search.precision) or search.budget.over:
+            break
+        before = gamma
+    return best, at, last
+
+
+def _shown_size(problem: SpectralProblem, w: ComplexArray, search: Search) -> float:
+    """Largest size of the scaled blocks that w needs; inf where it leaves too much noise or breaks another block."""
+    sizes = problem.sizes(w)
+    if problem.excess(problem.noise(w)) > 1 + SLACK or (sizes[:, ~search.scaled] > 1 + 1e-6).any():
+        return np.inf
+    return float(sizes[:, search.scaled].max(initial=0.0))
+
+
+# --- certificate -----------------------------------------------------------------------------------------------------
+
+
+def line_lagrangian(problem: SpectralProblem, multipliers: LineMultipliers, gammas: Array) -> float:
+    """Largest value of L over all w: for a total bound of the sum over lines, else of the line where it is smallest.
+
+    +inf where L is not bounded above. Negative is a proof.
+    """
+    n, p = problem.z0.shape
+    q = problem.M21.shape[2]
+    to_z, to_w = np.zeros((n, p)), np.zeros((n, q))
+    for i, (rows, cols) in enumerate(problem.blocks):
+        to_z[:, cols] = (gammas[i] ** 2 * multipliers.D[:, i])[:, None]
+        to_w[:, rows] = multipliers.D[:, i][:, None]
+    noise = multipliers.noise
+    M11, M21 = problem.M11, problem.M21
+    back = M11.conj().transpose(0, 2, 1) * to_z[:, None, :], M21.conj().transpose(0, 2, 1) * noise[:, None, :]
+    H = back[0] @ M11 - back[1] @ M21
+    H[:, range(q), range(q)] -= to_w
+    slope = np.einsum("kij,kj->ki", back[0], problem.z0) + np.einsum("kij,kj->ki", back[1], problem.e)
+    at_zero = (to_z * np.abs(problem.z0) ** 2).sum(axis=1) - (noise * np.abs(problem.e) ** 2).sum(axis=1)
+    values, vectors = np.linalg.eigh(0.5 * (H + H.conj().transpose(0, 2, 1)))
+    turned = np.abs(np.einsum("kij,ki->kj", vectors.conj(), slope)) ** 2
+    size = np.abs(values).max(axis=1, initial=0.0)[:, None] + 1e-300
+    reach = size * (np.abs(at_zero)[:, None] + 1e-300)
+    flat = values > -1e-12 * size
+    if problem.total:
+        if (flat & ((values > 1e-12 * size) | (turned > 1e-14 * reach))).any():
+            return np.inf
+        gained = np.where(flat, 0.0, turned / np.where(flat, 1.0, -values)).sum(axis=1)
+        Lambda = noise.max(axis=0, initial=0.0) / problem.weight.max()
+        top = float(Lambda @ problem.radius**2)
+        least = float((at_zero + gained).sum())
+        return least + top + 1e-12 * (abs(top) + float(np.abs(at_zero).sum()) + float(gained.sum()))
+    bad = (flat & ((values > 1e-12 * size) | (turned > 1e-14 * reach))).any(axis=1)
+    gained = np.where(flat, 0.0, turned / np.where(flat, 1.0, -values)).sum(axis=1)
+    each = at_zero + gained + noise.sum(axis=1)
+    each += 1e-12 * (np.abs(at_zero) + gained + noise.sum(axis=1))
+    each[bad | ~(noise.sum(axis=1) > 0)] = np.inf
+    return float(each.min(initial=np.inf))
+
+
+def _largest_disproved(problem: SpectralProblem, multipliers: LineMultipliers, search: Search, start: float) -> float:
+    """Largest gamma, at most ``start``, that the multipliers disprove; L grows with gamma, so halving finds it."""
+
+    def disproved(gamma: float) -> bool:
+        return line_lagrangian(problem, multipliers, search.gammas(gamma)) < 0
+
+    if not start > 0 or not np.isfinite(start) or not disproved(0.0):
+        return 0.0
+    good, high = 0.0, start
+    for _ in range(search.tuning.halvings):
+        middle = 0.5 * (good + high)
+        good, high = (middle, high) if disproved(middle) else (good, middle)
+        if high - good < 1e-7 * high:
+            break
+    return good
+
+
+# --- programmes ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Solved:
+    w: ComplexArray
+    g: Array
+    cones: ConeSolution
+
+
+class _Programme:
+    """Cone programmes in the real and imaginary parts of w, and g: one, or one for each line where they are apart."""
+
+    def __init__(self, problem: SpectralProblem, search: Search) -> None:
+        self.problem, self.search = problem, search
+        self.q = problem.M21.shape[2]
+        self.n_g = 1 if problem.total else problem.n
+        self.at_g = 2 * problem.n * self.q
+        self.size = self.at_g + self.n_g
+
+    def _affine(self, gains: ComplexArray, offset: ComplexArray) -> tuple[Any, Array]:
+        """Rows for real and imaginary part of ``offset_k + gains_k w_k`` (n,), one after the other at each line."""
+        n, q = gains.shape
+        cols = (2 * q * np.arange(n)[:, None] + np.arange(q)).repeat(2, axis=0).reshape(n, 2, q)
+        rows = np.arange(2 * n).reshape(n, 2, 1).repeat(q, axis=2)
+        re = np.stack([gains.real, gains.imag], axis=1)
+        im = np.stack([-gains.imag, gains.real], axis=1)
+        values = np.concatenate([re.ravel(), im.ravel()])
+        at = np.concatenate([rows.ravel(), rows.ravel()]), np.concatenate([cols.ravel(), (cols + q).ravel()])
+        matrix = sparse_matrices().csr_matrix((values, at), (2 * n, self.size))
+        return matrix, np.stack([offset.real, offset.imag], axis=1).ravel()
+
+    def _g(self, lines: Indices, values: Array) -> Any:
+        """Rows that hold ``values`` times the g of each line."""
+        which = self.at_g + (np.zeros_like(lines) if self.n_g == 1 else lines)
+        return sparse_matrices().csr_matrix((values, (np.arange(len(lines)), which)), (len(lines), self.size))
+
+    def _noise(self, free: bool) -> list[Rows]:
+        """Noise within its bound, or within g times its bound."""
+        sparse, p, found = sparse_matrices(), self.problem, []
+        every, inside = np.arange(p.n), 0.0 if free else 1 - self.search.tuning.line_margin
+        for j in range(p.e.shape[1]):
+            rows, offset = self._affine(-p.M21[:, j], p.e[:, j])
+            if p.total:
+                root, radius = np.sqrt(p.weight).repeat(2), p.radius[j]
+                head = (
+                    self._g(np.zeros(1, dtype=int), np.array([radius])) if free else sparse.csr_matrix((1, self.size))
+                )
+                matrix, height = -sparse.vstack([head, sparse.diags(root) @ rows]), 1 + 2 * p.n
+                offset = np.concatenate([[radius * inside], root * offset])
+            else:
+                head = self._g(every, np.ones(p.n)) if free else sparse.csr_matrix((p.n, self.size))
+                turn = np.column_stack([every, p.n + 2 * every, p.n + 2 * every + 1]).ravel()
+                matrix, height = -sparse.vstack([head, rows]).tocsr()[turn], 3
+                offset = np.concatenate([np.full(p.n, inside), offset])[turn]
+            found.append(Rows(matrix, offset, "second-order", height, ("noise", j)))
+        return found
+
+    def _blocks(self, z: ComplexArray) -> list[Rows]:
+        """``(g + eps, g - eps, 2 w)`` in the cone, with the tangents eps at z."""
+        sparse, p, found = sparse_matrices(), self.problem, []
+        every = np.arange(p.n)
+        for i, (rows, cols) in enumerate(p.blocks):
+            here = z[:, cols]
+            slope = np.einsum("ki,kij->kj", here.conj(), p.M11[:, cols])
+            tangent, offset = self._affine(2 * slope, 2 * (here.conj() * p.z0[:, cols]).sum(axis=1))
+            tangent, offset = tangent[::2], offset[::2] - (np.abs(here) ** 2).sum(axis=1)
+            ones, unit = (
+                (self._g(every, np.ones(p.n)), 0.0)
+                if self.search.scaled[i]
+                else (sparse.csr_matrix(tangent.shape), 1.0)
+            )
+            inner = []
+            for row in range(rows.start, rows.stop):
+                pick = np.zeros((p.n, self.q))
+                pick[:, row] = 2.0
+                inner.append(self._affine(pick.astype(complex), np.zeros(p.n, dtype=complex))[0])
+            stacked = sparse.vstack([ones + tangent, ones - tangent, *inner]).tocsr()
+            wide = 2 * len(inner)
+            heads = [every, p.n + every]
+            turn = np.column_stack(
+                [*heads, *((2 + 2 * k) * p.n + 2 * every + part for k in range(len(inner)) for part in (0, 1))]
+            ).ravel()
+            offset = np.concatenate([unit + offset, unit - offset, np.zeros(p.n * wide)])[turn]
+            found.append(Rows(-stacked[turn], offset, "second-order", 2 + wide, ("block", i)))
+        return found
+
+    def _still(self) -> list[Rows]:
+        """W is real where every spectrum is."""
+        lines = np.flatnonzero(self.problem.real)
+        cols = (2 * self.q * lines[:, None] + self.q + np.arange(self.q)).ravel()
+        if not len(cols):
+            return []
+        ones = np.ones(len(cols)), (np.arange(len(cols)), cols)
+        return [Rows(sparse_matrices().csr_matrix(ones, (len(cols), self.size)), np.zeros(len(cols)), "zero")]
+
+    def smallest(self, z: ComplexArray) -> _Solved | None:
+        """Smallest g with the tangents at z; None where there is none."""
+        return self._solved([*self._still(), *self._noise(False), *self._blocks(z)])
+
+    def least_noise(self) -> _Solved:
+        """Smallest factor on the noise bound with any w."""
+        found = self._solved([*self._still(), *self._noise(True)])
+        if found is None:
+            raise NoTrustworthyNumber("validate", "the solver gave no answer for the least noise")
+        return found
+
+    def _solved(self, rows: list[Rows]) -> _Solved | None:
+        cost = np.zeros(self.size)
+        cost[self.at_g :] = 1.0
+        found = solved_cones(cost, rows, self.search.budget, self.search.tuning)
+        if found is None:
+            return None
+        n = self.problem.n
+        w = found.x[: self.at_g].reshape(n, 2, self.q)
+        g = np.broadcast_to(found.x[self.at_g :], (n,)).copy()
+        return _Solved(w[:, 0] + 1j * w[:, 1], np.maximum(g, 0.0), found)
+
+    def multipliers(self, solved: _Solved) -> LineMultipliers:
+        """Multipliers of the quadratic certificate from those of the cone programme."""
+        p = self.problem
+        noise, D = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks)))
+        g = np.maximum(solved.g, 1e-6 * float(solved.g.max(initial=0.0)) + 1e-12)
+        for (kind, k), part in solved.cones.dual:
+            if kind == "noise":  # at |n| = r the slope of r^2 - |n|^2 is 2 r times that of r - |n|
+                noise[:, k] = p.weight * part[0] / (2 * p.radius[k]) if p.total else 0.5 * part.reshape(p.n, 3)[:, 0]
+            else:
+                cone = part.reshape(p.n, -1)
+                D[:, k] = (cone[:, 0] - cone[:, 1]) / (g if self.search.scaled[k] else 1.0)
+        noise, D = np.maximum(noise, 0.0), np.maximum(D, 0.0)
+        if p.total:
+            D += FLOOR * max(float(D.max(initial=0.0)), float(noise.max(initial=0.0)))
+        else:
+            D += FLOOR * np.maximum(D.max(axis=1, initial=0.0), noise.max(axis=1, initial=0.0))[:, None]
+        return LineMultipliers(D, noise)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array, Mask
+from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence, Status
 
 __all__ = ["BlockSize", "Validation", "concluded", "each_alone", "in_own_units", "require_replay"]
@@ -197,14 +198,24 @@ def concluded(lower: float, upper: float, precision: float, budget: Budget, *, c
     return Status.INCONCLUSIVE
 
 
+class Bounded(Protocol):
+    """A lower and an upper bound of gamma, inf where nothing explains the record."""
+
+    @property
+    def lower(self) -> float: ...
+    @property
+    def upper(self) -> float: ...
+
+
 def each_alone(
-    names: Sequence[str], bounds: Callable[[Mask], tuple[float, float]], progress: Callable[[str], None]
+    names: Sequence[str], search: Search, bounds: Callable[[Search], Bounded], progress: Callable[[str], None]
 ) -> dict[str, tuple[float, float]]:
-    """Bounds over each block alone, the others kept within 1; ``bounds`` takes the blocks that are scaled."""
+    """Bounds over each block alone, the others kept within 1."""
     found = {}
     for k, name in enumerate(names):
         progress(f"block {name} alone")
-        found[name] = bounds(np.arange(len(names)) == k)
+        part = bounds(replace(search, scaled=np.arange(len(names)) == k))
+        found[name] = part.lower, part.upper
     return found
 
 

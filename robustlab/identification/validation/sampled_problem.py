@@ -36,12 +36,12 @@ __all__ = [
     "SampledProblem",
     "held",
     "noise_bounds",
+    "powers",
     "prepared",
     "sampled",
     "shown",
-    "with_delta_of",
-    "powers",
     "states",
+    "with_delta_of",
 ]
 
 
@@ -275,7 +275,8 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
     forced = _forced(A, B[:, q:], C, D[:, q:], recorded.u if n_u else np.zeros((len(recorded.t), 0)))
     z0, y0 = forced[:, :p], forced[:, p:]
     scale_w, scale_z, scales = np.ones(q), np.ones(p), []
-    layout, seen = [], [C[p:] / recorded.bound[:, None]]
+    layout: list[tuple[slice, slice, bool]] = []
+    seen: list[Array] = [C[p:] / recorded.bound[:, None]]
     for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
         size = float(np.sqrt(np.mean(z0[:, cols] ** 2))) or 1.0
         scale_w[rows], scale_z[cols] = size, size

@@ -63,12 +63,7 @@ def validate_by_samples(
     job = _Job(recorded, delta, progress)
     found, alone = job.bounds(search), {}
     if per_block and np.isfinite(found.upper):
-
-        def bounds(scaled: Mask) -> tuple[float, float]:
-            part = job.bounds(replace(search, scaled=scaled))
-            return part.lower, part.upper
-
-        alone = each_alone([b.name for b in recorded.uncertain.blocks], bounds, progress)
+        alone = each_alone([b.name for b in recorded.uncertain.blocks], search, job.bounds, progress)
     return _result(record, job, found, alone, _assumptions(recorded, delta, estimated), search)
 
 

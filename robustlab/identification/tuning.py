@@ -1,0 +1,129 @@
+"""The numbers that the naming of effects is tuned by, from the windows of a record to the next experiment.
+
+They choose how long a search goes on, how finely it looks, and how much evidence a name needs. They hold for machines
+of any size: shares, counts, multiples of noise, and logarithms of likelihoods. Statistical facts (the 95 % of an
+interval) and rounding are no tuning and stay where they are used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["TUNING", "NamingTuning"]
+
+
+@dataclass(frozen=True)
+class NamingTuning:
+    """Numbers that choose speed and accuracy of `robustlab.discover`."""
+
+    # --- windows
+    windows_wanted: int = 12  # in the shortest record: more and shorter ones drift less and tell slow effects worse
+    shortest_window: int = 40  # samples
+    longest_window: int = 480  # samples; the slowest time constant may ask for up to twice that
+    fewest_windows: int = 4  # of a record that is taken at all
+    points_per_window: int = 80  # into which errors are averaged: more show faster effects and take more time
+    longest_guess: int = 2  # samples in a row without any output over which the input is taken as held
+    current_share: float = 2.0  # of its RMS: how far a fit may move a current at a window start that no sensor tells
+    # Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
+    # its start is told by the fit and not by it.
+    start_inflation: float = 30.0
+    held_out_every: int = 4  # without a held-out record, every so manieth window is kept from the fit
+
+    # --- candidates
+    spatial_lines: int = 3  # tried of a force over the position: more find weaker ripples, each costs fits
+    finest_lines: int = 1500  # per range of the position: finer ripples are not looked for
+
+    # --- the fit of one hypothesis
+    step: float = 2e-3  # of a standardised parameter, for differences
+    start_step: float = 0.02  # of a window's start, for differences
+    farthest: float = 8.0  # standardised parameters are kept within this of their priors
+    relative: float = 1e-5  # fall of V, over V, below which a fit stops: smaller, more iterations in flat valleys
+    # Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
+    # millionth of its diagonal, and a damping above that creeps.
+    damping: float = 1e-4
+    least_damping: float = 1e-10
+    bend: float = 0.1  # of a step, at which its curvature is measured
+    most_bent: float = 0.75  # share of a step that its correction may be: larger follows sharper valleys
+    tries: int = 8  # damped steps before a fit gives up
+    hope: float = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
+    longest_step: float = 2.0  # of a standardised parameter in one step
+
+    # --- ranking: successive halving
+    workers: int = 2
+    # Order of the autoregression that makes errors white where they are noise; where something is still missing, whose
+    # small and fast part that would bring out, it is the first.
+    ar_order: int = 3
+    beyond_noise: float = 60.0  # times the sensors' noise: something is missing. A quiet machine's torque noise: < 25
+    bootstraps: int = 500  # of the windows: more, finer shares
+    seed: int = 20261121
+    # Iterations of the base and of each round. The base must be at its optimum, or whatever is added would seem to gain
+    # what it still had to gain itself.
+    base: int = 25
+    first: int = 4
+    second: int = 6
+    last: int = 8
+    rough: float = 0.5  # fall of V at which the first two rounds stop
+    first_windows: int = 6  # that the first round looks at, and the second: more judge better and take more time
+    second_windows: int = 18
+    kept_second: int = 10  # hypotheses that enter the second round, and the last
+    kept_last: int = 7
+    promising: float = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
+    most_stretched: float = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
+
+    # --- what is named
+    most_effects: int = 5
+    settling: int = 15  # iterations of the reported fits
+    # A new effect must be this much more probable than none (log evidence), on top of the number of effects tried.
+    convincing: float = 4.0
+    wrong_parameter: float = 2.0  # the same for a parameter beyond its tolerance: those are few, asked for by name
+    most_failures: int = 4  # effects that are tried on held-out data before the search ends
+    held_out_gain: float = 3.0  # log-likelihood on held-out data that an effect must bring
+    held_out_loss: float = 10.0  # that a wrong parameter may cost there: the stretched refit fits as well
+    held_out_rise: float = 0.1  # of the held-out error that it may cost
+    held_out_fall: float = 0.03  # of the held-out error that an effect must bring
+    rough_fall: float = 0.10  # the same while something is still missing: small effects then fit what is not theirs
+
+    # --- rivals
+    overtaking: float = 0.5  # log evidence by which a refitted alternative takes the place of the named effect
+    evidence_tie: float = 3.0  # log evidence below which two effects count as equally probable: larger, more rivals
+    win_share: float = 0.05  # of the bootstrap samples from which an effect is a rival
+    cannot_tell: float = 3.0  # refit distance in noise sigmas below which no test on these records tells two effects
+    most_rivals: int = 5  # looked at for each named effect
+    far_behind: float = 40.0  # log evidence beyond which the distance is not worth its time
+
+    # --- verdict
+    explained: float = 0.9  # of what the bare model lacks; below, what was named is not the effect
+    # Held-out error in percent of the range that is no machine's noise, where it is also this many times the sensors'.
+    coarse: float = 3.0
+    above_noise: float = 5.0
+    repeatable: float = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
+
+    # --- what remains
+    residual_blocks: int = 32  # of time, over all records
+    residual_samples: int = 6000  # over all records; the force is smooth, so every so manieth sample tells it
+    line_alarm: float = 0.01  # p-value of a line worth telling
+    most_lines: int = 4
+    line_worth: float = 0.02  # of the mean square of the force: a weaker line is certain and of no use
+    fewest_turns: float = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
+    turns_per_block: float = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
+    most_waves: int = 3000  # wave numbers tried over a coordinate
+    oversampling: float = 2.0  # wave numbers tried per turn over the range
+    waves_at_once: int = 300  # bounds the memory
+    finer_waves: int = 41  # of the last search, between the neighbours of the best one
+    curve_stiffness: float = 1e-4  # of the smooth curves that are taken off first
+
+    # --- the next experiment
+    most_opponents: int = 3  # rivals that it is to tell from the named effect
+    longest_experiment: int = 5000  # samples
+    time_constants_seen: float = 20.0  # slowest time constants of the plant in an experiment, at least
+    time_constants_a_beat: float = 8.0  # the same in a beat of the signals
+    most_beats: int = 16  # in an experiment
+    fewest_beats: int = 4
+    shorter_beats: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125)  # tried where the plant would run out of its travel
+    refitted_entries: int = 5  # of the menu, properly: more find better experiments, each costs fits of all pairs
+    refit_iterations: int = 12  # valleys of two parameters that nearly do the same are long
+    assumed_noise: float = 1e-3  # of the range, of a sensor that was not recorded so far
+    sensor_worth: float = 0.25  # share of d that a new sensor must bring
+
+
+TUNING = NamingTuning()
