@@ -19,6 +19,7 @@ from robustlab.errors import InputError, UsageError
 from robustlab.units import amount, share
 
 __all__ = [
+    "ChangesOption",
     "DtOption",
     "EffortOption",
     "EffortOptions",
@@ -26,6 +27,7 @@ __all__ = [
     "OutOption",
     "OutputOptions",
     "PrewarpOption",
+    "RecipeArgument",
     "SeedOption",
     "TimeLimitOption",
     "assignments",
@@ -56,6 +58,18 @@ DtOption = Annotated[float, typer.Option("--dt", help="Sample time in s.", show_
 PrewarpOption = Annotated[
     float | None, typer.Option("--prewarp", help="tustin-prewarp: frequency in rad/s where it is exact.")
 ]
+RecipeArgument = Annotated[
+    str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
+]
+ChangesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="A.B=V",
+        help="Change a value: a top-level key or STEP.KEY. May be repeated.",
+        show_default=False,
+    ),
+]
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
@@ -64,7 +78,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     A field without an option of its own keeps its default; so a group can leave out what its base class asks for.
     """
     parsed: list[Parameter] = []
-    groups: dict[str, tuple[type, list[str]]] = {}
+    groups: dict[str, tuple[Any, list[str]]] = {}
     hints = get_type_hints(command, include_extras=True)
     for parameter in signature(command).parameters.values():
         kind: Any = hints[parameter.name]

@@ -8,25 +8,15 @@ from typing import Annotated
 import typer
 
 from robustlab.cli.console import emit, table
-from robustlab.cli.options import JsonOption
+from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
 
 app = typer.Typer(help="Check a recipe, print its schema, start a new one.", no_args_is_help=True)
 
 
 @app.command()
 def check(
-    recipe: Annotated[
-        str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
-    ],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="A.B=V",
-            help="Change a value: a top-level key or STEP.KEY. May be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    recipe: RecipeArgument,
+    changes: ChangesOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a recipe and the files it reads without running it; every fault is named.
@@ -38,7 +28,7 @@ def check(
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     files = {name: str(path) for name, path in find_files(loaded).items()}
-    steps = [(name, step.do, files.get(name, "")) for name, step in loaded.recipe.step.items()]
+    steps = [(name, step.kind, files.get(name, "")) for name, step in loaded.recipe.step.items()]
     count = len(loaded.recipe.require)
     text = f"{table(steps, ('step', 'does', 'reads'))}\n\ncan be run; steps: {len(steps)}, requirements: {count}"
     result = {"recipe": str(loaded.path), "steps": [list(step) for step in steps], "requirements": count}

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from robustlab.cli.console import emit, note, progress, table
-from robustlab.cli.options import JsonOption
+from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
+
+if TYPE_CHECKING:
+    from robustlab.recipe.run import RunResult
 
 app = typer.Typer(help="Run a recipe: steps, requirements, report.")
 
 
 @app.command()
 def run(
-    recipe: Annotated[
-        str, typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", show_default=False)
-    ],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="A.B=V",
-            help="Change a value: a top-level key or STEP.KEY. May be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    recipe: RecipeArgument,
+    changes: ChangesOption = None,
     out: Annotated[
         str | None, typer.Option("--out", "-o", help="Folder to write.  [default: out/NAME]", show_default=False)
     ] = None,
@@ -56,9 +49,17 @@ def run(
                 note(f"[{done + 1}/{len(loaded.recipe.step)}] {name} ({kind})")
 
         result = run_recipe(loaded, folder, begin)
+    emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
+    raise typer.Exit(result.exit_code)
+
+
+def _text(result: RunResult) -> str:
+    """What became of each requirement, and the steps without a trustworthy number."""
+    from robustlab.report.html import in_words
+
     data = result.data
     rows = [
-        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or _short(q["value"]), q["condition"])
+        ("met" if q["met"] else "NOT MET", q["text"], q["why_not"] or in_words(q["value"]), q["condition"])
         for q in data["requirements"]
     ]
     doubtful = [
@@ -73,13 +74,4 @@ def run(
         f"{met} of {len(rows)} requirements met in {data['seconds']:.1f} s",
         f"report: {result.folder / 'report.html'}",
     ]
-    emit("run", {**data, "folder": str(result.folder)}, "\n\n".join(parts), as_json)
-    raise typer.Exit(result.exit_code)
-
-
-def _short(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list):
-        return ", ".join(map(str, value)) or "none"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return "\n\n".join(parts)

@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal, Self, Union
 from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
-import robustlab.recipe.steps  # noqa: F401  makes the kinds of steps known
-from robustlab.recipe.step import KINDS, Step
-from robustlab.recipe.vocabulary import StepName, Strict, Text
+from robustlab.recipe.steps.contract import KINDS, Step
+from robustlab.recipe.steps.vocabulary import StepName, Strict, Text
 
 __all__ = ["Recipe", "Requirement", "json_schema", "recipe_model"]
 
@@ -88,7 +87,8 @@ def recipe_model() -> type[Recipe]:
 @cache
 def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
     any_step: Any = Annotated[Union[kinds], Field(discriminator="do")]  # noqa: UP007  made of a tuple
-    return create_model("Recipe", __base__=Recipe, __doc__=Recipe.__doc__, step=(dict[StepName, any_step], STEPS))
+    steps = dict[StepName, any_step]
+    return create_model("Recipe", __base__=Recipe, __doc__=Recipe.__doc__, step=(steps, STEPS))
 
 
 def json_schema() -> dict[str, Any]:

@@ -9,8 +9,8 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.errors import InputError, did_you_mean
-from robustlab.recipe.step import Fact, Outcome, Step, Workspace, quantity, step, worst
-from robustlab.recipe.vocabulary import (
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, least_trusted, quantity, step
+from robustlab.recipe.steps.vocabulary import (
     FileName,
     NumberOrPair,
     RelativeTolerance,
@@ -43,7 +43,7 @@ class PlantStep(Step):
             raise PydanticCustomError("named_once", "{name} is among parameters and choices", {"name": twice[0]})
         return self
 
-    def run(self, _work: Workspace) -> Outcome:
+    def run(self, work: Workspace) -> Outcome:
         """A plant from physics, with its parameters and where they come from."""
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
         made = rl.plant(self.plant, **given, **self.choices)
@@ -133,7 +133,7 @@ class SaveStep(Step):
     def run(self, work: Workspace) -> Outcome:
         """An object to an HDF5 file in the output folder, with its provenance."""
         from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-        from robustlab.provenance import Provenance, file_sha256
+        from robustlab.provenance import file_sha256
 
         path = work.folder / self.file
         given = work.values[self.of]
@@ -141,7 +141,7 @@ class SaveStep(Step):
             given = given.to_uncertain()
         if not isinstance(given, (rl.StateSpaceModel, rl.UncertainModel, rl.Record, rl.Controller, ExtendedPlant)):
             given = given.to_model()  # a plant without effects is kept as its linear model
-        rl.save(path, given, Provenance.now(f"recipe step {work.step}", work.inputs, work.seed))
+        rl.save(path, given, work.provenance())
         work.files.append(self.file)
         digest = file_sha256(path)
         return Outcome(
@@ -171,7 +171,7 @@ class StructuralStep(Step):
             Fact(f"{name.capitalize()} rank", f"{part.rank} of {part.n_states} states") for name, part in parts.items()
         )
         statuses = [part.status for part in parts.values()]
-        return Outcome(None, f"Structure of {self.of}.", numbers, facts, worst(statuses))
+        return Outcome(None, f"Structure of {self.of}.", numbers, facts, least_trusted(statuses))
 
 
 @step
