@@ -1,9 +1,8 @@
 """The store of a campaign: one SQLite file, one row per sample, in write-ahead mode.
 
 A piece of work is written in one transaction: after ``kill -9`` or a power cut each row is there whole or not at all.
-Only the process that holds the lock writes; anyone may read meanwhile.
-
-One writer per store: a lock of the operating system, which a dead process cannot keep.
+Only the process that holds the lock writes, one of the operating system, which a dead process cannot keep; anyone may
+read meanwhile.
 """
 
 from __future__ import annotations
@@ -27,14 +26,7 @@ from robustlab.campaign.evaluation import DONE, LOST, Rows
 from robustlab.campaign.settings import Identity
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, plain_text
 
-__all__ = [
-    "Counts",
-    "Sample",
-    "Store",
-    "locked",
-    "owner_text",
-]
-
+__all__ = ["Counts", "Sample", "Store", "locked", "owner_text"]
 
 FORMAT_VERSION = 1
 APPLICATION_ID = 0x524C4350  # "RLCP"
@@ -417,7 +409,6 @@ def owner_text() -> str:
 
 
 def _owner(path: Path) -> str:
-
     try:
         store = Store.open(path)
         text = store.get("owner")
