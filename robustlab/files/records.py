@@ -17,7 +17,7 @@ from robustlab.files.hdf5 import read_tree
 from robustlab.files.record_layout import decode_record
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.text_table import read_table
-from robustlab.files.tree import Tree, Unread, check_header, is_stamped
+from robustlab.files.tree import Tree, Unread, check_header, is_stamped, text_attr, type_name
 from robustlab.units import factor_to_si, same_unit
 
 __all__ = ["CLOCK_NAMES", "RecordOptions", "read_record"]
@@ -119,8 +119,8 @@ def read_record(
         return _stored(_record_of_format_1(str(path), tree, options), str(path), options)
     node = tree.find(group) if group else tree
     if node is None:
-        known = _group_names(tree)
-        raise InputError(str(path), f"missing group /{group}", _list("one of", known), _nearest(group or "", known))
+        known = tree.group_names()
+        raise InputError(str(path), f"missing group /{group}", _list("one of", known), did_you_mean(group or "", known))
     if {"inputs", "outputs"} & set(node.groups):
         return _stored(node, str(path), options)
     return _choose(_from_tree(path, tree, node, group), options)
@@ -145,7 +145,10 @@ def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _
     for name, dataset in node.datasets.items():
         attrs = dataset.attrs
         channels[name] = _Channel(
-            _column(dataset.values), _attr_text(attrs, "unit"), _attr_text(attrs, "meaning"), _sample_time(attrs)
+            _column(dataset.values),
+            text_attr(attrs, "unit") or "",
+            text_attr(attrs, "meaning") or "",
+            _sample_time(attrs),
         )
     own = _sample_time(node.attrs) or _sample_time(tree.attrs)
     for name in ("Ts", "dt"):  # MATLAB has no attributes: there the sample time is a variable
@@ -159,7 +162,7 @@ def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _
     stem = Path(path).stem
     prefix = f"{node.path.rstrip('/')}/"
     return _Source(
-        str(path), f"{stem}/{group.strip('/')}" if group else stem, prefix, channels, own, _group_names(tree)
+        str(path), f"{stem}/{group.strip('/')}" if group else stem, prefix, channels, own, tree.group_names()
     )
 
 
@@ -170,11 +173,6 @@ def _column(values: NDArray[Any] | Unread) -> NDArray[Any] | Unread:
     return values
 
 
-def _attr_text(attrs: Mapping[str, Any], name: str) -> str:
-    value = np.asarray(attrs.get(name, ""))
-    return str(value.flat[0]) if value.dtype.kind == "U" and value.size == 1 else ""
-
-
 def _sample_time(attrs: Mapping[str, Any]) -> float:
     for name in ("Ts", "dt", "fs"):
         value = np.asarray(attrs.get(name, 0.0))
@@ -182,10 +180,6 @@ def _sample_time(attrs: Mapping[str, Any]) -> float:
             number = float(value.flat[0])
             return 1.0 / number if name == "fs" else number
     return 0.0
-
-
-def _group_names(tree: Tree) -> list[str]:
-    return [path.strip("/") for path, item in tree.walk() if isinstance(item, Tree) and path != "/"]
 
 
 # --- a record of format 1 --------------------------------------------------------------------------------------------
@@ -254,14 +248,7 @@ def _choose(source: _Source, options: RecordOptions) -> dict[str, Any]:
     stated = {name: source.channels[name].unit for name in arrays}
     taken = {name: arrays[name] for name in ins}, {name: arrays[name] for name in outs}
     _convert(source.where, *taken, stated, units)
-    return {
-        "t": t,
-        "inputs": taken[0],
-        "outputs": taken[1],
-        "units": stated,
-        "name": source.name,
-        "meaning": meanings,
-    }
+    return {"t": t, "inputs": taken[0], "outputs": taken[1], "units": stated, "name": source.name, "meaning": meanings}
 
 
 def _convert(
@@ -276,7 +263,7 @@ def _convert(
         side = inputs if name in inputs else outputs
         if name not in side:
             known = [*inputs, *outputs]
-            raise InputError(where, f"a unit for {name!r}", _list("one of", known), _nearest(name, known))
+            raise InputError(where, f"a unit for {name!r}", _list("one of", known), did_you_mean(name, known))
         _agree(where, name, stated.get(name, ""), unit)
         factor, stated[name] = factor_to_si(unit)
         if factor != 1.0:
@@ -307,12 +294,8 @@ def _no_signals(source: _Source, found: str) -> InputError:
 def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
     values = source.channels[name].values
     where = f"{source.where}: {source.label(name)}"
-    if isinstance(values, Unread):
-        raise InputError(where, f"dtype {values.dtype}", "a column of real numbers")
-    if values.dtype.kind not in "fib":
-        raise InputError(
-            where, f"dtype {'text' if values.dtype.kind == 'U' else values.dtype}", "a column of real numbers"
-        )
+    if isinstance(values, Unread) or values.dtype.kind not in "fib":
+        raise InputError(where, f"dtype {type_name(values)}", "a column of real numbers")
     if values.ndim != 1:
         raise InputError(where, f"shape {values.shape}", "one column")
     array = values.astype(np.float64)
@@ -397,7 +380,7 @@ def _refuse_gaps(where: str, t: NDArray[np.float64]) -> None:
 def _missing(where: str, missing: list[str], known: list[str], prefix: str) -> InputError:
     lines = []
     for name in missing:
-        near = _nearest(name, known)
+        near = did_you_mean(name, known)
         lines.append(f"missing {prefix}{name}" + (f" ({near})" if near else ""))
     return InputError(where, lines[0], _list("one of", known), None, tuple(f"{where}: {line}" for line in lines[1:]))
 
@@ -405,7 +388,3 @@ def _missing(where: str, missing: list[str], known: list[str], prefix: str) -> I
 def _list(word: str, names: Sequence[str]) -> str:
     shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     return f"{word} {shown}" if names else "a file with signals"
-
-
-def _nearest(name: str, known: Sequence[str]) -> str | None:
-    return did_you_mean(name, list(known))

@@ -33,6 +33,7 @@ __all__ = [
     "signal_name",
     "stamp",
     "text_attr",
+    "type_name",
 ]
 
 FORMAT = "robustlab"
@@ -114,6 +115,10 @@ class Tree:
                 node = node.groups[part]
         return node
 
+    def group_names(self) -> list[str]:
+        """Paths of all groups below this one, without the leading stroke."""
+        return [path.strip("/") for path, item in self.walk() if isinstance(item, Tree) and item is not self]
+
     def walk(self) -> Iterator[tuple[str, Tree | Dataset]]:
         """All objects below and including this group, as (path, object)."""
         yield self.path, self
@@ -121,6 +126,11 @@ class Tree:
             yield self.child_path(name), dataset
         for group in self.groups.values():
             yield from group.walk()
+
+
+def type_name(values: NDArray[Any] | Unread) -> str:
+    """What messages call the type of a dataset's values."""
+    return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)
 
 
 def canonical(values: Any, where: str) -> NDArray[Any]:
