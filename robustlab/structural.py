@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.errors import InputError
 from robustlab.matrix_equations import lapack
 from robustlab.result import Status
@@ -421,7 +421,7 @@ def _number(value: complex) -> str:
     return f"{value.real:.6g}" if value.imag == 0 else f"{value.real:.6g}{value.imag:+.6g}j"
 
 
-def _reach(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _reach(edges: Mask, start: Mask) -> Mask:
     """States that can be reached from ``start`` when ``edges[i, j]`` leads from j to i."""
     reached, frontier = start.copy(), start.copy()
     while frontier.any():

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.campaign.evaluation import DONE, LOST, Rows
 from robustlab.campaign.settings import Identity
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, plain_text
@@ -69,7 +70,7 @@ class Sample:
     reason: str
 
     @property
-    def numbers(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def numbers(self) -> Array:
         """Delta as `robustlab.campaign.evaluation.decode_delta` takes it."""
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import not_finite
+from robustlab.arrays import AnyArray, not_finite
 from robustlab.errors import InputError
 from robustlab.files.tree import Tree, link_name, signal_name, type_name
 
@@ -70,7 +70,7 @@ def _position(group: Tree, link: str) -> int:
     return int(value.flat[0]) if value.size == 1 and value.dtype.kind in "if" else 1 << 30
 
 
-def _column(node: Tree, name: str, problems: list[str]) -> np.ndarray[Any, Any]:
+def _column(node: Tree, name: str, problems: list[str]) -> AnyArray:
     values, path = node.datasets[name].values, node.child_path(name)
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fi":
         problems.append(f"{path} has dtype {type_name(values)}, expected a column of real numbers")

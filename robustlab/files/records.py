@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import not_finite
+from robustlab.arrays import AnyArray, Array, not_finite
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.record_layout import decode_record
@@ -30,7 +29,7 @@ GAP = 1.5
 
 @dataclass
 class _Channel:
-    values: NDArray[Any] | Unread
+    values: AnyArray | Unread
     unit: str = ""
     meaning: str = ""
     dt: float = 0.0  # sample time stated at the channel itself; 0 = not stated
@@ -166,7 +165,7 @@ def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _
     )
 
 
-def _column(values: NDArray[Any] | Unread) -> NDArray[Any] | Unread:
+def _column(values: AnyArray | Unread) -> AnyArray | Unread:
     """MATLAB's columns and rows are two-dimensional; a record's channels are not."""
     if isinstance(values, np.ndarray) and values.ndim == 2 and 1 in values.shape:
         return values.reshape(-1)
@@ -253,8 +252,8 @@ def _choose(source: _Source, options: RecordOptions) -> dict[str, Any]:
 
 def _convert(
     where: str,
-    inputs: dict[str, NDArray[np.float64]],
-    outputs: dict[str, NDArray[np.float64]],
+    inputs: dict[str, Array],
+    outputs: dict[str, Array],
     stated: dict[str, str],
     given: Mapping[str, str],
 ) -> None:
@@ -291,7 +290,7 @@ def _no_signals(source: _Source, found: str) -> InputError:
     )
 
 
-def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
+def _numbers(source: _Source, name: str) -> Array:
     values = source.channels[name].values
     where = f"{source.where}: {source.label(name)}"
     if isinstance(values, Unread) or values.dtype.kind not in "fib":
@@ -305,7 +304,7 @@ def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
     return array
 
 
-def _common_length(source: _Source, arrays: Mapping[str, NDArray[np.float64]]) -> int:
+def _common_length(source: _Source, arrays: Mapping[str, Array]) -> int:
     lengths = {name: len(values) for name, values in arrays.items()}
     if len(set(lengths.values())) > 1:
         first = next(iter(lengths))
@@ -324,7 +323,7 @@ def _common_length(source: _Source, arrays: Mapping[str, NDArray[np.float64]]) -
     return next(iter(lengths.values()))
 
 
-def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: str | None) -> NDArray[np.float64]:
+def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: str | None) -> Array:
     if dt is None and clock is not None:
         t = _numbers(source, clock)
         unit = source.channels[clock].unit
@@ -357,7 +356,7 @@ def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: s
     return np.arange(n, dtype=np.float64) * np.float64(dt)
 
 
-def _refuse_gaps(where: str, t: NDArray[np.float64]) -> None:
+def _refuse_gaps(where: str, t: Array) -> None:
     """Missing samples: steps far longer than the others of a clock that is otherwise regular."""
     steps = np.diff(t)
     if len(steps) < 2 or (steps <= 0).any():

@@ -141,7 +141,7 @@ def is_plant_file(name: str) -> bool:
     return Path(name).suffix.lower() in (".h5", ".hdf5") or Path(name).is_file()
 
 
-def load_plant(path: str) -> Plant:
+def load_plant(path: str) -> Any:
     """The plant in a file.
 
     Raises
