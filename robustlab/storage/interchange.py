@@ -331,20 +331,10 @@ def _encode(tree: Tree, obj: Any) -> str:
 
 
 def _save_matlab(path: str | Path, obj: Any) -> Path:
-    if isinstance(obj, UncertainModel):
-        raise InputError(
-            str(path),
-            "an uncertain model",
-            "a model or a controller for .mat",
-            "save it as .h5, which MATLAB reads with h5read",
-        )
-    if isinstance(obj, (Record, Result)):
-        raise InputError(
-            str(path),
-            f"a {type(obj).__name__}",
-            "a model or a controller for .mat",
-            "save it as .h5, which MATLAB reads with h5read",
-        )
+    if isinstance(obj, (UncertainModel, Record, Result)):
+        found = "an uncertain model" if isinstance(obj, UncertainModel) else f"a {type(obj).__name__}"
+        hint = "save it as .h5, which MATLAB reads with h5read"
+        raise InputError(str(path), found, "a model or a controller for .mat", hint)
     model = as_model(obj, "save")
     variables: dict[str, Any] = {name: getattr(model, name) for name in "ABCD"}
     variables["dt"] = model.dt

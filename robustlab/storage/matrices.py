@@ -17,7 +17,16 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread, type_name
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
-__all__ = ["Problems", "decode_model", "decode_point", "encode_model", "encode_point", "find_children", "sample_time"]
+__all__ = [
+    "Problems",
+    "decode_model",
+    "decode_point",
+    "encode_model",
+    "encode_point",
+    "entries",
+    "find_children",
+    "sample_time",
+]
 
 
 @dataclass
@@ -292,11 +301,15 @@ def _texts(group: Tree, name: str, problems: Problems) -> list[str] | None:
     if name not in group.datasets:
         problems.add(f"missing {group.child_path(name)}")
         return None
+    return entries(group, name, "U", problems)
+
+
+def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any] | None:
+    """The entries of a dataset as a list; None, with the reason in ``problems``, where they are of no kind given."""
     values = group.datasets[name].values
-    if isinstance(values, np.ndarray) and values.size == 0:
-        return []
-    if isinstance(values, Unread) or values.dtype.kind != "U":
-        problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected texts")
+    if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
+        wanted = "texts" if kinds == "U" else "real numbers"
+        problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
         return None
     return values.ravel().tolist()
 
