@@ -216,9 +216,9 @@ def true_error(case: Any, found: Any) -> float:
 
 def _serve(pipe: Any) -> None:
     """A worker: compiled code is loaded on a case of its own first, so that the times are those of the naming."""
-    from threadpoolctl import threadpool_limits
+    from robustlab.budget import one_thread
 
-    with threadpool_limits(1):
+    with one_thread():
         run_case(Task("robustlab", "rich-mid", Setup("low", "rich", False), ("none",), 0))
         while (task := pipe.recv()) is not None:
             pipe.send(run_case(task))

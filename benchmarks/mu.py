@@ -16,9 +16,9 @@ from importlib.metadata import version
 
 import numpy as np
 import slycot
-from threadpoolctl import threadpool_limits
 
 import robustlab as rl
+from robustlab.budget import one_thread
 from robustlab.mu_analysis.matrix.certificate import has_structure, proves
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, structure_size
@@ -179,5 +179,5 @@ def main(count: int = 20) -> None:
 
 
 if __name__ == "__main__":
-    with threadpool_limits(1):  # spinning threads of a busy machine would be counted as work
+    with one_thread():  # spinning threads of a busy machine would be counted as work
         main()

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from threadpoolctl import threadpool_limits
 
 import robustlab as rl
+from robustlab.budget import one_thread
 
 sys.path.insert(0, str(Path(__file__).parent))
 import mu_models
@@ -129,5 +129,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with threadpool_limits(1):
+    with one_thread():
         main()

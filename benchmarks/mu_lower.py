@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 from mu_models import CLASSES, KINDS, PUBLISHED, random_matrices, structure
-from threadpoolctl import threadpool_limits
 
+from robustlab.budget import one_thread
 from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
 from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
 from robustlab.mu_analysis.matrix.upper import upper_bounds
@@ -173,5 +173,5 @@ def main(share: float = 1.0) -> None:
 
 
 if __name__ == "__main__":
-    with threadpool_limits(1):  # spinning threads of a busy machine would be counted as work
+    with one_thread():  # spinning threads of a busy machine would be counted as work
         main(float(sys.argv[1]) if len(sys.argv) > 1 else 1.0)

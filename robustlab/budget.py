@@ -7,14 +7,25 @@ user may set; where it strikes, the result says so, because it cannot be repeate
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import inf
+from pathlib import Path
 
 from robustlab.errors import InputError
 
-__all__ = ["MILLION", "NOT_REPEATABLE", "USED_UP", "Budget", "dense", "one_thread", "search_budget"]
+__all__ = [
+    "MILLION",
+    "NOT_REPEATABLE",
+    "USED_UP",
+    "Budget",
+    "child_environment",
+    "dense",
+    "one_thread",
+    "search_budget",
+]
 
 # A unit of work is what a microsecond does on one core of 2026; a million of them is about a second there.
 MILLION = 1_000_000
@@ -148,3 +159,11 @@ def one_thread() -> Iterator[None]:
 
     with threadpool_limits(limits=1):
         yield
+
+
+def child_environment() -> dict[str, str]:
+    """The environment of a child process: ours with one thread, UTF-8, and the folder this package comes from."""
+    paths = (str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", ""))
+    threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    own = {"PYTHONPATH": os.pathsep.join(part for part in paths if part), "PYTHONUTF8": "1"}
+    return {**os.environ, **own, **dict.fromkeys(threads, "1")}

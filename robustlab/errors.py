@@ -71,12 +71,7 @@ class RobustlabError(Exception):
     exit_code = EXIT_BUG
 
     def __init__(
-        self,
-        where: str,
-        found: str,
-        expected: str | None = None,
-        hint: str | None = None,
-        more: tuple[str, ...] = (),
+        self, where: str, found: str, expected: str | None = None, hint: str | None = None, more: tuple[str, ...] = ()
     ) -> None:
         self.where = where
         self.found = found

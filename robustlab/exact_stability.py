@@ -34,6 +34,7 @@ def exactly_stable(A: AnyArray, discrete: bool = False) -> bool | None:
 
     Examples
     --------
+    >>> import numpy as np
     >>> exactly_stable(np.array([[-1.0, 1e8], [-1e-8, 1.0]])), exactly_stable(np.array([[-1e-300]]))
     (False, True)
     """

@@ -7,7 +7,7 @@ It lives below `robustlab.dynamics` because a simulation makes one; reading meas
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -141,14 +141,8 @@ class Record(Traced):
     def between(self, start: float, stop: float) -> Record:
         """The samples with ``start <= t <= stop``; the clock is not shifted."""
         keep = (self.t >= start) & (self.t <= stop)
-        return Record(
-            self.t[keep],
-            {k: v[keep] for k, v in self.inputs.items()},
-            {k: v[keep] for k, v in self.outputs.items()},
-            self.units,
-            self.name,
-            self.meaning,
-        )
+        inputs, outputs = ({k: v[keep] for k, v in side.items()} for side in (self.inputs, self.outputs))
+        return replace(self, t=self.t[keep], inputs=inputs, outputs=outputs)
 
     @classmethod
     def read(

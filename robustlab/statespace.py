@@ -6,7 +6,7 @@ r"""Linear time-invariant models in state space, with named signals and units, a
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -175,10 +175,8 @@ class StateSpaceModel(Traced):
         if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 <= dt < np.inf:
             raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
         put = object.__setattr__  # the dataclass is frozen
-        put(self, "A", a)
-        put(self, "B", b)
-        put(self, "C", c)
-        put(self, "D", d)
+        for name, matrix in zip("ABCD", (a, b, c, d), strict=True):
+            put(self, name, matrix)
         put(self, "dt", float(dt))
         put(self, "inputs", signals(inputs, d.shape[1], "u", f"{where}: inputs"))
         put(self, "outputs", signals(outputs, d.shape[0], "y", f"{where}: outputs"))
@@ -266,34 +264,17 @@ class StateSpaceModel(Traced):
         o = _indices(outputs, self.output_names, "output")
         point = self.operating_point
         if point is not None:
-            point = OperatingPoint(point.x, point.u[i], point.y[o])
-        return StateSpaceModel(
-            self.A,
-            self.B[:, i],
-            self.C[o],
-            self.D[np.ix_(o, i)],
-            self.dt,
-            [self.inputs[k] for k in i],
-            [self.outputs[k] for k in o],
-            self.states,
-            point,
-        )
+            point = replace(point, u=point.u[i], y=point.y[o])
+        matrices = {"B": self.B[:, i], "C": self.C[o], "D": self.D[np.ix_(o, i)]}
+        signals = {"inputs": [self.inputs[k] for k in i], "outputs": [self.outputs[k] for k in o]}
+        return replace(self, **matrices, **signals, operating_point=point)
 
     def renamed(
         self, inputs: Iterable[SignalLike] | None = None, outputs: Iterable[SignalLike] | None = None
     ) -> StateSpaceModel:
         """The same model with other signal names; names left out stay."""
-        return StateSpaceModel(
-            self.A,
-            self.B,
-            self.C,
-            self.D,
-            self.dt,
-            self.inputs if inputs is None else inputs,
-            self.outputs if outputs is None else outputs,
-            self.states,
-            self.operating_point,
-        )
+        given = {"inputs": inputs, "outputs": outputs}
+        return replace(self, **{side: names for side, names in given.items() if names is not None})
 
     # --- python-control ----------------------------------------------------------------------------------------------
 
@@ -326,16 +307,8 @@ class StateSpaceModel(Traced):
                 )
             if system.nstates:
                 raise InputError("from_control", "dt=None (timebase unspecified)", "dt = 0 or a sample time in s")
-        return cls(
-            system.A,
-            system.B,
-            system.C,
-            system.D,
-            float(system.dt or 0.0),
-            list(system.input_labels),
-            list(system.output_labels),
-            list(system.state_labels),
-        )
+        ins, outs, states = map(list, (system.input_labels, system.output_labels, system.state_labels))
+        return cls(system.A, system.B, system.C, system.D, float(system.dt or 0.0), ins, outs, states)
 
     def to_control(self) -> control.StateSpace:
         """As a ``control.StateSpace`` (units are lost: python-control has none)."""
@@ -356,16 +329,8 @@ class StateSpaceModel(Traced):
 
     def to_json(self) -> dict[str, object]:
         """Matrices and signals as plain types."""
-        return {
-            "A": self.A,
-            "B": self.B,
-            "C": self.C,
-            "D": self.D,
-            "dt": self.dt,
-            "inputs": [list(s) for s in self.inputs],
-            "outputs": [list(s) for s in self.outputs],
-            "states": [list(s) for s in self.states],
-        }
+        sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
+        return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "dt": self.dt, **sides}
 
     def __repr__(self) -> str:
         time = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
@@ -399,19 +364,9 @@ def append(*models: StateSpaceModel) -> StateSpaceModel:
     n, n_u, n_y = (sum(getattr(m, a) for m in models) for a in ("n_states", "n_inputs", "n_outputs"))
     shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))
     a, b, c, d = (block.reshape(shape) for block, shape in zip(blocks, shapes, strict=True))
-    state_names = [s for m in models for s in m.states]
-    unique = len({s.name for s in state_names}) == n
-    return StateSpaceModel(
-        a,
-        b,
-        c,
-        d,
-        dt,
-        [s for m in models for s in m.inputs],
-        [s for m in models for s in m.outputs],
-        state_names if unique else None,
-        where="append",
-    )
+    inputs, outputs, states = ([s for m in models for s in getattr(m, k)] for k in ("inputs", "outputs", "states"))
+    unique = len({s.name for s in states}) == n
+    return StateSpaceModel(a, b, c, d, dt, inputs, outputs, states if unique else None, where="append")
 
 
 def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
@@ -444,13 +399,8 @@ def feedback(plant: StateSpaceModel, controller: StateSpaceModel, sign: int = -1
             f"controller is {controller.n_outputs} x {controller.n_inputs}",
             f"{plant.n_inputs} x {plant.n_outputs} for a plant of {plant.n_outputs} x {plant.n_inputs}",
         )
-    stacked = StateSpaceModel(
-        plant.A,
-        np.hstack([plant.B, plant.B]),
-        np.vstack([plant.C, plant.C]),
-        np.block([[plant.D, plant.D], [plant.D, plant.D]]),
-        dt,
-    )
+    twice = np.hstack([plant.B, plant.B]), np.vstack([plant.C, plant.C]), np.tile(plant.D, (2, 2))
+    stacked = StateSpaceModel(plant.A, *twice, dt)
     signed = StateSpaceModel(controller.A, controller.B, sign * controller.C, sign * controller.D, dt)
     loop = lower_lft(stacked, signed)
     return loop.renamed(plant.inputs, plant.outputs)

@@ -16,17 +16,17 @@ Březina 2010, eqs 4.2, 4.3. Paige, "Properties of numerical algorithms related 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.errors import InputError
 from robustlab.matrix_equations import lapack
 from robustlab.result import Status
-from robustlab.statespace import OperatingPoint, StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel, as_model
 
 __all__ = [
     "HiddenMode",
@@ -230,18 +230,10 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
     keep = np.flatnonzero(reached & seen)
     point = model.operating_point
     if point is not None:
-        point = OperatingPoint(point.x[keep], point.u, point.y)
-    return StateSpaceModel(
-        model.A[keep[:, None], keep],
-        model.B[keep],
-        model.C[:, keep],
-        model.D,
-        model.dt,
-        model.inputs,
-        model.outputs,
-        [model.states[k] for k in keep],
-        point,
-    )
+        point = replace(point, x=point.x[keep])
+    states = [model.states[k] for k in keep]
+    matrices = {"A": model.A[keep[:, None], keep], "B": model.B[keep], "C": model.C[:, keep]}
+    return replace(model, **matrices, states=states, operating_point=point)
 
 
 # --- the test --------------------------------------------------------------------------------------------------------
@@ -421,7 +413,7 @@ def _number(value: complex) -> str:
     return f"{value.real:.6g}" if value.imag == 0 else f"{value.real:.6g}{value.imag:+.6g}j"
 
 
-def _reach(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _reach(edges: Mask, start: Mask) -> Mask:
     """States that can be reached from ``start`` when ``edges[i, j]`` leads from j to i."""
     reached, frontier = start.copy(), start.copy()
     while frontier.any():

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.campaign.settings import CampaignSettings
 from robustlab.errors import NoTrustworthyNumber, plain_text
 from robustlab.statespace import real_array
@@ -59,9 +59,9 @@ class Rows:
     """
 
     first: int
-    values: NDArray[np.float64]
-    deltas: NDArray[np.float64]
-    seconds: NDArray[np.float64]
+    values: Array
+    deltas: Array
+    seconds: Array
     lost: Mapping[int, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -115,13 +115,13 @@ def delta_width(blocks: Sequence[Block]) -> int:
     return sum(block.n_coordinates for block in blocks)
 
 
-def encode_delta(blocks: Sequence[Block], values: Mapping[str, Any]) -> NDArray[np.float64]:
+def encode_delta(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
     """Delta as real numbers, shape (width,): one for a real scalar, real and imaginary parts of all entries else."""
     parts = [block.coordinates(values[block.name]) for block in blocks]
     return np.concatenate([np.zeros(0), *parts])
 
 
-def decode_delta(blocks: Sequence[Block], numbers: NDArray[np.float64]) -> dict[str, Any]:
+def decode_delta(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
     """Inverse of `encode_delta`.
 
     Examples
@@ -248,7 +248,7 @@ class Evaluator:
     def _single(self, delta: dict[str, Any]) -> tuple[float, dict[str, Any]]:
         return float(self._values([delta])[0]), delta
 
-    def _values(self, deltas: list[dict[str, Any]]) -> NDArray[np.float64]:
+    def _values(self, deltas: list[dict[str, Any]]) -> Array:
         return np.asarray(self._judge.values(delta_stack(self._judge.uncertain.blocks, deltas)), dtype=np.float64)
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
@@ -286,7 +286,7 @@ def _tile_size(n_states: int, settings: CampaignSettings) -> int:
     return max(1, min(TILE, int(TILE_WORK / work)))
 
 
-def _clock(uncertain: UncertainModel, settings: CampaignSettings, t_end: float) -> NDArray[np.float64]:
+def _clock(uncertain: UncertainModel, settings: CampaignSettings, t_end: float) -> Array:
     if uncertain.dt:
         return real_array("t", uncertain.dt * np.arange(max(2, round(t_end / uncertain.dt) + 1)), 1)
     return real_array("t", np.linspace(0.0, t_end, settings.points), 1)

@@ -12,16 +12,15 @@ every worker, so that a script without ``if __name__ == "__main__"`` cannot run 
 from __future__ import annotations
 
 import json
-import os
 import queue
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from pathlib import Path
 from typing import IO, Any
 
+from robustlab.budget import child_environment
 from robustlab.campaign.work import STRUCK, Failure, Outcome, Payload, Piece
 from robustlab.campaign.worker_process import read_frame, write_frame
 from robustlab.errors import EnvironmentFault
@@ -45,7 +44,7 @@ class _Process:
         command = [sys.executable, "-P", "-m", "robustlab.campaign.worker_process"]
         try:
             self._process = subprocess.Popen(  # noqa: S603  our own interpreter with our own module
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, env=_environment()
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, env=child_environment()
             )
         except OSError:
             self._complaints.close()
@@ -177,13 +176,3 @@ class LocalWorkers:
         """See `robustlab.campaign.work.Workers`."""
         while self._workers:
             self._workers.pop().kill()
-
-
-def _environment() -> dict[str, str]:
-    """Our environment with one thread per worker, and with the folder this package was imported from."""
-    env = dict(os.environ)
-    root = str(Path(__file__).resolve().parents[2])
-    env["PYTHONPATH"] = os.pathsep.join(part for part in (root, env.get("PYTHONPATH", "")) if part)
-    env.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", NUMBA_NUM_THREADS="1")
-    env.update(PYTHONUTF8="1")
-    return env

@@ -1,9 +1,8 @@
 """The store of a campaign: one SQLite file, one row per sample, in write-ahead mode.
 
 A piece of work is written in one transaction: after ``kill -9`` or a power cut each row is there whole or not at all.
-Only the process that holds the lock writes; anyone may read meanwhile.
-
-One writer per store: a lock of the operating system, which a dead process cannot keep.
+Only the process that holds the lock writes, one of the operating system, which a dead process cannot keep; anyone may
+read meanwhile.
 """
 
 from __future__ import annotations
@@ -23,18 +22,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.campaign.evaluation import DONE, LOST, Rows
 from robustlab.campaign.settings import Identity
 from robustlab.errors import EnvironmentFault, InputError, RobustlabError, plain_text
 
-__all__ = [
-    "Counts",
-    "Sample",
-    "Store",
-    "locked",
-    "owner_text",
-]
-
+__all__ = ["Counts", "Sample", "Store", "locked", "owner_text"]
 
 FORMAT_VERSION = 1
 APPLICATION_ID = 0x524C4350  # "RLCP"
@@ -77,7 +70,7 @@ class Sample:
     reason: str
 
     @property
-    def numbers(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def numbers(self) -> Array:
         """Delta as `robustlab.campaign.evaluation.decode_delta` takes it."""
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
 
@@ -417,7 +410,6 @@ def owner_text() -> str:
 
 
 def _owner(path: Path) -> str:
-
     try:
         store = Store.open(path)
         text = store.get("owner")

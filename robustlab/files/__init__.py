@@ -1,4 +1,12 @@
 """Files from outside: untrusted HDF5, MATLAB and text files into plain arrays, and atomic writing.
 
-This room knows nothing of models; `robustlab.storage` maps trees to objects.
+This room knows nothing of models; `robustlab.storage` maps trees to objects. In the order of reading::
+
+    signature                           what a file is, whether it may be read, how large it may be
+    isolation, reader_process, wire     a child process opens it and sends what it holds
+    hdf5_reader, matlab, octave         binary formats, brought to one form
+    text_table, document                tables of numbers; JSON and TOML
+    tree                                the form: groups, datasets, attributes; the header and hash of format 1
+    hdf5, atomic                        the front of all trees, and writing them
+    record_layout, records              measured records, from any of these
 """

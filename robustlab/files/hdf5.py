@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.isolation import read_isolated
@@ -113,7 +114,7 @@ def _write_attributes(target: Any, attrs: dict[str, Any], path: str) -> None:
         target.attrs.create(name, text_or_numbers.item() if single_text else values)
 
 
-def _storable(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _storable(values: AnyArray) -> AnyArray:
     """Text as fixed-length UTF-8, which MATLAB, Octave and Julia read; numbers as they are."""
     import h5py
 

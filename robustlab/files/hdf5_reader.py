@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread
@@ -317,7 +318,7 @@ def _kind(tid: Any) -> str:
     return "enumeration" if code == h5t.ENUM else str(dtype)
 
 
-def _plain(values: Any, kind: str) -> np.ndarray[Any, Any]:
+def _plain(values: Any, kind: str) -> AnyArray:
     """Values as float64, int64, bool, complex128 or text arrays of the same shape."""
     array = np.asarray(values)
     if kind == "text":

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robustlab.budget import child_environment
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.files.signature import Limits
 from robustlab.files.wire import receive, receive_document
@@ -66,12 +66,7 @@ def _command(kind: str, limits: Limits, **arguments: Any) -> list[str]:
 def _answer(command: list[str], where: str, limits: Limits, take: Callable[[bytes], Any], given: bytes = b"") -> Any:
     try:
         done = subprocess.run(  # noqa: S603  our own interpreter with our own module
-            command,
-            input=given,
-            capture_output=True,
-            env=_environment(),
-            timeout=limits.seconds,
-            check=False,
+            command, input=given, capture_output=True, env=_environment(), timeout=limits.seconds, check=False
         )
     except subprocess.TimeoutExpired:
         raise _no_answer(where, f"{limits.seconds:g} s") from None
@@ -109,15 +104,6 @@ def _cpu_signals() -> set[int]:
 
 
 def _environment() -> dict[str, str]:
-    """Our environment without HDF5's plugins, and with the folder this package was imported from."""
-    env = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_")}
-    package_root = str(Path(__file__).resolve().parents[2])
-    env["PYTHONPATH"] = os.pathsep.join(part for part in (package_root, env.get("PYTHONPATH", "")) if part)
-    env.update(
-        HDF5_PLUGIN_PRELOAD="::",  # HDF5's own word for "load no plugins"
-        HDF5_USE_FILE_LOCKING="FALSE",
-        OPENBLAS_NUM_THREADS="1",
-        OMP_NUM_THREADS="1",
-        PYTHONUTF8="1",
-    )
-    return env
+    """That of a child process, without HDF5's plugins."""
+    env = {key: value for key, value in child_environment().items() if not key.startswith("HDF5_")}
+    return {**env, "HDF5_PLUGIN_PRELOAD": "::", "HDF5_USE_FILE_LOCKING": "FALSE"}  # ::, HDF5's word for no plugins

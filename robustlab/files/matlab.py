@@ -25,6 +25,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread
@@ -90,7 +91,7 @@ def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> 
     tree.datasets[name] = Dataset(_matlab_values(array))
 
 
-def _matlab_values(array: np.ndarray[Any, Any]) -> Any:
+def _matlab_values(array: AnyArray) -> Any:
     if array.dtype.kind in "fiu":
         return array.astype(np.float64)
     if array.dtype.kind == "c":

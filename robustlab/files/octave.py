@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.files.tree import Dataset, Tree, Unread
 
 __all__ = ["from_octave"]
@@ -63,7 +62,7 @@ def _moved(tree: Tree, path: str) -> Tree:
     return moved
 
 
-def _values(group: Tree, kind: str) -> NDArray[Any] | Unread:
+def _values(group: Tree, kind: str) -> AnyArray | Unread:
     """The value of a variable that is no struct."""
     if kind == "cell" and "value" in group.groups:
         return _cell(group.groups["value"])
@@ -86,7 +85,7 @@ def _values(group: Tree, kind: str) -> NDArray[Any] | Unread:
     return array.astype(bool) if kind.startswith("bool") else array
 
 
-def _range(stored: Dataset) -> NDArray[Any] | Unread:
+def _range(stored: Dataset) -> AnyArray | Unread:
     """``0:0.1:1`` as a row; stored are its base, limit and increment, and how many elements it has."""
     values, count = stored.values, np.asarray(stored.attrs.get("OCTAVE_RANGE_NELEM", -1))
     if isinstance(values, Unread) or values.shape != (3,) or count.size != 1 or not 0 <= int(count) <= MAX_RANGE:
@@ -96,7 +95,7 @@ def _range(stored: Dataset) -> NDArray[Any] | Unread:
     return (np.minimum if increment > 0 else np.maximum)(row, limit).reshape(1, -1)  # as Octave: never beyond the limit
 
 
-def _empty(sizes: NDArray[Any], kind: str) -> NDArray[Any] | Unread:
+def _empty(sizes: AnyArray, kind: str) -> AnyArray | Unread:
     """An empty array is stored as its sizes, in Octave's order."""
     shape = tuple(int(n) for n in sizes.ravel()) if sizes.dtype.kind == "i" else (-1,)
     if 0 not in shape or min(shape) < 0 or len(shape) > 32 or max(shape) > 2**31:
@@ -104,7 +103,7 @@ def _empty(sizes: NDArray[Any], kind: str) -> NDArray[Any] | Unread:
     return np.array([""]) if kind in TEXTS else np.zeros(shape)
 
 
-def _text(codes: NDArray[Any]) -> NDArray[Any] | Unread:
+def _text(codes: AnyArray) -> AnyArray | Unread:
     """Bytes of UTF-8, one column of the dataset for each row of the text; blanks fill up shorter rows."""
     if codes.dtype.kind != "i" or codes.ndim not in (1, 2):
         return Unread("Octave text of another shape", codes.shape)
@@ -115,7 +114,7 @@ def _text(codes: NDArray[Any]) -> NDArray[Any] | Unread:
     return np.array([text.rstrip(" ") if len(texts) > 1 else text for text in texts], np.str_)
 
 
-def _cell(held: Tree) -> NDArray[Any] | Unread:
+def _cell(held: Tree) -> AnyArray | Unread:
     """A cell of texts as an array of texts."""
     dims = held.datasets["dims"].values if "dims" in held.datasets else None
     if not isinstance(dims, np.ndarray) or dims.dtype.kind != "i" or not 1 <= dims.size <= 32:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import not_finite
+from robustlab.arrays import AnyArray, not_finite
 from robustlab.errors import InputError
-from robustlab.files.tree import Tree, link_name, signal_name
+from robustlab.files.tree import Tree, link_name, signal_name, type_name
 
 __all__ = ["decode_record", "encode_record"]
 
@@ -70,10 +70,10 @@ def _position(group: Tree, link: str) -> int:
     return int(value.flat[0]) if value.size == 1 and value.dtype.kind in "if" else 1 << 30
 
 
-def _column(node: Tree, name: str, problems: list[str]) -> np.ndarray[Any, Any]:
+def _column(node: Tree, name: str, problems: list[str]) -> AnyArray:
     values, path = node.datasets[name].values, node.child_path(name)
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fi":
-        problems.append(f"{path} has dtype {_dtype(values)}, expected a column of real numbers")
+        problems.append(f"{path} has dtype {type_name(values)}, expected a column of real numbers")
         return np.zeros(0)
     if values.ndim == 2 and 1 in values.shape:
         values = values.reshape(-1)
@@ -84,7 +84,3 @@ def _column(node: Tree, name: str, problems: list[str]) -> np.ndarray[Any, Any]:
     if bad is not None:
         problems.append(f"{path}[{bad[0]}] {bad[1]}")
     return values.astype(np.float64)
-
-
-def _dtype(values: Any) -> str:
-    return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)

@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import not_finite
+from robustlab.arrays import AnyArray, Array, not_finite
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.record_layout import decode_record
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.text_table import read_table
-from robustlab.files.tree import Tree, Unread, check_header, is_stamped
+from robustlab.files.tree import Tree, Unread, check_header, is_stamped, text_attr, type_name
 from robustlab.units import factor_to_si, same_unit
 
 __all__ = ["CLOCK_NAMES", "RecordOptions", "read_record"]
@@ -30,7 +29,7 @@ GAP = 1.5
 
 @dataclass
 class _Channel:
-    values: NDArray[Any] | Unread
+    values: AnyArray | Unread
     unit: str = ""
     meaning: str = ""
     dt: float = 0.0  # sample time stated at the channel itself; 0 = not stated
@@ -119,8 +118,8 @@ def read_record(
         return _stored(_record_of_format_1(str(path), tree, options), str(path), options)
     node = tree.find(group) if group else tree
     if node is None:
-        known = _group_names(tree)
-        raise InputError(str(path), f"missing group /{group}", _list("one of", known), _nearest(group or "", known))
+        known = tree.group_names()
+        raise InputError(str(path), f"missing group /{group}", _list("one of", known), did_you_mean(group or "", known))
     if {"inputs", "outputs"} & set(node.groups):
         return _stored(node, str(path), options)
     return _choose(_from_tree(path, tree, node, group), options)
@@ -145,7 +144,10 @@ def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _
     for name, dataset in node.datasets.items():
         attrs = dataset.attrs
         channels[name] = _Channel(
-            _column(dataset.values), _attr_text(attrs, "unit"), _attr_text(attrs, "meaning"), _sample_time(attrs)
+            _column(dataset.values),
+            text_attr(attrs, "unit") or "",
+            text_attr(attrs, "meaning") or "",
+            _sample_time(attrs),
         )
     own = _sample_time(node.attrs) or _sample_time(tree.attrs)
     for name in ("Ts", "dt"):  # MATLAB has no attributes: there the sample time is a variable
@@ -159,20 +161,15 @@ def _from_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> _
     stem = Path(path).stem
     prefix = f"{node.path.rstrip('/')}/"
     return _Source(
-        str(path), f"{stem}/{group.strip('/')}" if group else stem, prefix, channels, own, _group_names(tree)
+        str(path), f"{stem}/{group.strip('/')}" if group else stem, prefix, channels, own, tree.group_names()
     )
 
 
-def _column(values: NDArray[Any] | Unread) -> NDArray[Any] | Unread:
+def _column(values: AnyArray | Unread) -> AnyArray | Unread:
     """MATLAB's columns and rows are two-dimensional; a record's channels are not."""
     if isinstance(values, np.ndarray) and values.ndim == 2 and 1 in values.shape:
         return values.reshape(-1)
     return values
-
-
-def _attr_text(attrs: Mapping[str, Any], name: str) -> str:
-    value = np.asarray(attrs.get(name, ""))
-    return str(value.flat[0]) if value.dtype.kind == "U" and value.size == 1 else ""
 
 
 def _sample_time(attrs: Mapping[str, Any]) -> float:
@@ -182,10 +179,6 @@ def _sample_time(attrs: Mapping[str, Any]) -> float:
             number = float(value.flat[0])
             return 1.0 / number if name == "fs" else number
     return 0.0
-
-
-def _group_names(tree: Tree) -> list[str]:
-    return [path.strip("/") for path, item in tree.walk() if isinstance(item, Tree) and path != "/"]
 
 
 # --- a record of format 1 --------------------------------------------------------------------------------------------
@@ -254,20 +247,13 @@ def _choose(source: _Source, options: RecordOptions) -> dict[str, Any]:
     stated = {name: source.channels[name].unit for name in arrays}
     taken = {name: arrays[name] for name in ins}, {name: arrays[name] for name in outs}
     _convert(source.where, *taken, stated, units)
-    return {
-        "t": t,
-        "inputs": taken[0],
-        "outputs": taken[1],
-        "units": stated,
-        "name": source.name,
-        "meaning": meanings,
-    }
+    return {"t": t, "inputs": taken[0], "outputs": taken[1], "units": stated, "name": source.name, "meaning": meanings}
 
 
 def _convert(
     where: str,
-    inputs: dict[str, NDArray[np.float64]],
-    outputs: dict[str, NDArray[np.float64]],
+    inputs: dict[str, Array],
+    outputs: dict[str, Array],
     stated: dict[str, str],
     given: Mapping[str, str],
 ) -> None:
@@ -276,7 +262,7 @@ def _convert(
         side = inputs if name in inputs else outputs
         if name not in side:
             known = [*inputs, *outputs]
-            raise InputError(where, f"a unit for {name!r}", _list("one of", known), _nearest(name, known))
+            raise InputError(where, f"a unit for {name!r}", _list("one of", known), did_you_mean(name, known))
         _agree(where, name, stated.get(name, ""), unit)
         factor, stated[name] = factor_to_si(unit)
         if factor != 1.0:
@@ -304,15 +290,11 @@ def _no_signals(source: _Source, found: str) -> InputError:
     )
 
 
-def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
+def _numbers(source: _Source, name: str) -> Array:
     values = source.channels[name].values
     where = f"{source.where}: {source.label(name)}"
-    if isinstance(values, Unread):
-        raise InputError(where, f"dtype {values.dtype}", "a column of real numbers")
-    if values.dtype.kind not in "fib":
-        raise InputError(
-            where, f"dtype {'text' if values.dtype.kind == 'U' else values.dtype}", "a column of real numbers"
-        )
+    if isinstance(values, Unread) or values.dtype.kind not in "fib":
+        raise InputError(where, f"dtype {type_name(values)}", "a column of real numbers")
     if values.ndim != 1:
         raise InputError(where, f"shape {values.shape}", "one column")
     array = values.astype(np.float64)
@@ -322,7 +304,7 @@ def _numbers(source: _Source, name: str) -> NDArray[np.float64]:
     return array
 
 
-def _common_length(source: _Source, arrays: Mapping[str, NDArray[np.float64]]) -> int:
+def _common_length(source: _Source, arrays: Mapping[str, Array]) -> int:
     lengths = {name: len(values) for name, values in arrays.items()}
     if len(set(lengths.values())) > 1:
         first = next(iter(lengths))
@@ -341,7 +323,7 @@ def _common_length(source: _Source, arrays: Mapping[str, NDArray[np.float64]]) -
     return next(iter(lengths.values()))
 
 
-def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: str | None) -> NDArray[np.float64]:
+def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: str | None) -> Array:
     if dt is None and clock is not None:
         t = _numbers(source, clock)
         unit = source.channels[clock].unit
@@ -374,7 +356,7 @@ def _times(source: _Source, names: list[str], n: int, dt: float | None, clock: s
     return np.arange(n, dtype=np.float64) * np.float64(dt)
 
 
-def _refuse_gaps(where: str, t: NDArray[np.float64]) -> None:
+def _refuse_gaps(where: str, t: Array) -> None:
     """Missing samples: steps far longer than the others of a clock that is otherwise regular."""
     steps = np.diff(t)
     if len(steps) < 2 or (steps <= 0).any():
@@ -397,7 +379,7 @@ def _refuse_gaps(where: str, t: NDArray[np.float64]) -> None:
 def _missing(where: str, missing: list[str], known: list[str], prefix: str) -> InputError:
     lines = []
     for name in missing:
-        near = _nearest(name, known)
+        near = did_you_mean(name, known)
         lines.append(f"missing {prefix}{name}" + (f" ({near})" if near else ""))
     return InputError(where, lines[0], _list("one of", known), None, tuple(f"{where}: {line}" for line in lines[1:]))
 
@@ -405,7 +387,3 @@ def _missing(where: str, missing: list[str], known: list[str], prefix: str) -> I
 def _list(word: str, names: Sequence[str]) -> str:
     shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     return f"{word} {shown}" if names else "a file with signals"
-
-
-def _nearest(name: str, known: Sequence[str]) -> str | None:
-    return did_you_mean(name, list(known))

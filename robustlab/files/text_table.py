@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, require_file, size_text
 from robustlab.files.tree import Tree, canonical
@@ -40,7 +40,7 @@ class TextTable:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: NDArray[np.float64]
+    values: Array
     has_header: bool
 
 
@@ -206,7 +206,7 @@ def _cells(text: str, delimiter: str) -> list[str]:
 
 def _numbers(
     where: str, data: list[tuple[int, str]], delimiter: str, *, decimal: str, width: int, names: list[str] | None
-) -> NDArray[np.float64]:
+) -> Array:
     texts = [text for _, text in data]
     try:
         if decimal == "." and not any('"' in text or text.endswith(delimiter) for text in texts):

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Provenance
 
@@ -33,6 +33,7 @@ __all__ = [
     "signal_name",
     "stamp",
     "text_attr",
+    "type_name",
 ]
 
 FORMAT = "robustlab"
@@ -61,7 +62,7 @@ class Unread:
 class Dataset:
     """Values (float64, int64, bool, complex128 or text) and the attributes of one dataset."""
 
-    values: NDArray[Any] | Unread
+    values: AnyArray | Unread
     attrs: dict[str, Any] = field(default_factory=dict)
 
 
@@ -114,6 +115,10 @@ class Tree:
                 node = node.groups[part]
         return node
 
+    def group_names(self) -> list[str]:
+        """Paths of all groups below this one, without the leading stroke."""
+        return [path.strip("/") for path, item in self.walk() if isinstance(item, Tree) and item is not self]
+
     def walk(self) -> Iterator[tuple[str, Tree | Dataset]]:
         """All objects below and including this group, as (path, object)."""
         yield self.path, self
@@ -123,7 +128,12 @@ class Tree:
             yield from group.walk()
 
 
-def canonical(values: Any, where: str) -> NDArray[Any]:
+def type_name(values: AnyArray | Unread) -> str:
+    """What messages call the type of a dataset's values."""
+    return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)
+
+
+def canonical(values: Any, where: str) -> AnyArray:
     """``values`` as a C-ordered array of float64, int64, bool, complex128, or text: the types format 1 knows.
 
     Raises
@@ -184,7 +194,7 @@ def _text(text: str) -> bytes:
     return str(len(raw)).encode() + b":" + raw
 
 
-def _array(values: NDArray[Any]) -> bytes:
+def _array(values: AnyArray) -> bytes:
     shape = ",".join(str(n) for n in values.shape)
     if values.dtype.kind == "U":
         return f"text({shape})".encode() + b"".join(_text(text) for text in values.ravel().tolist())

@@ -1,4 +1,9 @@
-"""Storage: format 1 and plain files to models, records and results, and back."""
+"""Storage: format 1 and plain files to models, records and results, and back.
+
+`interchange` decides which object a file holds; `matrices`, `uncertain_models`, `plants`, `model_pairs` and `results`
+know one kind each. `controller_export` writes controllers for other programs; `expression_files` reads parametric
+models.
+"""
 
 from robustlab.storage.interchange import Loaded, load, load_pair, read, save
 from robustlab.storage.model_pairs import check_pair

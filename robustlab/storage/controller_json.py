@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import Limits, size_text
@@ -175,7 +175,7 @@ def _signals(given: Any, where: str) -> list[Signal]:
     return found
 
 
-def _matrix(given: Any, shape: tuple[int, int], where: str) -> NDArray[np.float64]:
+def _matrix(given: Any, shape: tuple[int, int], where: str) -> Array:
     """Rows of numbers as a matrix of the shape that the signals ask for."""
     rows, columns = shape
     if not isinstance(given, list) or not all(isinstance(row, list) for row in given):

@@ -15,14 +15,7 @@ from robustlab.files.matlab import write_matlab5
 from robustlab.files.record_layout import decode_record, encode_record
 from robustlab.files.records import CLOCK_NAMES, RecordOptions, read_record
 from robustlab.files.signature import Limits, content_of
-from robustlab.files.tree import (
-    Tree,
-    check_header,
-    decode_provenance,
-    is_stamped,
-    stamp,
-    text_attr,
-)
+from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
 from robustlab.provenance import NOT_VERIFIED, Provenance, Traced
 from robustlab.record import Record
 from robustlab.result import Result
@@ -36,15 +29,7 @@ from robustlab.storage.uncertain_models import decode_controller, decode_uncerta
 from robustlab.synthesis.problem.design import Controller
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "Loaded",
-    "load",
-    "load_pair",
-    "read",
-    "save",
-    "is_plant_file",
-    "load_plant",
-]
+__all__ = ["Loaded", "load", "load_pair", "read", "save", "is_plant_file", "load_plant"]
 
 
 Stored = StateSpaceModel | UncertainModel | Controller | Record | Result | Plant
@@ -156,7 +141,7 @@ def is_plant_file(name: str) -> bool:
     return Path(name).suffix.lower() in (".h5", ".hdf5") or Path(name).is_file()
 
 
-def load_plant(path: str) -> Plant:
+def load_plant(path: str) -> Any:
     """The plant in a file.
 
     Raises
@@ -200,10 +185,8 @@ def read(
         return Loaded(thing, kind, where, verified, (*found, *_unit_warnings(thing)), decode_provenance(tree))
     node = tree.find(group) if group else tree
     if node is None:
-        names = [path.strip("/") for path, item in tree.walk() if isinstance(item, Tree) and path != "/"]
-        raise InputError(
-            where, f"missing group /{group}", f"one of {', '.join(names)}" if names else "a file with groups"
-        )
+        names = ", ".join(tree.group_names())
+        raise InputError(where, f"missing group /{group}", f"one of {names}" if names else "a file with groups")
     kind, thing = _plain(node, where, group, transpose=transpose, limits=limits, isolate=isolate)
     return Loaded(thing, kind, where, False, _unit_warnings(thing))
 
@@ -348,20 +331,10 @@ def _encode(tree: Tree, obj: Any) -> str:
 
 
 def _save_matlab(path: str | Path, obj: Any) -> Path:
-    if isinstance(obj, UncertainModel):
-        raise InputError(
-            str(path),
-            "an uncertain model",
-            "a model or a controller for .mat",
-            "save it as .h5, which MATLAB reads with h5read",
-        )
-    if isinstance(obj, (Record, Result)):
-        raise InputError(
-            str(path),
-            f"a {type(obj).__name__}",
-            "a model or a controller for .mat",
-            "save it as .h5, which MATLAB reads with h5read",
-        )
+    if isinstance(obj, (UncertainModel, Record, Result)):
+        found = "an uncertain model" if isinstance(obj, UncertainModel) else f"a {type(obj).__name__}"
+        hint = "save it as .h5, which MATLAB reads with h5read"
+        raise InputError(str(path), found, "a model or a controller for .mat", hint)
     model = as_model(obj, "save")
     variables: dict[str, Any] = {name: getattr(model, name) for name in "ABCD"}
     variables["dt"] = model.dt

@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.arrays import Array, not_finite
 from robustlab.errors import InputError, did_you_mean
-from robustlab.files.tree import Tree, Unread
+from robustlab.files.tree import Tree, Unread, type_name
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "decode_point",
     "encode_model",
     "encode_point",
+    "entries",
     "find_children",
     "sample_time",
 ]
@@ -182,7 +183,7 @@ def _real(node: Tree, name: str, problems: Problems) -> Array | None:
         hint = None
         if isinstance(values, Unread) and values.dtype.startswith("MATLAB object"):
             hint = "MATLAB's own objects cannot be read: save the matrices, [A,B,C,D] = ssdata(sys)"
-        problems.add(f"{path} has dtype {_dtype_name(values)}, expected real numbers", hint)
+        problems.add(f"{path} has dtype {type_name(values)}, expected real numbers", hint)
         return None
     array = values.astype(np.float64)
     if array.ndim == 0:
@@ -196,10 +197,6 @@ def _real(node: Tree, name: str, problems: Problems) -> Array | None:
         problems.add(f"{path}[{bad[0]}] {bad[1]}")
         return None
     return array
-
-
-def _dtype_name(values: Any) -> str:
-    return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)
 
 
 def _fitting(
@@ -304,11 +301,15 @@ def _texts(group: Tree, name: str, problems: Problems) -> list[str] | None:
     if name not in group.datasets:
         problems.add(f"missing {group.child_path(name)}")
         return None
+    return entries(group, name, "U", problems)
+
+
+def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any] | None:
+    """The entries of a dataset as a list; None, with the reason in ``problems``, where they are of no kind given."""
     values = group.datasets[name].values
-    if isinstance(values, np.ndarray) and values.size == 0:
-        return []
-    if isinstance(values, Unread) or values.dtype.kind != "U":
-        problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected texts")
+    if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
+        wanted = "texts" if kinds == "U" else "real numbers"
+        problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
         return None
     return values.ravel().tolist()
 
@@ -325,7 +326,7 @@ def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
             return None
         values = group.datasets[name].values
         if isinstance(values, Unread) or values.dtype.kind not in "fi":
-            problems.add(f"{group.child_path(name)} has dtype {_dtype_name(values)}, expected real numbers")
+            problems.add(f"{group.child_path(name)} has dtype {type_name(values)}, expected real numbers")
             return None
         vectors[name] = values.reshape(-1) if values.ndim == 2 and (1 in values.shape or not values.size) else values
     return OperatingPoint(**vectors)

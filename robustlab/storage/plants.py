@@ -9,9 +9,9 @@ import numpy as np
 
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.files.tree import Dataset, Tree, Unread, text_attr
+from robustlab.files.tree import Tree, text_attr
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage.matrices import Problems, decode_model, encode_model, find_children
+from robustlab.storage.matrices import Problems, decode_model, encode_model, entries, find_children
 from robustlab.uncertainty.blocks import Sign
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
     problems.raise_any()
     model = decode_model(group.groups["base"], problems)
     columns = _columns(group.groups["parameters"], problems, MORE_TEXTS)
-    names = _list(held.datasets["parameters"], "U", held.child_path("parameters"), problems) or []
+    names = entries(held, "parameters", "U", problems) or []
     arrays = {key: held.datasets[key].values for key in MATRICES}
     for key, values in arrays.items():
         shape = values.shape if isinstance(values, np.ndarray) and values.dtype.kind in "fi" else ()
@@ -248,21 +248,13 @@ def _columns(group: Tree, problems: Problems, more: tuple[str, ...] = ()) -> dic
     columns: dict[str, list[Any]] = {}
     for field in (*TEXTS, *NUMBERS, *more):
         if field in group.datasets:
-            values = _list(group.datasets[field], "fi" if field in NUMBERS else "U", group.child_path(field), problems)
+            values = entries(group, field, "fi" if field in NUMBERS else "U", problems)
             if values is not None:
                 columns[field] = values
     lengths = {len(values) for values in columns.values()}
     if len(lengths) > 1:
         problems.add(f"{group.path}: columns of {', '.join(map(str, sorted(lengths)))} entries, expected one length")
     return columns
-
-
-def _list(dataset: Dataset, kinds: str, path: str, problems: Problems) -> list[Any] | None:
-    values = dataset.values
-    if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
-        problems.add(f"{path} has dtype {values.dtype}, expected {'texts' if kinds == 'U' else 'real numbers'}")
-        return None
-    return values.ravel().tolist()
 
 
 def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
@@ -284,7 +276,7 @@ def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
         find_children(one, ("name", "value"), problems, kind="dataset")
         problems.raise_any()
         columns = {
-            name: _list(one.datasets[name], "U" if name == "name" else "fi", one.child_path(name), problems) or []
+            name: entries(one, name, "U" if name == "name" else "fi", problems) or []
             for name in ("name", "value", "std")
             if name in one.datasets
         }

@@ -8,10 +8,18 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError
-from robustlab.files.tree import Tree, Unread
+from robustlab.files.tree import Tree
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage.matrices import Problems, decode_model, decode_point, encode_model, encode_point, find_children
+from robustlab.storage.matrices import (
+    Problems,
+    decode_model,
+    decode_point,
+    encode_model,
+    encode_point,
+    entries,
+    find_children,
+)
 from robustlab.synthesis.problem.design import Controller
 from robustlab.uncertainty.blocks import KINDS, Block, ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
@@ -87,13 +95,9 @@ def _blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
     for name in FIELDS:
         if name not in group.datasets:
             continue
-        values = group.datasets[name].values
-        kinds = "U" if name in ("name", "kind", "unit", "origin", "sign") else "fi"
-        if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
-            wanted = "texts" if kinds == "U" else "real numbers"
-            problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
-        else:
-            columns[name] = values.ravel().tolist()
+        found = entries(group, name, "U" if name in ("name", "kind", "unit", "origin", "sign") else "fi", problems)
+        if found is not None:
+            columns[name] = found
     lengths = {name: len(values) for name, values in columns.items()}
     if problems.lines:
         return ()
