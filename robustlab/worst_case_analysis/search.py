@@ -62,7 +62,7 @@ class DeltaBox:
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Stack of Deltas (k, q, p) from vectors (k, d)."""
-        dtype = float if self.all_real else complex
+        dtype = float if all(b.is_real for b in self.blocks) else complex
         delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
         for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
             delta[:, rows, cols] = block.members(theta[:, part])

@@ -163,6 +163,10 @@ def validate(
     budget, estimated = search_budget("validate", WORK, effort, time_limit), noise is None
     if not isinstance(uncertain, UncertainModel):
         raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
+    for block in uncertain.blocks:
+        if block.is_real and not block.interval:
+            found = f"a {type(block).__name__}"
+            raise InputError(f"validate: block {block.name!r}", found, "real scalars, complex and full blocks")
     if delta not in ("time-invariant", "time-varying"):
         raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
     if not 1e-4 <= precision <= 0.2:
