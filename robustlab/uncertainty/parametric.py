@@ -18,11 +18,11 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import SignalLike, StateSpaceModel
+from robustlab.uncertainty.algebra import reduction
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
 from robustlab.uncertainty.laurent import Algebra, Laurent, number_arithmetic, parsed, walk
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.structured_reduction import reduction
 
 __all__ = ["as_range", "parametric"]
 

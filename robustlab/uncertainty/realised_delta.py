@@ -30,7 +30,8 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
-from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.upper_lft import ILL_POSED
 
 __all__ = ["perturbed_model", "realise_delta"]
 

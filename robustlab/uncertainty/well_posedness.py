@@ -100,10 +100,17 @@ def well_posedness(uncertain: UncertainModel, level: float = 1.0, seed: int = 0)
 
     Parameters
     ----------
+    uncertain
+        The set.
     level
         The set is scaled with this: 2 asks about twice the uncertainty.
     seed
         Of the random complex Deltas on whose rays a singular one is looked for.
+
+    Returns
+    -------
+    WellPosedness
+        The answer, with the singular Delta that was found or the bound that excludes one.
 
     Raises
     ------

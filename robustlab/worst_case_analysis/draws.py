@@ -21,7 +21,8 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.upper_lft import ILL_POSED
 from robustlab.worst_case_analysis.ensemble import Ensemble, split, state_scale
 
 __all__ = [

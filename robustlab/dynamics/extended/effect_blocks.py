@@ -60,10 +60,9 @@ from robustlab.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
-from robustlab.uncertainty.algebra import product
 from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.covering.overbound import Overbound, overbound
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, product
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.extended_plant import ExtendedPlant

@@ -28,9 +28,8 @@ from robustlab.identification.validation.sampled_problem import NoiseNorm
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.algebra import product
 from robustlab.uncertainty.blocks import FullBlock
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, product
 
 __all__ = ["DataCover", "data_cover"]
 

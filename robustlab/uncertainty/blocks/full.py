@@ -19,7 +19,22 @@ __all__ = ["FullBlock"]
 
 @dataclass(frozen=True)
 class FullBlock(Block):
-    """A full complex matrix ``Delta_i`` of shape (rows, cols) with ``sigma_max(Delta_i) <= 1``; ``w = Delta_i z``."""
+    """A full complex matrix ``Delta_i`` of shape (rows, cols) with ``sigma_max(Delta_i) <= 1``; ``w = Delta_i z``.
+
+    Parameters
+    ----------
+    name
+        Unique within a structure.
+    rows, cols
+        Entries of w and of z.
+    origin
+        Where the block comes from, in words; blocks that differ in nothing else are equal.
+
+    Raises
+    ------
+    InputError
+        A name that is no text of 1 to 200 characters, a size that is no positive whole number.
+    """
 
     is_real: ClassVar[bool] = False
     is_scalar: ClassVar[bool] = False

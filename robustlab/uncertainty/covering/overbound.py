@@ -132,6 +132,11 @@ def overbound(
     dt
         Sample time in s of the weight; 0: continuous.
 
+    Returns
+    -------
+    Overbound
+        The weight, stable and minimum-phase, with its excess over the bound.
+
     Raises
     ------
     InputError

@@ -193,6 +193,11 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargi
     sign
         -1 for negative feedback, 1 for positive feedback.
 
+    Returns
+    -------
+    CoprimeMargin
+        The margin, 0 .. 1, and 0 where C does not stabilise P.
+
     Raises
     ------
     InputError

@@ -177,6 +177,11 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     P1, P2
         As for `nu_gap`.
 
+    Returns
+    -------
+    GapMetric
+        The value with its bounds, and the nu-gap, which never exceeds it.
+
     Raises
     ------
     InputError, NoTrustworthyNumber
