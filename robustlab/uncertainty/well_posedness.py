@@ -35,14 +35,12 @@ from robustlab.uncertainty.blocks import (
     structure_size,
 )
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.tuning import TUNING
 
 __all__ = ["WellPosedness", "well_posedness"]
 
 Matrix = NDArray[Any]
 
-MAX_BOXES = 2000
-MAX_VERTICES = 1024
-RANDOM_DELTAS = 60
 # A Perron bound this near to one proves nothing: rounding of its own eigenvalue.
 CLEAR = 1e-10
 # A Delta that was found counts as singular up to this residual.
@@ -188,7 +186,7 @@ def _perron(d11: Matrix, blocks: Sequence[Block], radius: Array) -> float:
 def _cut(d11: Array, blocks: Sequence[Block], low: Array, high: Array, rays: _RaySearch) -> tuple[float, int, bool]:
     """Boxes of real entries, each proved around its centre or cut in two; (largest bound, boxes, is any left open)."""
     boxes, largest = [(low, high)], 0.0
-    for count in range(1, MAX_BOXES + 1):
+    for count in range(1, TUNING.boxes + 1):
         lower, upper = boxes.pop()
         centre, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
         delta = rays.real_delta(centre)
@@ -205,7 +203,7 @@ def _cut(d11: Array, blocks: Sequence[Block], low: Array, high: Array, rays: _Ra
             boxes += [(lower, left), (right, upper)]
         if not boxes:
             return largest, count, False
-    return largest, MAX_BOXES, True
+    return largest, TUNING.boxes, True
 
 
 # --- refutation ------------------------------------------------------------------------------------------------------
@@ -229,15 +227,15 @@ class _RaySearch:
         """Vertices of the real blocks, each with random complex blocks turned into every phase."""
         rng = np.random.default_rng(seed)
         k = len(self.real)
-        if 2**k <= MAX_VERTICES:
+        if 2**k <= TUNING.vertices:
             signs = np.array(list(product((-1.0, 1.0), repeat=k))).reshape(2**k, k)
         else:
-            signs = rng.choice([-1.0, 1.0], (MAX_VERTICES, k))
+            signs = rng.choice([-1.0, 1.0], (TUNING.vertices, k))
         for sign in signs:
             self.along(self.real_delta(np.where(sign > 0, self.high[self.real], self.low[self.real])), 1.0)
         if k == len(self.blocks):
             return
-        for _ in range(RANDOM_DELTAS):
+        for _ in range(TUNING.random_deltas):
             share = np.append(rng.uniform(-1, 1, k), 0.0)[:k] if rng.random() < 0.8 else np.zeros(k)
             base = self.real_delta(np.where(share > 0, self.high[self.real], -self.low[self.real]) * share)
             self._turned(base, self._complex_delta(rng))
