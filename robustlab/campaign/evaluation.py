@@ -193,7 +193,7 @@ class Evaluator:
         """Delta of a sample or a vertex: block name -> normalised value. A search finds its own: zero here."""
         blocks, seed = self.uncertain.blocks, self.settings.seed
         if self.settings.kind == "search":
-            return {block.name: _zero(block) for block in blocks}
+            return {block.name: block.zero for block in blocks}
         if self.settings.kind == "samples":
             return delta_of_sample(blocks, seed, index)
         values = delta_of_sample(blocks, seed, index, boundary=True)
@@ -303,7 +303,3 @@ def _clock(uncertain: UncertainModel, settings: CampaignSettings, t_end: float) 
     if uncertain.dt:
         return real_array("t", uncertain.dt * np.arange(max(2, round(t_end / uncertain.dt) + 1)), 1)
     return real_array("t", np.linspace(0.0, t_end, settings.points), 1)
-
-
-def _zero(block: Any) -> Any:
-    return 0.0 if hasattr(block, "repeats") else np.zeros((block.rows, block.cols))

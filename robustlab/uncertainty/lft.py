@@ -21,12 +21,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.frequency import frequency_response
 from robustlab.provenance import Traced
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft, real_array
-from robustlab.uncertainty.blocks import (
-    Block,
-    as_blocks,
-    delta_matrix,
-    structure_size,
-)
+from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
 from robustlab.uncertainty.dynamic_blocks import weighted
 from robustlab.uncertainty.interconnection import Wiring, join, unique_names, wired
 from robustlab.uncertainty.reduction import reduced

@@ -28,12 +28,7 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import (
-    Block,
-    block_slices,
-    delta_values,
-    structure_size,
-)
+from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
 

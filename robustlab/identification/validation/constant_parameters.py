@@ -27,7 +27,7 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.identification.validation.sampled_problem import Recorded
 from robustlab.identification.validation.window_fit import WindowFit
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["Parameters", "smallest_parameters"]
 
@@ -72,7 +72,7 @@ class Parameters:
 
 
 def smallest_parameters(
-    recorded: Recorded, blocks: Sequence[RealScalar], scaled: NDArray[np.bool_], precision: float, budget: Budget
+    recorded: Recorded, blocks: Sequence[Block], scaled: NDArray[np.bool_], precision: float, budget: Budget
 ) -> Parameters:
     """Bounds of the largest ``|delta|`` over the blocks that ``scaled`` names; the others stay within [-1, 1]."""
     fit = WindowFit(recorded, blocks, budget)

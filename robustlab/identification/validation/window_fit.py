@@ -21,7 +21,7 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import Recorded, held, powers, shown, states
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["WindowFit", "Windows", "chebyshev"]
 
@@ -56,12 +56,12 @@ class Member:
 class WindowFit:
     """Noise of a record for values of its real blocks; what it simulates and fits is spent of the budget."""
 
-    def __init__(self, recorded: Recorded, blocks: Sequence[RealScalar], budget: Budget) -> None:
+    def __init__(self, recorded: Recorded, blocks: Sequence[Block], budget: Budget) -> None:
         self.recorded, self.blocks, self.budget = recorded, blocks, budget
         ends = [*recorded.starts[1:], len(recorded.t)]
         self.cuts = [slice(a, b) for a, b in zip(recorded.starts, ends, strict=True)]
         self.count = recorded.counts
-        self._repeats = [b.repeats for b in blocks]
+        self._repeats = [b.rows for b in blocks]
         self._known: dict[tuple[bytes, tuple[int, ...]], Windows | None] = {}
         self._kept = max(16, KEPT_NUMBERS // (recorded.used.size + 1))
 

@@ -119,6 +119,11 @@ class Block(ABC):
         """Inverse of `matrix_of`."""
         return part.real.copy() if self.is_real else part.copy()
 
+    @property
+    def zero(self) -> Any:
+        """The value of the nominal model."""
+        return 0.0 if self.is_scalar else np.zeros(self.value_shape)
+
     def draw(self, rng: np.random.Generator, boundary: bool = False) -> Any:
         """A random value, uniform over the norms' volumes; on the boundary of the set where asked for."""
         matrix = rng.standard_normal(self.value_shape)
