@@ -27,6 +27,7 @@ class RealMatrix(Block):
 
 
 BLOCKS = [RealMatrix("stiffness", 2, 2)]
+ONE = RealMatrix("k", 1, 1)
 MIXED = [rl.RealScalar("mass"), RealMatrix("stiffness", 2, 3), rl.ComplexScalar("motor")]
 
 
@@ -137,7 +138,7 @@ def test_robust_stability(blocks):
     uncertain = model_for(blocks)
     margin = rl.robust_stability(uncertain)
     assert 0 < margin.lower <= margin.upper * (1 + 1e-9)
-    for delta in rl.sample(uncertain, 200, seed=5, vertices=50).deltas:
+    for delta in rl.sample(uncertain, 60, seed=5, vertices=20).deltas:
         smaller = {name: 0.999 * margin.lower * value for name, value in delta.items()}
         real = {name: value for name, value in smaller.items() if name != "motor"}  # a complex member is no real model
         assert uncertain.evaluate(real).is_stable()
@@ -158,21 +159,22 @@ def test_worst_case_gain_and_worst_case():
     bounds = rl.worst_case_gain(uncertain)
     assert is_member(BLOCKS[0], bounds.delta["stiffness"])
     rng = np.random.default_rng(2)
-    best = max(rl.hinf_norm(uncertain.evaluate({"stiffness": random_member(BLOCKS[0], rng)})).lower for _ in range(200))
+    best = max(rl.hinf_norm(uncertain.evaluate({"stiffness": random_member(BLOCKS[0], rng)})).lower for _ in range(60))
     assert best <= bounds.upper * (1 + 1e-6)
     assert 0.95 * best <= bounds.lower <= bounds.upper * (1 + 1e-9)
     attained = rl.hinf_norm(uncertain.evaluate(bounds.delta)).upper
     assert attained >= bounds.lower * (1 - 1e-6)
     for metric in ("hinf", "spectral-abscissa"):
-        worst = rl.worst_case(uncertain, metric)
+        worst = rl.worst_case(uncertain, metric, n=16, effort=0.2)
         assert is_member(BLOCKS[0], worst.delta["stiffness"])
         assert metric != "hinf" or worst.value <= bounds.upper * (1 + 1e-6)
 
 
 def test_time_domain_takes_it_as_it_is_real():
-    t = np.linspace(0, 5, 101)
-    worst = rl.worst_case(model_for(BLOCKS), "peak", t=t, u=np.ones(101))
-    assert np.isfinite(worst.value)
+    uncertain = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[0.3, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [ONE])
+    worst = rl.worst_case(uncertain, "peak", t=np.linspace(0, 9, 46), u=np.ones(46), n=8)
+    assert worst.value == pytest.approx((1 - np.exp(-0.7 * 9)) / 0.7, rel=1e-6)
+    assert worst.delta["k"] == pytest.approx(np.eye(1), rel=1e-6)
 
 
 def test_algebra():
