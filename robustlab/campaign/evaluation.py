@@ -123,7 +123,7 @@ def delta_width(blocks: Sequence[Block]) -> int:
 def encode_delta(blocks: Sequence[Block], values: Mapping[str, Any]) -> NDArray[np.float64]:
     """Delta as real numbers, shape (width,): one for a real scalar, real and imaginary parts of all entries else."""
     parts = [block.coordinates(values[block.name]) for block in blocks]
-    return np.concatenate([np.zeros(0), *parts])
+    return np.concatenate([np.zeros(0), *parts], dtype=np.float64)
 
 
 def decode_delta(blocks: Sequence[Block], numbers: NDArray[np.float64]) -> dict[str, Any]:

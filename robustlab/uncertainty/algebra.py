@@ -328,5 +328,5 @@ def reduction(uncertain: UncertainModel, tolerance: float = 1e-12, seed: int = 0
     same = found.blocks == uncertain.blocks
     model = uncertain if same else UncertainModel(found.M, found.blocks, uncertain.operating_point)
     status = Status.CONVERGED if found.proved else Status.INACCURATE
-    sizes = [{b.name: max(b.rows, b.cols) for b in m.blocks} for m in (uncertain, model)]
-    return Reduction(model, *sizes, found.invariance, found.difference, found.points, status)
+    before, after = ({b.name: max(b.rows, b.cols) for b in m.blocks} for m in (uncertain, model))
+    return Reduction(model, before, after, found.invariance, found.difference, found.points, status)

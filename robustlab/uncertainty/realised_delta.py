@@ -98,7 +98,7 @@ def realise_delta(
     if not 0 <= omega <= end * (1 + 1e-12):
         raise InputError(where, f"omega = {omega:g} rad/s", f"between 0 and {end:g} rad/s")
     delta_matrix(blocks, delta)  # names, shapes and finite numbers
-    result: dict[str, float | StateSpaceModel] = {}
+    result: dict[str, Any] = {}
     for block in blocks:
         if block.name not in delta:
             continue

@@ -298,7 +298,7 @@ def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_siz
     """Orthonormal bases V_i of the smallest subspaces with ``B_i in V_i``, ``A_ij V_j in V_i``, and what they miss."""
     ends = np.cumsum([0, *sizes])
     parts = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
-    bases = [np.zeros((size, 0)) for size in sizes]
+    bases: list[Array] = [np.zeros((size, 0)) for size in sizes]
     fresh, size = b, b_size
     while True:
         found = []

@@ -158,7 +158,7 @@ def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> 
         along = np.outer(np.conj(row), np.conj(x))
         moves = [project(blocks, along), project(blocks, 1j * along)]
         gains = np.array([row @ move @ x for move in moves])
-        parts = np.linalg.lstsq(np.stack([gains.real, gains.imag]), np.array([sigma[-1], 0.0]), rcond=1e-8)[0]
+        parts = np.linalg.lstsq(np.stack([np.real(gains), np.imag(gains)]), np.array([sigma[-1], 0.0]), rcond=1e-8)[0]
         delta = delta + parts[0] * moves[0] + parts[1] * moves[1]
         if not np.isfinite(delta).all():
             return None

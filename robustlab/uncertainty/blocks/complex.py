@@ -64,7 +64,7 @@ class ComplexScalar(ScalarBlock):
         gain = (left * right).sum()
         return size * np.conj(gain) / abs(gain) * np.eye(self.repeats) if gain != 0 else None
 
-    def extreme(self, rng: np.random.Generator, vector: Callable[[int], ComplexArray]) -> NDArray[Any]:
+    def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
         """Any phase."""
         return np.exp(2j * np.pi * rng.random()) * np.eye(self.repeats)
 

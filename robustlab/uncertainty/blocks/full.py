@@ -63,7 +63,7 @@ class FullBlock(Block):
         norm = np.linalg.norm(left) * np.linalg.norm(right)
         return size * np.outer(np.conj(left), np.conj(right)) / norm if norm > 0 else None
 
-    def extreme(self, rng: np.random.Generator, vector: Callable[[int], ComplexArray]) -> NDArray[Any]:
+    def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
         """A matrix of rank one."""
         return rank_one(vector(self.rows), vector(self.cols))
 

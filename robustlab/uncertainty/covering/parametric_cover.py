@@ -19,7 +19,6 @@ computation", Math. Oper. Res. 21 (1996); Březina 2010, section 10.2 for the el
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -28,7 +27,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ParameterRange
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, system_matrices
 from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
@@ -132,7 +131,7 @@ def _hull(
     made = elementwise(centre, _model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
     blocks = [
-        dataclasses.replace(b, parameter=_range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
+        RealScalar(b.name, b.rows, _range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
         for b, (i, j) in zip(made.blocks, at, strict=True)
     ]
     whole = UncertainModel(made.M, blocks, made.operating_point)
