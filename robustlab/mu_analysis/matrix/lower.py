@@ -60,7 +60,7 @@ SCATTERED = 48
 FARTHEST = 2.0**500
 # A candidate that is changed by more than this share is not one of the structure; then so many rounds of leading back.
 OUTSIDE = 1e-9
-SHRINKING, NEWTON_STEPS = 40, 12
+SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
 # Numbers that one stack of paths may hold.
 STACK = 4_000_000
 
@@ -142,8 +142,10 @@ def _of_the_structure(M: ComplexArray, blocks: Sequence[Block], candidate: Compl
         found = _led_back(M, blocks, (1 - shrink) * delta)
         if found is not None and (not met or delta_norm(blocks, found) < delta_norm(blocks, met[-1]) * (1 - 1e-9)):
             met.append(found)
-            delta, shrink = found, max(2 * shrink, 0.1) if shrink < 0.5 else 0.5
-        elif met:
+            delta, shrink = found, min(max(2 * shrink, 0.1), 0.5)
+        elif not met or shrink < LEAST_SHRINK:
+            break
+        else:
             shrink /= 4
     return met
 

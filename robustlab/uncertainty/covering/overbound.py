@@ -44,7 +44,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, series
 from robustlab.uncertainty.tuning import TUNING
 
-__all__ = ["Overbound", "overbound"]
+__all__ = ["Overbound", "anonymous", "overbound"]
 
 Bound = Callable[[Array], Array]
 
@@ -463,8 +463,8 @@ def _sections(zeros: Any, poles: Any, gain: float) -> StateSpaceModel:
     pairs = list(zip(_polynomials(zeros), _polynomials(poles), strict=True))
     model = StateSpaceModel([], [], [], [[gain]])
     for numerator, denominator in pairs:
-        model = series(_section(numerator, denominator), _anonymous(model))
-    return _anonymous(model)
+        model = series(_section(numerator, denominator), anonymous(model))
+    return anonymous(model)
 
 
 def _polynomials(roots: Any) -> list[Array]:
@@ -489,5 +489,6 @@ def _section(numerator: Array, denominator: Array) -> StateSpaceModel:
     return StateSpaceModel(a, [[0.0], [1.0]], [[rest[1] / rate, rest[0]]], [[1.0]])
 
 
-def _anonymous(model: StateSpaceModel) -> StateSpaceModel:
+def anonymous(model: StateSpaceModel) -> StateSpaceModel:
+    """The same model without names and units of its signals."""
     return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt)

@@ -47,7 +47,7 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.uncertainty.covering.overbound import Overbound, overbound
+from robustlab.uncertainty.covering.overbound import Overbound, anonymous, overbound
 from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.tuning import TUNING
@@ -511,14 +511,10 @@ def _deltas(
             m.D - centre.D,
             m.dt,
         )
-        found.append(series(_plain(bank), _plain(difference)))
-    return tuple(_plain(d) for d in found)
+        found.append(series(anonymous(bank), anonymous(difference)))
+    return tuple(anonymous(d) for d in found)
 
 
 def _inverse(weight: StateSpaceModel) -> StateSpaceModel:
     d = 1.0 / weight.D
     return StateSpaceModel(weight.A - weight.B @ d @ weight.C, weight.B @ d, -d @ weight.C, d, weight.dt)
-
-
-def _plain(model: StateSpaceModel) -> StateSpaceModel:
-    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt)
