@@ -131,6 +131,7 @@ def decode_delta(blocks: Sequence[Block], numbers: NDArray[np.float64]) -> dict[
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
     >>> blocks = [RealScalar("k"), ComplexScalar("c")]
     >>> decode_delta(blocks, encode_delta(blocks, {"k": 0.5, "c": 0.1 - 0.2j}))
     {'k': 0.5, 'c': (0.1-0.2j)}

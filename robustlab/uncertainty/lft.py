@@ -59,6 +59,7 @@ class UncertainModel(Traced):
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> lag = UncertainModel(M, [RealScalar("pole")])
     >>> lag.evaluate({"pole": 1.0}).A
@@ -374,6 +375,7 @@ def product(second: Any, first: Any) -> UncertainModel:
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.1], [1.0, 1.0]]), [RealScalar("k")])
     >>> twice = product(2.0, gain)
     >>> twice.evaluate({"k": 1.0}).D
@@ -472,6 +474,7 @@ def inverse(system: Any) -> UncertainModel:
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.5], [1.0, 1.0]]), [RealScalar("k")])
     >>> round(float(inverse(gain).evaluate({"k": 1.0}).D[0, 0]), 12)
     0.666666666667

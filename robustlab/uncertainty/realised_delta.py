@@ -137,6 +137,7 @@ def perturbed_model(uncertain: UncertainModel, delta: Mapping[str, Any]) -> Stat
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import FullBlock
     >>> M = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     >>> lag = UncertainModel(M, [FullBlock("d", 1, 1)])
     >>> perturbed_model(lag, {"d": StateSpaceModel([[-3.0]], [[1.0]], [[1.0]], [[0.0]])}).n_states

@@ -112,6 +112,7 @@ def well_posedness(uncertain: UncertainModel, level: float = 1.0, seed: int = 0)
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> from robustlab.statespace import StateSpaceModel
     >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.8, 1.0], [1.0, 0.0]]), [RealScalar("k")])
     >>> print(well_posedness(gain))

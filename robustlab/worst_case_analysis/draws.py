@@ -108,6 +108,7 @@ def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary:
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> block = RealScalar("pole")
     >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
     True

@@ -223,6 +223,7 @@ def worst_case(
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> found = worst_case(UncertainModel(M, [RealScalar("pole")]), "settling-time", t=np.linspace(0, 9, 901))
     >>> found.delta, round(found.value, 3)  # log(50) / 0.8

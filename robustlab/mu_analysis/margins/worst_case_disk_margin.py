@@ -149,6 +149,7 @@ def worst_case_disk_margin(
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [2.0]], np.zeros((2, 2)))
     >>> plant = UncertainModel(M, [RealScalar("pole")])  # 2 / (s + 1 + 0.5 delta)
     >>> margin = worst_case_disk_margin(plant)
