@@ -34,7 +34,7 @@ _PUBLIC = {
     "by_cause": "uncertainty.elementwise",
     "parametric": "uncertainty.parametric",
     "centred": "uncertainty.algebra",
-    "reduction": "uncertainty.structured_reduction",
+    "reduction": "uncertainty.algebra",
     "well_posedness": "uncertainty.well_posedness",
     "star": "uncertainty.algebra",
     "beside": "uncertainty.algebra",

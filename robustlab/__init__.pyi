@@ -68,6 +68,7 @@ from robustlab.synthesis.specifications.weight_design import noise_weight as noi
 from robustlab.synthesis.specifications.weight_design import performance_weight as performance_weight
 from robustlab.uncertainty.algebra import beside as beside
 from robustlab.uncertainty.algebra import centred as centred
+from robustlab.uncertainty.algebra import reduction as reduction
 from robustlab.uncertainty.algebra import stacked as stacked
 from robustlab.uncertainty.algebra import star as star
 from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
@@ -84,7 +85,6 @@ from robustlab.uncertainty.lft import UncertainModel as UncertainModel
 from robustlab.uncertainty.parametric import parametric as parametric
 from robustlab.uncertainty.realised_delta import perturbed_model as perturbed_model
 from robustlab.uncertainty.realised_delta import realise_delta as realise_delta
-from robustlab.uncertainty.structured_reduction import reduction as reduction
 from robustlab.uncertainty.unstructured import unstructured as unstructured
 from robustlab.uncertainty.well_posedness import well_posedness as well_posedness
 from robustlab.worst_case_analysis import sample as sample

@@ -118,7 +118,7 @@ def delta_width(blocks: Sequence[Block]) -> int:
 def encode_delta(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
     """Delta as real numbers, shape (width,): one for a real scalar, real and imaginary parts of all entries else."""
     parts = [block.coordinates(values[block.name]) for block in blocks]
-    return np.concatenate([np.zeros(0), *parts])
+    return np.concatenate([np.zeros(0), *parts], dtype=np.float64)
 
 
 def decode_delta(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
@@ -126,6 +126,7 @@ def decode_delta(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
     >>> blocks = [RealScalar("k"), ComplexScalar("c")]
     >>> decode_delta(blocks, encode_delta(blocks, {"k": 0.5, "c": 0.1 - 0.2j}))
     {'k': 0.5, 'c': (0.1-0.2j)}
@@ -180,7 +181,7 @@ class Evaluator:
         """Delta of a sample or a vertex: block name -> normalised value. A search finds its own: zero here."""
         blocks, seed = self.uncertain.blocks, self.settings.seed
         if self.settings.kind == "search":
-            return {block.name: _zero(block) for block in blocks}
+            return {block.name: block.zero for block in blocks}
         if self.settings.kind == "samples":
             return delta_of_sample(blocks, seed, index)
         values = delta_of_sample(blocks, seed, index, boundary=True)
@@ -290,7 +291,3 @@ def _clock(uncertain: UncertainModel, settings: CampaignSettings, t_end: float) 
     if uncertain.dt:
         return real_array("t", uncertain.dt * np.arange(max(2, round(t_end / uncertain.dt) + 1)), 1)
     return real_array("t", np.linspace(0.0, t_end, settings.points), 1)
-
-
-def _zero(block: Any) -> Any:
-    return 0.0 if hasattr(block, "repeats") else np.zeros((block.rows, block.cols))

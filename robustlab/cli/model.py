@@ -402,7 +402,7 @@ def _plant_lines(plant: Any) -> list[str]:
 
 
 def _range(block: Any) -> str:
-    parameter = getattr(block, "parameter", None)
+    parameter = block.parameter
     if parameter is None:
         return ""
     if parameter.below is not None:

@@ -429,7 +429,7 @@ def _block_lines(model: UncertainModel) -> list[str]:
     """The blocks as a table, the first SHOWN_BLOCKS of them."""
     rows = []
     for block in model.blocks[:SHOWN_BLOCKS]:
-        parameter = getattr(block, "parameter", None)
+        parameter = block.parameter
         stands_for = (
             f"{parameter.low:.6g} .. {parameter.high:.6g} {parameter.unit}{_around(parameter)}".rstrip()
             if parameter

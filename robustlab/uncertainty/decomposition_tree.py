@@ -29,13 +29,12 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.uncertainty.laurent import Laurent, Monomial, times
+from robustlab.uncertainty.tuning import TUNING
 
 __all__ = ["ConstantLft", "Plan", "assemble", "plans"]
 
 # A matrix of polynomials: monomial -> {(row, column): coefficient}.
 Terms = dict[Monomial, dict[tuple[int, int], Fraction]]
-
-MAX_ORDERS = 24
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ def plans(matrix: Sequence[Sequence[Laurent]], weight: Callable[[str], int], sha
                 terms.setdefault(monomial, {})[i, j] = c
     variables = sorted({name for monomial in terms for name, _ in monomial})
     found = [_plan(terms, shape, weight, None)]
-    for order in islice(permutations(variables), MAX_ORDERS):
+    for order in islice(permutations(variables), TUNING.variable_orders):
         if found[0].size > sum(weight(v) for v in variables):
             found.append(_plan(terms, shape, weight, order))
     distinct = {(plan.size, len(plan.steps)): plan for plan in reversed(found)}

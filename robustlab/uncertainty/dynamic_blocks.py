@@ -12,71 +12,48 @@ Březina 2010, section 4.2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal, StateSpaceModel, append, series
-from robustlab.uncertainty.algebra import as_uncertain
-from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.blocks import Block, structure_size
+from robustlab.uncertainty.interconnection import Part
 
 __all__ = ["weighted"]
 
 
-def weighted(uncertain: UncertainModel, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
-    """The set with a stable weight in the channels of each named block; block names are kept.
-
-    Parameters
-    ----------
-    weights
-        Block name -> weight: StateSpaceModel, matrix or number. A 1 x 1 weight acts on every channel of the block. A
-        full block takes a matrix weight too: on side z as wide as the block's z, on side w as high as its w; the block
-        then has the size of the weight's other side.
-    side
-        ``"z"``: before Delta; ``"w"``: after it.
-
-    Returns
-    -------
-    UncertainModel
-        At Delta: the given set at ``Delta W`` or ``W Delta``. States: those of M, then of the weights.
+def weighted(m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Part], side: str) -> Part:
+    """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`.
 
     Raises
     ------
     InputError
         No such block, a real block (its range is its weight), a weight that is unstable, of another sample time or of
         a size that does not fit.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar
-    >>> plant = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [ComplexScalar("dynamics")])
-    >>> weight = StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.0]])
-    >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()
-    array([[1.5]])
     """
     if side not in ("z", "w"):
         raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")
-    names = tuple(b.name for b in uncertain.blocks)
+    names = tuple(b.name for b in given)
     for name in weights:
         if name not in names:
             expected = f"one of {', '.join(names) or 'none'}"
             raise InputError(f"weighted: {name!r}", "no such block", expected, did_you_mean(name, names))
     parts: list[StateSpaceModel] = []
     blocks: list[Block] = []
-    for i, block in enumerate(uncertain.blocks):
+    for i, block in enumerate(given):
         size = block.cols if side == "z" else block.rows
         if block.name in weights:
             weight, block = _weight(block, weights[block.name], side)
         else:
-            weight = StateSpaceModel([], [], [], np.eye(size), uncertain.dt)
+            weight = StateSpaceModel([], [], [], np.eye(size), m.dt)
         parts.append(_plain(weight, f"{i}", [f"{block.name}: {s.name}" for s in weight.states]))
         blocks.append(block)
-    m, (q, p) = uncertain.M, uncertain.delta_shape
-    rest = uncertain.outputs if side == "z" else uncertain.inputs
-    through = StateSpaceModel([], [], [], np.eye(len(rest)), uncertain.dt)
+    q, p = structure_size(given)
+    free_in, free_out = m.inputs[q:], m.outputs[p:]
+    rest = free_out if side == "z" else free_in
+    through = StateSpaceModel([], [], [], np.eye(len(rest)), m.dt)
     bank = append(*parts, _plain(through, "rest", []))
     base = StateSpaceModel(m.A, m.B, m.C, m.D, m.dt)  # units meet no units: a weight carries any
     whole = series(base, bank) if side == "z" else series(bank, base)
@@ -85,25 +62,24 @@ def weighted(uncertain: UncertainModel, weights: Mapping[str, Any], side: str = 
         order = [*range(bank.n_states, whole.n_states), *range(bank.n_states)]
     taken = {s.name for s in m.states}
     states = [*m.states, *(Signal(_free(s.name, taken), s.unit) for s in bank.states)]
-    after_q, after_p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-    inputs = [*(m.inputs[:q] if after_q == q else _numbered("w:", after_q, uncertain.inputs)), *uncertain.inputs]
-    outputs = [*(m.outputs[:p] if after_p == p else _numbered("z:", after_p, uncertain.outputs)), *uncertain.outputs]
+    after_q, after_p = structure_size(blocks)
+    inputs = [*(m.inputs[:q] if after_q == q else _numbered("w:", after_q, free_in)), *free_in]
+    outputs = [*(m.outputs[:p] if after_p == p else _numbered("z:", after_p, free_out)), *free_out]
     model = StateSpaceModel(
         whole.A[np.ix_(order, order)], whole.B[order], whole.C[:, order], whole.D, m.dt, inputs, outputs, states,
         where="weighted",
     )  # fmt: skip
-    return UncertainModel(model, blocks)
+    return model, tuple(blocks)
 
 
-def _weight(block: Block, given: Any, side: str) -> tuple[StateSpaceModel, Block]:
+def _weight(block: Block, given: Part, side: str) -> tuple[StateSpaceModel, Block]:
     """The weight on all channels of one block, and the block that is left for Delta."""
     where = f"weighted: {block.name!r}"
     if block.is_real:
         raise InputError(where, "a real parameter", "a full or complex block", "a parameter's range is its weight")
-    as_set = as_uncertain(given, where)
-    if as_set.blocks:
+    weight, own = given
+    if own:
         raise InputError(where, "an uncertain weight", "a model without uncertainty")
-    weight = as_set.M
     if weight.n_states and not weight.is_stable():
         raise InputError(where, f"an unstable weight (abscissa {weight.spectral_abscissa():.6g})", "a stable weight")
     size = block.cols if side == "z" else block.rows

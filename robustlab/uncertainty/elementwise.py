@@ -123,10 +123,17 @@ def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None
 
     Parameters
     ----------
+    nominal
+        The model at Delta = 0: StateSpaceModel, or what has ``to_model``.
     perturbed
         Name of the cause -> model at the upper end of that cause alone. A cause that changes nothing gives no block.
     tolerance
         As in `elementwise`.
+
+    Returns
+    -------
+    UncertainModel
+        One `RealScalar` a cause, of its name; delta = 1 is the perturbed model, 0 the nominal one.
 
     Raises
     ------

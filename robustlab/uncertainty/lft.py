@@ -9,88 +9,34 @@ Březina 2010, sections 4.4-4.5; Zhou, Doyle, Glover, *Robust and Optimal Contro
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.arrays import Array
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.frequency import frequency_response
 from robustlab.provenance import Traced
-from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft
-from robustlab.uncertainty.balancing import balanced
-from robustlab.uncertainty.blocks import (
-    Block,
-    as_blocks,
-    delta_matrix,
-    structure_size,
-)
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, as_model, lower_lft, real_array
+from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
+from robustlab.uncertainty.dynamic_blocks import weighted
+from robustlab.uncertainty.interconnection import Wiring, join, unique_names, wired
+from robustlab.uncertainty.reduction import reduced
+from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
-__all__ = ["UncertainModel", "is_singular", "upper_lft"]
-
-# I - M11 Delta with a condition number above this has no digits left that could be trusted.
-ILL_POSED = 1e12
-
-
-def is_singular(product: ArrayLike) -> bool:
-    """Whether ``I - product`` is singular, or so near to it that nothing can be trusted; product has shape (n, n).
-
-    Its determinant is that of its strongly connected parts: entries on no cycle do not count, however large they are.
-    Nor must the units of the channels decide: each part is balanced first (a similarity by powers of two).
-    """
-    from scipy.sparse.csgraph import connected_components
-
-    matrix = np.asarray(product)
-    if not matrix.any():
-        return False
-    count, label = connected_components(matrix != 0, directed=True, connection="strong")
-    for k in range(count):
-        part = np.flatnonzero(label == k)
-        inner = matrix[part[:, None], part]
-        if inner.any() and not np.linalg.cond(np.eye(len(part)) - balanced(inner)) <= ILL_POSED:
-            return True
-    return False
-
-
-def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
-    r"""``F_u(M, Delta)`` for a constant real Delta (q, p), which closes the first q inputs and p outputs of M.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        I - D11 Delta is singular: the perturbed model is not well posed.
-    """
-    d = np.asarray(delta)
-    if np.iscomplexobj(d):
-        raise InputError(
-            "upper_lft", "a complex Delta", "a real one", "a complex Delta acts on frequency responses only"
-        )
-    q, p = d.shape
-    n_w, n_z = M.n_inputs, M.n_outputs
-    b1, b2 = M.B[:, :q], M.B[:, q:]
-    c1, c2 = M.C[:p], M.C[p:]
-    d11, d12, d21, d22 = M.D[:p, :q], M.D[:p, q:], M.D[p:, :q], M.D[p:, q:]
-    if q > n_w or p > n_z:
-        raise InputError("upper_lft", f"Delta is {d.shape}, M has {n_w} inputs and {n_z} outputs", "a smaller Delta")
-    loop = np.eye(p) - d11 @ d
-    if is_singular(d11 @ d):
-        raise NoTrustworthyNumber("upper_lft", "I - D11 Delta is singular: this Delta makes the model ill-posed")
-    # z = (I - D11 Delta)^-1 (C1 x + D12 u), w = Delta z
-    gain = d @ np.linalg.solve(loop, np.hstack([c1, d12])) if p else np.zeros((q, M.n_states + n_w - q))
-    w_x, w_u = gain[:, : M.n_states], gain[:, M.n_states :]
-    return StateSpaceModel(
-        M.A + b1 @ w_x,
-        b2 + b1 @ w_u,
-        c2 + d21 @ w_x,
-        d22 + d21 @ w_u,
-        M.dt,
-        M.inputs[q:],
-        M.outputs[p:],
-        M.states,
-        where="upper_lft",
-    )
+__all__ = [
+    "UncertainModel",
+    "as_uncertain",
+    "feedback",
+    "interconnected",
+    "inverse",
+    "parallel",
+    "product",
+    "same_units",
+]
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -113,6 +59,7 @@ class UncertainModel(Traced):
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> lag = UncertainModel(M, [RealScalar("pole")])
     >>> lag.evaluate({"pole": 1.0}).A
@@ -219,8 +166,7 @@ class UncertainModel(Traced):
         m = frequency_response(self.M, omega)
         if dynamic:
             d = d + frequency_response(self._delta_system(np.zeros((q, p)), dynamic), omega)
-        loop = np.eye(p) - m[:, :p, :q] @ d
-        return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])
+        return closed_response(m, d)
 
     def _delta_system(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
         """Delta(s), q x p: the constant values with the dynamic ones in their places."""
@@ -262,65 +208,76 @@ class UncertainModel(Traced):
             said.append(text)
         return "Delta: " + (", ".join(said[:12]) + (", ..." if len(said) > 12 else "") or "none")
 
-    # --- algebra: see robustlab.uncertainty.algebra -------------------------------------------------------------------
+    # --- algebra: the functions below ---------------------------------------------------------------------------------
 
     __array_ufunc__ = None  # numpy arrays on the left leave the operation to us
 
     def __matmul__(self, other: Any) -> UncertainModel:
         """``self @ other``: the product of the transfer matrices; ``other`` comes first in the signal's way."""
-        from robustlab.uncertainty.algebra import product
-
         return product(self, other)
 
     def __rmatmul__(self, other: Any) -> UncertainModel:
-        from robustlab.uncertainty.algebra import product
-
         return product(other, self)
 
     __mul__, __rmul__ = __matmul__, __rmatmul__
 
     def __add__(self, other: Any) -> UncertainModel:
-        from robustlab.uncertainty.algebra import parallel
-
         return parallel(self, other)
 
     def __radd__(self, other: Any) -> UncertainModel:
-        from robustlab.uncertainty.algebra import parallel
-
         return parallel(other, self)
 
     def __sub__(self, other: Any) -> UncertainModel:
-        from robustlab.uncertainty.algebra import parallel
-
         return parallel(self, other, sign=-1)
 
     def __rsub__(self, other: Any) -> UncertainModel:
-        from robustlab.uncertainty.algebra import parallel
-
         return parallel(other, self, sign=-1)
 
     def __neg__(self) -> UncertainModel:
-        from robustlab.uncertainty.algebra import product
-
         return product(-1.0, self)
 
     def inverse(self) -> UncertainModel:
-        """The set of the inverses; see `robustlab.uncertainty.algebra.inverse`."""
-        from robustlab.uncertainty.algebra import inverse
-
+        """The set of the inverses; see `robustlab.uncertainty.lft.inverse`."""
         return inverse(self)
 
     def feedback(self, other: Any = 1.0, sign: int = -1) -> UncertainModel:
-        """``y = self e, e = r + sign other y``; see `robustlab.uncertainty.algebra.feedback`."""
-        from robustlab.uncertainty.algebra import feedback
-
+        """``y = self e, e = r + sign other y``; see `robustlab.uncertainty.lft.feedback`."""
         return feedback(self, other, sign)
 
     def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
-        """Weights absorbed into the channels of named blocks; see `robustlab.uncertainty.dynamic_blocks.weighted`."""
-        from robustlab.uncertainty.dynamic_blocks import weighted
+        """The set with a stable weight in the channels of each named block; block names are kept.
 
-        return weighted(self, weights, side)
+        Parameters
+        ----------
+        weights
+            Block name -> weight: StateSpaceModel, matrix or number. A 1 x 1 weight acts on every channel of the block.
+            A full block takes a matrix weight too: on side z as wide as the block's z, on side w as high as its w; the
+            block then has the size of the weight's other side.
+        side
+            ``"z"``: before Delta; ``"w"``: after it.
+
+        Returns
+        -------
+        UncertainModel
+            At Delta: the given set at ``Delta W`` or ``W Delta``. States: those of M, then of the weights.
+
+        Raises
+        ------
+        InputError
+            No such block, a real block (its range is its weight), a weight that is unstable, of another sample time or
+            of a size that does not fit.
+
+        Examples
+        --------
+        >>> from robustlab.uncertainty.blocks import ComplexScalar
+        >>> plant = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [ComplexScalar("dynamics")])
+        >>> weight = StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.0]])
+        >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()
+        array([[1.5]])
+        """
+        given = {name: as_uncertain(weight, f"weighted: {name!r}") for name, weight in weights.items()}
+        parts = {name: (weight.M, weight.blocks) for name, weight in given.items()}
+        return UncertainModel(*weighted(self.M, self.blocks, parts, side))
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Parameter values and units that belong to a Delta, for real blocks that stand for a physical parameter."""
@@ -368,9 +325,8 @@ class UncertainModel(Traced):
         ----------
         D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
         """
-        from robustlab.uncertainty.structured_reduction import reduction
-
-        return reduction(self, tolerance).model
+        found = reduced(self.M, self.blocks, tolerance)
+        return self if found.blocks == self.blocks else UncertainModel(found.M, found.blocks, self.operating_point)
 
     def to_json(self) -> dict[str, object]:
         """M and blocks as plain types."""
@@ -382,6 +338,218 @@ class UncertainModel(Traced):
         return f"UncertainModel({self.M.n_states} states, Delta {self.delta_shape[0]} x {self.delta_shape[1]}: {count})"
 
 
+def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
+    """An uncertain model as it is; a model, a matrix or a number as one without blocks.
+
+    Raises
+    ------
+    InputError
+        None of these, complex entries, NaN or Inf.
+
+    Examples
+    --------
+    >>> as_uncertain([[2.0, 0.0]])
+    UncertainModel(0 states, Delta 0 x 0: no uncertainty)
+    """
+    if isinstance(system, UncertainModel):
+        return system
+    if isinstance(system, (int, float, list, tuple, np.ndarray, np.number)) and not isinstance(system, bool):
+        gain = real_array("gain", system, 2, where)
+        return UncertainModel(StateSpaceModel([], [], [], gain, 0.0, where=where), ())
+    model = as_model(system, where)
+    return UncertainModel(model, (), model.operating_point)
+
+
+def product(second: Any, first: Any) -> UncertainModel:
+    r"""``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``.
+
+    A number multiplies every channel. The result has the inputs of ``first`` and the outputs of ``second``; the
+    signals of a matrix or a number are not named, and the other side's are kept where sizes allow it.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit; a block name that stands for two different uncertainties.
+    UnitMismatch
+        An output of ``first`` and the input of ``second`` that it drives carry different units.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
+    >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.1], [1.0, 1.0]]), [RealScalar("k")])
+    >>> twice = product(2.0, gain)
+    >>> twice.evaluate({"k": 1.0}).D
+    array([[2.2]])
+    """
+    if _is_number(second):
+        second = float(second) * np.eye(len(as_uncertain(first, "product").outputs))
+    elif _is_number(first):
+        first = float(first) * np.eye(len(as_uncertain(second, "product").inputs))
+    g2, g1 = as_uncertain(second, "product"), as_uncertain(first, "product")
+    n_v, n_m, n_o = len(g1.inputs), len(g1.outputs), len(g2.outputs)
+    if n_m != len(g2.inputs):
+        raise InputError("product", f"{n_m} outputs into {len(g2.inputs)} inputs", "equal numbers")
+    same_units("product", zip(g1.outputs, g2.inputs, strict=True))
+    inputs = _names_of(second, first, g1.inputs, g2.inputs)
+    outputs = _names_of(first, second, g2.outputs, g1.outputs)
+    wiring = Wiring(
+        K=np.block([[np.zeros((n_v, n_m + n_o))], [np.eye(n_m), np.zeros((n_m, n_o))]]),
+        E=np.vstack([np.eye(n_v), np.zeros((n_m, n_v))]),
+        F=np.hstack([np.zeros((n_o, n_m)), np.eye(n_o)]),
+    )
+    return interconnected([g1, g2], wiring, inputs, outputs, "product")
+
+
+def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
+    """``first + sign * second`` for two sets of one size.
+
+    A number stands for a 1 x 1 gain: for more channels it could mean the identity or every entry, so a matrix is asked
+    for.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit; a block name that stands for two different uncertainties.
+    UnitMismatch
+        Signals that are added carry different units.
+    """
+    if sign not in (1, -1):
+        raise InputError("parallel", f"sign {sign!r}", "1 or -1")
+    a, b = as_uncertain(first, "parallel"), as_uncertain(second, "parallel")
+    shape = len(a.outputs), len(a.inputs)
+    if shape != (len(b.outputs), len(b.inputs)):
+        found = f"{shape[0]} x {shape[1]} and {len(b.outputs)} x {len(b.inputs)}"
+        raise InputError("parallel", found, "equal sizes", "write a number c as c * numpy.eye(n), or as a full matrix")
+    same_units("parallel", [*zip(a.inputs, b.inputs, strict=True), *zip(a.outputs, b.outputs, strict=True)])
+    n_y, n_u = shape
+    wiring = Wiring(
+        K=np.zeros((2 * n_u, 2 * n_y)),
+        E=np.vstack([np.eye(n_u), np.eye(n_u)]),
+        F=np.hstack([np.eye(n_y), sign * np.eye(n_y)]),
+    )
+    inputs, outputs = _names_of(second, first, a.inputs, b.inputs), _names_of(second, first, a.outputs, b.outputs)
+    return interconnected([a, b], wiring, inputs, outputs, "parallel")
+
+
+def feedback(forward: Any, back: Any = 1.0, sign: int = -1) -> UncertainModel:
+    r"""From r to y for ``y = G e``, ``e = r + sign H y``: :math:`(I - sign\, G H)^{-1} G`, with the signals of G.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit.
+    NoTrustworthyNumber
+        The nominal loop is not well posed: ``I - sign D_G D_H`` is singular at Delta = 0.
+    """
+    if sign not in (1, -1):
+        raise InputError("feedback", f"sign {sign!r}", "1 or -1")
+    g = as_uncertain(forward, "feedback")
+    n_u, n_y = len(g.inputs), len(g.outputs)
+    if _is_number(back):
+        if n_u != n_y:
+            raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
+        back = float(back) * np.eye(n_u)
+    h = as_uncertain(back, "feedback")
+    if (len(h.outputs), len(h.inputs)) != (n_u, n_y):
+        found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
+        raise InputError("feedback", found, f"{n_u} x {n_y} for a model of {n_y} x {n_u}")
+    same_units("feedback", [*zip(g.outputs, h.inputs, strict=True), *zip(h.outputs, g.inputs, strict=True)])
+    wiring = Wiring(
+        K=np.block([[np.zeros((n_u, n_y)), sign * np.eye(n_u)], [np.eye(n_y), np.zeros((n_y, n_u))]]),
+        E=np.vstack([np.eye(n_u), np.zeros((n_y, n_u))]),
+        F=np.hstack([np.eye(n_y), np.zeros((n_y, n_u))]),
+    )
+    return interconnected([g, h], wiring, g.inputs, g.outputs, "feedback")
+
+
+def inverse(system: Any) -> UncertainModel:
+    """The set of the inverses of a square set; inputs and outputs change places.
+
+    Raises
+    ------
+    InputError
+        Not square.
+    NoTrustworthyNumber
+        D is singular at Delta = 0: the inverse is not proper there.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
+    >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.5], [1.0, 1.0]]), [RealScalar("k")])
+    >>> round(float(inverse(gain).evaluate({"k": 1.0}).D[0, 0]), 12)
+    0.666666666667
+    """
+    g = as_uncertain(system, "inverse")
+    n_u, n_y = len(g.inputs), len(g.outputs)
+    if n_u != n_y:
+        raise InputError("inverse", f"{n_y} x {n_u}", "a square model")
+    m, (q, p) = g.M, g.delta_shape
+    d22 = m.D[p:, q:]
+    if n_u and _is_rank_deficient(d22):
+        found = "D is singular at Delta = 0 (every block at its nominal value): the inverse is not proper"
+        raise NoTrustworthyNumber("inverse", found)
+    # u = D22^-1 (y - C2 x - D21 w)
+    u_x, u_w, u_y = (np.linalg.solve(d22, part) for part in (-m.C[p:], -m.D[p:, :q], np.eye(n_u)))
+    b2, d12 = m.B[:, q:], m.D[:p, q:]
+    model = StateSpaceModel(
+        m.A + b2 @ u_x,
+        np.hstack([m.B[:, :q] + b2 @ u_w, b2 @ u_y]),
+        np.vstack([m.C[:p] + d12 @ u_x, u_x]),
+        np.block([[m.D[:p, :q] + d12 @ u_w, d12 @ u_y], [u_w, u_y]]),
+        m.dt,
+        unique_names([*m.inputs[:q], *g.outputs]),
+        unique_names([*m.outputs[:p], *g.inputs]),
+        m.states,
+        where="inverse",
+    )
+    return UncertainModel(model, g.blocks)
+
+
+def interconnected(
+    parts: Sequence[UncertainModel], wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str
+) -> UncertainModel:
+    """The sets in one interconnection; see `robustlab.uncertainty.interconnection`."""
+    return UncertainModel(*wired(join([(g.M, g.blocks) for g in parts], where), wiring, inputs, outputs, where))
+
+
 def _numbered(index: int, system: StateSpaceModel) -> tuple[list[str], list[str]]:
     """Signal names that no other part of an appended system has."""
     return [f"z{index}.{j}" for j in range(system.n_inputs)], [f"w{index}.{j}" for j in range(system.n_outputs)]
+
+
+def _is_number(operand: Any) -> bool:
+    return isinstance(operand, (int, float, np.number)) and not isinstance(operand, bool)
+
+
+def _is_constant(operand: Any) -> bool:
+    return isinstance(operand, (int, float, list, tuple, np.ndarray, np.number))
+
+
+def _names_of(other: Any, owner: Any, signals: Sequence[Signal], others: Sequence[Signal]) -> Sequence[Signal]:
+    """The signals of ``owner``; those of the other operand where the owner is a constant and the sizes are equal."""
+    return others if _is_constant(owner) and not _is_constant(other) and len(others) == len(signals) else signals
+
+
+def same_units(where: str, pairs: Iterable[tuple[Signal, Signal]]) -> None:
+    """Refuse signals that meet with different units.
+
+    Raises
+    ------
+    UnitMismatch
+        Both have a unit, and the units differ.
+    """
+    for one, other in pairs:
+        if one.unit and other.unit and one.unit != other.unit:
+            found = f"{one.name} [{one.unit}] meets {other.name} [{other.unit}]"
+            raise UnitMismatch(where, found, "equal units")
+
+
+def _is_rank_deficient(matrix: Array) -> bool:
+    """Whether a square matrix is singular, its rows and columns brought to one size first."""
+    scaled = matrix.copy()
+    for axis in (1, 0, 1):
+        size = np.abs(scaled).max(axis=axis, keepdims=True)
+        if not size.all():
+            return True
+        scaled = scaled / size
+    return not np.linalg.cond(scaled) <= 1e12

@@ -18,23 +18,19 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import SignalLike, StateSpaceModel
+from robustlab.uncertainty.algebra import reduction
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
 from robustlab.uncertainty.laurent import Algebra, Laurent, number_arithmetic, parsed, walk
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.structured_reduction import reduction
+from robustlab.uncertainty.tuning import TUNING
 
 __all__ = ["as_range", "parametric"]
 
 
 # The LFT must give every entry at random parameter values to this share of the largest value that it takes there.
 EXACT = 1e-9
-# Boxes that the search for a zero of a denominator may look at, and the vertices it tries first.
-MAX_BOXES = 4000
-MAX_VERTICES = 4096
 MAX_SIZE = 200_000  # factors times variables
-# So many of the smallest decompositions are assembled and reduced; the smallest result is taken.
-TRIED = 3
 
 
 @told_as("parametric")
@@ -257,7 +253,7 @@ def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRan
 
     start = value(nominal)
     corners = [np.array(c) for c in vertices_of(*zip(low, high, strict=True))] if len(variables) <= 12 else []
-    for corner in [nominal, *corners[:MAX_VERTICES]]:
+    for corner in [nominal, *corners[: TUNING.denominator_vertices]]:
         if start * value(corner) <= 0:
             inside, outside = nominal, corner
             for _ in range(60):
@@ -265,7 +261,7 @@ def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRan
                 inside, outside = (middle, outside) if start * value(middle) > 0 else (inside, middle)
             raise NoTrustworthyNumber("parametric", f"denominator {name} vanishes at {_point(variables, outside)}")
     boxes = [(low, high)]
-    for _ in range(MAX_BOXES):
+    for _ in range(TUNING.denominator_boxes):
         if not boxes:
             return
         lower, upper = boxes.pop()
@@ -343,7 +339,7 @@ def _candidates(
     n, n_u, n_y = shapes
     gains = _Gains(algebra, ranges)
     found: list[UncertainModel] = []
-    for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[:TRIED]:
+    for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[: TUNING.decompositions]:
         used = {(s.variable, s.inverted) for s in plan.steps}
         lft = assemble(plan, {key: gains.of(*key) for key in used})
         model = _as_model(lft, ranges, shapes, _Signals(*signals))

@@ -30,7 +30,8 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
-from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.upper_lft import ILL_POSED
 
 __all__ = ["perturbed_model", "realise_delta"]
 
@@ -97,7 +98,7 @@ def realise_delta(
     if not 0 <= omega <= end * (1 + 1e-12):
         raise InputError(where, f"omega = {omega:g} rad/s", f"between 0 and {end:g} rad/s")
     delta_matrix(blocks, delta)  # names, shapes and finite numbers
-    result: dict[str, float | StateSpaceModel] = {}
+    result: dict[str, Any] = {}
     for block in blocks:
         if block.name not in delta:
             continue
@@ -136,6 +137,7 @@ def perturbed_model(uncertain: UncertainModel, delta: Mapping[str, Any]) -> Stat
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import FullBlock
     >>> M = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     >>> lag = UncertainModel(M, [FullBlock("d", 1, 1)])
     >>> perturbed_model(lag, {"d": StateSpaceModel([[-3.0]], [[1.0]], [[1.0]], [[0.0]])}).n_states

@@ -28,21 +28,14 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import (
-    Block,
-    block_slices,
-    delta_values,
-    structure_size,
-)
+from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.tuning import TUNING
 
 __all__ = ["WellPosedness", "well_posedness"]
 
 Matrix = NDArray[Any]
 
-MAX_BOXES = 2000
-MAX_VERTICES = 1024
-RANDOM_DELTAS = 60
 # A Perron bound this near to one proves nothing: rounding of its own eigenvalue.
 CLEAR = 1e-10
 # A Delta that was found counts as singular up to this residual.
@@ -100,10 +93,17 @@ def well_posedness(uncertain: UncertainModel, level: float = 1.0, seed: int = 0)
 
     Parameters
     ----------
+    uncertain
+        The set.
     level
         The set is scaled with this: 2 asks about twice the uncertainty.
     seed
         Of the random complex Deltas on whose rays a singular one is looked for.
+
+    Returns
+    -------
+    WellPosedness
+        The answer, with the singular Delta that was found or the bound that excludes one.
 
     Raises
     ------
@@ -112,6 +112,7 @@ def well_posedness(uncertain: UncertainModel, level: float = 1.0, seed: int = 0)
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> from robustlab.statespace import StateSpaceModel
     >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.8, 1.0], [1.0, 0.0]]), [RealScalar("k")])
     >>> print(well_posedness(gain))
@@ -181,7 +182,7 @@ def _perron(d11: Matrix, blocks: Sequence[Block], radius: Array) -> float:
 def _cut(d11: Array, blocks: Sequence[Block], low: Array, high: Array, rays: _RaySearch) -> tuple[float, int, bool]:
     """Boxes of real entries, each proved around its centre or cut in two; (largest bound, boxes, is any left open)."""
     boxes, largest = [(low, high)], 0.0
-    for count in range(1, MAX_BOXES + 1):
+    for count in range(1, TUNING.boxes + 1):
         lower, upper = boxes.pop()
         centre, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
         delta = rays.real_delta(centre)
@@ -198,7 +199,7 @@ def _cut(d11: Array, blocks: Sequence[Block], low: Array, high: Array, rays: _Ra
             boxes += [(lower, left), (right, upper)]
         if not boxes:
             return largest, count, False
-    return largest, MAX_BOXES, True
+    return largest, TUNING.boxes, True
 
 
 # --- refutation ------------------------------------------------------------------------------------------------------
@@ -222,15 +223,15 @@ class _RaySearch:
         """Vertices of the real blocks, each with random complex blocks turned into every phase."""
         rng = np.random.default_rng(seed)
         k = len(self.real)
-        if 2**k <= MAX_VERTICES:
+        if 2**k <= TUNING.vertices:
             signs = np.array(list(product((-1.0, 1.0), repeat=k))).reshape(2**k, k)
         else:
-            signs = rng.choice([-1.0, 1.0], (MAX_VERTICES, k))
+            signs = rng.choice([-1.0, 1.0], (TUNING.vertices, k))
         for sign in signs:
             self.along(self.real_delta(np.where(sign > 0, self.high[self.real], self.low[self.real])), 1.0)
         if k == len(self.blocks):
             return
-        for _ in range(RANDOM_DELTAS):
+        for _ in range(TUNING.random_deltas):
             share = np.append(rng.uniform(-1, 1, k), 0.0)[:k] if rng.random() < 0.8 else np.zeros(k)
             base = self.real_delta(np.where(share > 0, self.high[self.real], -self.low[self.real]) * share)
             self._turned(base, self._complex_delta(rng))

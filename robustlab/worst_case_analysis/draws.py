@@ -20,7 +20,8 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.upper_lft import ILL_POSED
 from robustlab.worst_case_analysis.ensemble import Ensemble, lft_parts, split, state_scale
 from robustlab.worst_case_analysis.tuning import TUNING
 
@@ -107,6 +108,7 @@ def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary:
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> block = RealScalar("pole")
     >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
     True

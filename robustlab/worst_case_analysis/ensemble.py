@@ -21,7 +21,8 @@ from robustlab.magnitude import is_moderate, refuse_overflow
 from robustlab.record import UNIFORM_TOLERANCE
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
-from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.upper_lft import ILL_POSED
 from robustlab.worst_case_analysis.tuning import TUNING
 
 __all__ = [

@@ -117,6 +117,7 @@ class Samples:
 
         Examples
         --------
+        >>> from robustlab.uncertainty.blocks import RealScalar
         >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
         >>> found = sample(UncertainModel(M, [RealScalar("pole")]), 2000).stream(np.linspace(0, 9, 10))
         >>> bool(1 / 1.2 < found.quantiles[0.05][-1, 0] < found.mean[-1, 0] < 1 / 0.8)
@@ -218,6 +219,7 @@ def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Lit
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> lag = UncertainModel(M, [RealScalar("pole")])
     >>> [delta["pole"] for delta in sample(lag, 0, vertices="all").deltas]

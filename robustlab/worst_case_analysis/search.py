@@ -174,6 +174,7 @@ def worst_case(
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> found = worst_case(UncertainModel(M, [RealScalar("pole")]), "settling-time", t=np.linspace(0, 9, 901))
     >>> found.delta, round(found.value, 3)  # log(50) / 0.8
@@ -257,7 +258,7 @@ class DeltaBox:
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Stack of Deltas (k, q, p) from vectors (k, d)."""
-        dtype = float if self.all_real else complex
+        dtype = float if all(b.is_real for b in self.blocks) else complex
         delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
         for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
             delta[:, rows, cols] = block.members(theta[:, part])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty import algebra
+from robustlab.uncertainty import algebra, lft
 from robustlab.uncertainty.algebra import centred
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -204,13 +204,13 @@ def test_mixed_operands_and_edge_sizes():
     assert (k @ lag).M.n_states == 1
     assert (lag + k).evaluate({"k": -1.0}).dc_gain() == pytest.approx(1.0)
     assert algebra.stacked(lag).blocks == ()
-    assert pytest.approx(11.0) == algebra.product([[1.0, 2.0]], [[3.0], [4.0]]).nominal.D
+    assert pytest.approx(11.0) == lft.product([[1.0, 2.0]], [[3.0], [4.0]]).nominal.D
     empty = StateSpaceModel([], [], [], np.zeros((1, 0)))
     assert (k @ empty).evaluate({"k": 1.0}).D.shape == (1, 0)
     nothing = UncertainModel(
         StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0))), ()
     )
-    assert algebra.inverse(nothing).delta_shape == (0, 0)
+    assert lft.inverse(nothing).delta_shape == (0, 0)
     assert algebra.stacked(nothing, nothing).outputs == ()
 
 
@@ -220,8 +220,8 @@ def test_mixed_operands_and_edge_sizes():
         (lambda k: k @ np.ones((2, 1)), "2 outputs into 1 inputs"),
         (lambda k: k + np.eye(2), "equal sizes"),
         (lambda k: algebra.stacked(k, k) + 1.0, "numpy.eye"),
-        (lambda k: algebra.parallel(k, k, 2), "sign 2"),
-        (lambda k: algebra.feedback(k, k, 0), "sign 0"),
+        (lambda k: lft.parallel(k, k, 2), "sign 2"),
+        (lambda k: lft.feedback(k, k, 0), "sign 0"),
         (lambda k: k.feedback(np.eye(2)), "2 x 2, expected 1 x 1"),
         (lambda k: algebra.stacked(k, k).feedback(1.0), "the number 1.0"),
         (lambda k: algebra.stacked(k, k).inverse(), "a square model"),

@@ -13,7 +13,8 @@ from robustlab.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar, delta_matrix, delta_values
 from robustlab.uncertainty.elementwise import elementwise
-from robustlab.uncertainty.lft import UncertainModel, upper_lft
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.upper_lft import upper_lft
 
 SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
 OMEGA = np.array([0.0, 0.4, 2.0, 30.0])

@@ -11,12 +11,12 @@ from scipy.linalg import block_diag
 from robustlab.errors import InputError
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.algebra import reduction
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar, delta_matrix
 from robustlab.uncertainty.elementwise import STRUCTURES, elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.parametric import parametric
 from robustlab.uncertainty.reduction import reduce_blocks
-from robustlab.uncertainty.structured_reduction import reduction
 from robustlab.uncertainty.well_posedness import well_posedness
 
 SETTINGS = settings(max_examples=12, deadline=None, derandomize=True)

@@ -198,7 +198,7 @@ def test_generalised_plant_is_m_sorted():
     assert plant.input_names[:q] == model.M.input_names[:q]
     # D-bar, the block that is missing in print, is there: the nominal direct term and the channels of D_D.
     np.testing.assert_array_equal(plant.D[q:, q:], d[[1, 2, 0]][:, [0, 1]])
-    from robustlab.uncertainty.lft import upper_lft
+    from robustlab.uncertainty.upper_lft import upper_lft
 
     reached = upper_lft(plant, np.eye(q))
     wanted = frequency_response(second.select(["load", "u"], ["i", "p", "omega"]), [0.5, 30.0])

@@ -52,9 +52,8 @@ from robustlab.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.structural import drop_unconnected
-from robustlab.uncertainty.algebra import product
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, product
 
 __all__ = ["EffectBlocks", "NoiseInput", "effect_blocks", "with_forces"]
 

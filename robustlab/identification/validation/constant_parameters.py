@@ -35,7 +35,7 @@ from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import Recorded, held, powers, shown, states
 from robustlab.identification.validation.tuning import Search, ValidationTuning
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks import Block
 
 __all__ = ["Parameters", "WindowFit", "smallest_parameters"]
 
@@ -71,14 +71,12 @@ class Member:
 class WindowFit:
     """Noise of a record for values of its real blocks; what it simulates and fits is spent of the budget."""
 
-    def __init__(
-        self, recorded: Recorded, blocks: Sequence[RealScalar], budget: Budget, tuning: ValidationTuning
-    ) -> None:
+    def __init__(self, recorded: Recorded, blocks: Sequence[Block], budget: Budget, tuning: ValidationTuning) -> None:
         self.recorded, self.blocks, self.budget, self.tuning = recorded, blocks, budget, tuning
         ends = [*recorded.starts[1:], len(recorded.t)]
         self.cuts = [slice(a, b) for a, b in zip(recorded.starts, ends, strict=True)]
         self.count = recorded.counts
-        self._repeats = [b.repeats for b in blocks]
+        self._repeats = [b.rows for b in blocks]
         self._known: dict[tuple[bytes, tuple[int, ...]], Windows | None] = {}
         self._kept = max(16, tuning.kept_numbers // (recorded.used.size + 1))
 
@@ -311,7 +309,7 @@ class Parameters:
     least_excess: float
 
 
-def smallest_parameters(recorded: Recorded, blocks: Sequence[RealScalar], search: Search) -> Parameters:
+def smallest_parameters(recorded: Recorded, blocks: Sequence[Block], search: Search) -> Parameters:
     """Bounds of the largest ``|delta|`` over the blocks that are scaled; the others stay within [-1, 1]."""
     fit = WindowFit(recorded, blocks, search.budget, search.tuning)
     m = len(blocks)

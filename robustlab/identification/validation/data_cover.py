@@ -29,9 +29,8 @@ from robustlab.identification.validation.tuning import TUNING, ValidationTuning
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.algebra import product
 from robustlab.uncertainty.blocks import FullBlock
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, product
 
 __all__ = ["DataCover", "data_cover"]
 

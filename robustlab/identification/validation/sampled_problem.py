@@ -309,7 +309,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
 def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tuple[StateSpaceModel, tuple[Block, ...]]:
     """M and its remaining blocks once the named real blocks are set to their values."""
     from robustlab.uncertainty.blocks import delta_matrix
-    from robustlab.uncertainty.lft import upper_lft
+    from robustlab.uncertainty.upper_lft import upper_lft
 
     slices = block_slices(uncertain.blocks)
     fixed = [k for k, b in enumerate(uncertain.blocks) if b.name in values]

@@ -154,6 +154,7 @@ def worst_case_gain(
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> from robustlab.statespace import StateSpaceModel
     >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> worst = worst_case_gain(UncertainModel(M, [RealScalar("pole")]))

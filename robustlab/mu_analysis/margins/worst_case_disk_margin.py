@@ -126,6 +126,7 @@ def worst_case_disk_margin(
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [2.0]], np.zeros((2, 2)))
     >>> plant = UncertainModel(M, [RealScalar("pole")])  # 2 / (s + 1 + 0.5 delta)
     >>> margin = worst_case_disk_margin(plant)
@@ -177,7 +178,7 @@ class _Search:
         self.nominal = disk_margin_of(self.loop.nominal, self.names, skew, budget, seed)
         self.lower, self.upper = 0.0, self.nominal.upper
         self.member: DiskMargin | None = self.nominal
-        self.delta: Mapping[str, Any] = {b.name: _zero(b) for b in self.blocks}
+        self.delta: Mapping[str, Any] = {b.name: b.zero for b in self.blocks}
         self.asked: list[tuple[float, float]] = []  # sizes of the disks, and the margins proved for them
 
     def run(self, accuracy: float) -> None:
@@ -306,10 +307,6 @@ class _Search:
             status,
             tuple(notes),
         )
-
-
-def _zero(block: Block) -> Any:
-    return 0.0 if block.is_scalar else np.zeros(block.value_shape)
 
 
 def _size(value: Any) -> float:

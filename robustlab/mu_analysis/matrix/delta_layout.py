@@ -112,6 +112,7 @@ def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import FullBlock, RealScalar
     >>> layout = delta_layout([RealScalar("k", 2), FullBlock("f", 1, 2)])
     >>> layout.q, layout.p, layout.full.tolist(), layout.entry_z.tolist()
     (3, 4, [False, True], [0, 1, 2, 3])

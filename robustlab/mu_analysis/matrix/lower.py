@@ -43,6 +43,10 @@ __all__ = ["lower_bound", "lower_bounds"]
 
 Found = tuple[float, ComplexArray | None]
 
+# A candidate that is changed by more than this share is not one of the structure; then so many rounds of leading back.
+OUTSIDE = 1e-9
+SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
+
 
 def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
     """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``.
@@ -98,7 +102,7 @@ def _verified(
 ) -> Found:
     """The smallest candidate that is better than ``best`` and singular to rounding, on the whole of M."""
     part = [blocks[i] for i in component.members]
-    exact = [project(part, c) for c in candidates]
+    exact = [d for c in candidates for d in _of_the_structure(component.matrix, part, c)]
     for norm, candidate in sorted(((delta_norm(part, c), c) for c in exact), key=lambda pair: pair[0]):
         if not 0 < norm < np.inf:
             continue
@@ -110,6 +114,46 @@ def _verified(
         if close and _singular_nearby(component.matrix, part, candidate):
             return 1 / delta_norm(blocks, delta), delta
     return best
+
+
+def _of_the_structure(M: ComplexArray, blocks: Sequence[Block], candidate: ComplexArray) -> list[ComplexArray]:
+    """The candidate without what the structure has no room for.
+
+    Candidates know real and complex numbers and complex matrices. Where a kind of block is none of these, the candidate
+    is only near: then Deltas that are led back to singularity inside the structure, each smaller than the last.
+    """
+    delta = project(blocks, candidate)
+    if np.abs(delta - candidate).max() <= OUTSIDE * np.abs(candidate).max():
+        return [delta]
+    met: list[ComplexArray] = []
+    shrink = 0.0
+    for _ in range(SHRINKING):
+        found = _led_back(M, blocks, (1 - shrink) * delta)
+        if found is not None and (not met or delta_norm(blocks, found) < delta_norm(blocks, met[-1]) * (1 - 1e-9)):
+            met.append(found)
+            delta, shrink = found, min(max(2 * shrink, 0.1), 0.5)
+        elif not met or shrink < LEAST_SHRINK:
+            break
+        else:
+            shrink /= 4
+    return met
+
+
+def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray | None:
+    """A Delta of the structure that makes ``I - M Delta`` singular, by Newton steps of least change, or None."""
+    for _ in range(NEWTON_STEPS):
+        u, sigma, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)
+        if sigma[-1] <= EPS * sigma[0]:
+            break
+        row, x = np.conj(u[:, -1]) @ M, np.conj(vh[-1])
+        along = np.outer(np.conj(row), np.conj(x))
+        moves = [project(blocks, along), project(blocks, 1j * along)]
+        gains = np.array([row @ move @ x for move in moves])
+        parts = np.linalg.lstsq(np.stack([np.real(gains), np.imag(gains)]), np.array([sigma[-1], 0.0]), rcond=1e-8)[0]
+        delta = delta + parts[0] * moves[0] + parts[1] * moves[1]
+        if not np.isfinite(delta).all():
+            return None
+    return delta if singularity(M, delta) <= TUNING.singular else None
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:

@@ -282,7 +282,7 @@ def _block_facts(model: Any) -> list[Fact]:
     """One line a block: what it ranges over, and where it comes from."""
     facts = []
     for b in model.blocks[:MOST_FACTS]:
-        p = getattr(b, "parameter", None)
+        p = b.parameter
         size = (
             f"{b.rows} x {b.cols}, gain at most 1" if p is None else f"{quantity(p.low)} … {quantity(p.high, p.unit)}"
         )

@@ -309,5 +309,5 @@ def uncertain_numbers(model: Any) -> dict[str, Any]:
 def _range(block: Any) -> str:
     p = block.parameter
     if p is None:
-        return f"{block.repeats} channels"
+        return f"{block.rows} channels"
     return f"{quantity(p.low)} … {quantity(p.high, p.unit)}"

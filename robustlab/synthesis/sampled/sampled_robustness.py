@@ -206,6 +206,7 @@ def sampled_robustness(
 
     Examples
     --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.3, 1.0, 1.0]], [[1.0]] * 3, [[0.0] * 3] * 3)
     >>> K = StateSpaceModel([], [], [], [[-3.0]], 0.05)
     >>> robust = sampled_robustness(UncertainModel(M, [RealScalar("pole")]), K)

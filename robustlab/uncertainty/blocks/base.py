@@ -18,6 +18,8 @@ __all__ = ["Block", "Pattern", "check_name_and_size", "rank_one"]
 
 # Entries (row, column, coefficient) of a sparse matrix.
 Pattern = list[tuple[int, int, complex]]
+# A value may miss its kind by this share: rounding.
+OUTSIDE = 1e-9
 
 
 class Block(ABC):
@@ -106,24 +108,32 @@ class Block(ABC):
         Raises
         ------
         InputError
-            A wrong shape, or a complex value for a real block.
+            A wrong shape, a complex value for a real block, a matrix that is no multiple of a member.
         """
         value = value.reshape(1, 1) if value.ndim == 0 and self.value_shape == (1, 1) else value
         if value.shape != self.value_shape:
             raise InputError(f"delta {self.name!r}", f"shape {value.shape}", f"{self.value_shape}")
         if self.is_real and np.imag(value).any():
             raise InputError(f"delta {self.name!r}", "a complex matrix", "a real matrix")
+        if np.abs(self.project(value) - value).max() > OUTSIDE * np.abs(value).max():
+            raise InputError(f"delta {self.name!r}", "another matrix", f"one that a {type(self).__name__} may be")
         return value
 
     def value_of(self, part: NDArray[Any]) -> Any:
         """Inverse of `matrix_of`."""
-        return part.real.copy() if self.is_real else part.copy()
+        return np.real(part).copy() if self.is_real else part.copy()
+
+    @property
+    def zero(self) -> Any:
+        """The value of the nominal model."""
+        return 0.0 if self.is_scalar else np.zeros(self.value_shape)
 
     def draw(self, rng: np.random.Generator, boundary: bool = False) -> Any:
-        """A random value, uniform over the norms' volumes; on the boundary of the set where asked for."""
+        """A random value of the set, on its boundary where asked for."""
         matrix = rng.standard_normal(self.value_shape)
         if not self.is_real:
             matrix = matrix + 1j * rng.standard_normal(self.value_shape)
+        matrix = self._of_the_kind(matrix)
         radius = 1.0 if boundary else rng.random() ** (1.0 / self.n_coordinates)
         # A hair inside: the norm of the rounded matrix must not come out above one.
         matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
@@ -152,9 +162,15 @@ class Block(ABC):
 
     def members(self, coordinates: Array) -> NDArray[Any]:
         """Members (k, rows, cols) at coordinates (k, n_coordinates); those outside the set are drawn back onto it."""
-        matrix = self._entries(coordinates).reshape(-1, *self.value_shape)
+        matrix = self._of_the_kind(self._entries(coordinates).reshape(-1, *self.value_shape))
         sizes = np.abs(matrix[:, 0, 0]) if self.value_shape == (1, 1) else np.linalg.norm(matrix, 2, axis=(1, 2))
         return matrix / np.maximum(sizes, 1.0)[:, None, None]
+
+    def _of_the_kind(self, matrix: NDArray[Any]) -> NDArray[Any]:
+        """Values (..., rows, cols) without what the kind has no room for."""
+        if self.is_ball or self.is_scalar:
+            return matrix
+        return np.array([self.project(m) for m in matrix]) if matrix.ndim == 3 else self.project(matrix)
 
     def _entries(self, coordinates: Array) -> NDArray[Any]:
         half = coordinates.shape[-1] // 2
@@ -168,7 +184,7 @@ class Block(ABC):
         norm = self.norm(part)
         return size * part / norm if norm > 0 else None
 
-    def extreme(self, rng: np.random.Generator, vector: Callable[[int], ComplexArray]) -> NDArray[Any]:
+    def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
         """A random member of norm one, of rank one where there are such; ``vector(n)`` draws complex n-vectors."""
         part = self.project(rank_one(vector(self.rows), vector(self.cols)))
         return part / self.norm(part)
@@ -247,7 +263,7 @@ class Block(ABC):
         raise NotImplementedError(cls.__name__)
 
 
-def rank_one(u: ComplexArray, v: ComplexArray) -> ComplexArray:
+def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
     """The matrix ``u v^T``, divided by its norm."""
     return np.outer(u / np.linalg.norm(u), v / np.linalg.norm(v))
 

@@ -19,7 +19,22 @@ __all__ = ["ComplexScalar"]
 
 @dataclass(frozen=True)
 class ComplexScalar(ScalarBlock):
-    """``delta * I`` with one complex delta, ``|delta| <= 1``, repeated ``repeats`` times."""
+    """``delta * I`` with one complex delta, ``|delta| <= 1``, repeated ``repeats`` times.
+
+    Parameters
+    ----------
+    name
+        Unique within a structure.
+    repeats
+        How many channels the number acts on.
+    origin
+        Where the block comes from, in words; blocks that differ in nothing else are equal.
+
+    Raises
+    ------
+    InputError
+        A name that is no text of 1 to 200 characters, a size that is no positive whole number.
+    """
 
     is_real: ClassVar[bool] = False
     stored_as: ClassVar[str] = "complex"
@@ -49,7 +64,7 @@ class ComplexScalar(ScalarBlock):
         gain = (left * right).sum()
         return size * np.conj(gain) / abs(gain) * np.eye(self.repeats) if gain != 0 else None
 
-    def extreme(self, rng: np.random.Generator, vector: Callable[[int], ComplexArray]) -> NDArray[Any]:
+    def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
         """Any phase."""
         return np.exp(2j * np.pi * rng.random()) * np.eye(self.repeats)
 

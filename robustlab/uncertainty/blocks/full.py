@@ -19,7 +19,22 @@ __all__ = ["FullBlock"]
 
 @dataclass(frozen=True)
 class FullBlock(Block):
-    """A full complex matrix ``Delta_i`` of shape (rows, cols) with ``sigma_max(Delta_i) <= 1``; ``w = Delta_i z``."""
+    """A full complex matrix ``Delta_i`` of shape (rows, cols) with ``sigma_max(Delta_i) <= 1``; ``w = Delta_i z``.
+
+    Parameters
+    ----------
+    name
+        Unique within a structure.
+    rows, cols
+        Entries of w and of z.
+    origin
+        Where the block comes from, in words; blocks that differ in nothing else are equal.
+
+    Raises
+    ------
+    InputError
+        A name that is no text of 1 to 200 characters, a size that is no positive whole number.
+    """
 
     is_real: ClassVar[bool] = False
     is_scalar: ClassVar[bool] = False
@@ -48,7 +63,7 @@ class FullBlock(Block):
         norm = np.linalg.norm(left) * np.linalg.norm(right)
         return size * np.outer(np.conj(left), np.conj(right)) / norm if norm > 0 else None
 
-    def extreme(self, rng: np.random.Generator, vector: Callable[[int], ComplexArray]) -> NDArray[Any]:
+    def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
         """A matrix of rank one."""
         return rank_one(vector(self.rows), vector(self.cols))
 

@@ -23,10 +23,29 @@ __all__ = ["RealScalar"]
 class RealScalar(ScalarBlock):
     """``delta * I`` with one real delta, ``-1 <= delta <= 1``, repeated ``repeats`` times.
 
-    ``parameter`` says which physical range the normalised delta stands for. Where that range is wider on one side, the
-    number that stands in Delta is ``delta`` for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``: it fills
-    [-ratio, 1], and every value of the parameter enters M by one and the same affine law. ``origin`` says in words
-    where the block comes from; blocks that differ in nothing else are equal.
+    Parameters
+    ----------
+    name
+        Unique within a structure.
+    repeats
+        How many channels the number acts on.
+    parameter
+        Which physical range the normalised delta stands for. Where that range is wider on one side, the number that
+        stands in Delta is ``delta`` for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``: it fills [-ratio, 1],
+        and every value of the parameter enters M by one and the same affine law.
+    origin
+        Where the block comes from, in words; blocks that differ in nothing else are equal.
+
+    Raises
+    ------
+    InputError
+        A name that is no text of 1 to 200 characters, a size that is no positive whole number.
+
+    Examples
+    --------
+    >>> mass = RealScalar("mass", parameter=ParameterRange(1.0, 0.5, "kg", below=0.25))
+    >>> mass.entry(-1.0), mass.delta(-0.25)
+    (-0.5, -0.5)
     """
 
     is_real: ClassVar[bool] = True

@@ -19,7 +19,6 @@ computation", Math. Oper. Res. 21 (1996); Březina 2010, section 10.2 for the el
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -28,10 +27,11 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ParameterRange
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, system_matrices
 from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.tuning import TUNING
 
 __all__ = ["PARAMETRIC_FORMS", "ParametricCover", "ParametricForm", "least_ellipsoid", "parametric_cover"]
 
@@ -40,8 +40,6 @@ PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 
 # Entries that differ by less than this share of their natural magnitude are equal: rounding of a linearisation.
 ROUNDING = 1e-13
-# Relative distance from the optimum at which Khachiyan's algorithm stops; the box is fitted to the cloud anyway.
-ELLIPSOID, ELLIPSOID_STEPS = 1e-2, 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +131,7 @@ def _hull(
     made = elementwise(centre, _model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
     blocks = [
-        dataclasses.replace(b, parameter=_range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
+        RealScalar(b.name, b.rows, _range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
         for b, (i, j) in zip(made.blocks, at, strict=True)
     ]
     whole = UncertainModel(made.M, blocks, made.operating_point)
@@ -232,11 +230,11 @@ def least_ellipsoid(points: Array) -> tuple[Array, Array]:
     size = np.abs(points).max(axis=0)
     lifted = np.vstack([(points / size).T, np.ones(n)])
     u = np.full(n, 1.0 / n)
-    for _ in range(ELLIPSOID_STEPS):
+    for _ in range(TUNING.ellipsoid_steps):
         distance = np.einsum("in,in->n", lifted, np.linalg.solve(lifted * u @ lifted.T, lifted))
         j = int(distance.argmax())
         excess = distance[j] / (k + 1) - 1.0
-        if excess <= ELLIPSOID:
+        if excess <= TUNING.ellipsoid_excess:
             break
         step = (distance[j] - k - 1.0) / ((k + 1.0) * (distance[j] - 1.0))
         u *= 1.0 - step

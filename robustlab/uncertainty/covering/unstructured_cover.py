@@ -47,9 +47,10 @@ from robustlab.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.uncertainty.covering.overbound import Overbound, overbound
+from robustlab.uncertainty.covering.overbound import Overbound, anonymous, overbound
 from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.tuning import TUNING
 from robustlab.uncertainty.unstructured import Form, unstructured
 
 __all__ = [
@@ -110,18 +111,14 @@ def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
     return worst
 
 
-# The bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one.
-FLOOR = 1e-4
 # Laurent coefficients below this share of the models' size around a point are rounding.
 ANALYTIC = 1e-6
 # A pole this near to the stability boundary, relative to its size, may lie on either side.
 BOUNDARY = 1e-9
-CIRCLE = 64
 # Poles and zeros this slow, relative to the fastest, are integrators that rounding has moved.
 STILL = 1e-7
 # Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
-DENSE = 150
 # No resonance at the Nyquist frequency is looked at more closely than this share of that frequency.
 NEAREST = 1e-6
 # Up to here a lift is rounding, or a peak just beside a frequency of the grid.
@@ -166,7 +163,7 @@ def unstructured_cover(
     nominal: StateSpaceModel | None = None,
     order: int = 4,
     tolerance: float = 0.1,
-    points: int = DENSE,
+    points: int = TUNING.grid_points,
 ) -> UnstructuredCover:
     """The cover of models with the same signals; their states may differ.
 
@@ -224,7 +221,7 @@ def _around(
     if not size.any():
         raise InputError("cover", "models that are all the same", "models that differ")
     _require_bounded(models, centre, form, omega, size)
-    floor = FLOOR * float(size.max())
+    floor = TUNING.bound_floor * float(size.max())
 
     def exact(w: Array) -> Array:
         return np.hypot(_bound(models, centre, form, w), floor)
@@ -263,7 +260,7 @@ def _beyond(omega: Array, dt: float) -> Array:
     """Frequencies outside the grid; for a discrete model the last is that of Nyquist itself."""
     low, high = omega[0] / BEYOND, omega[-1] * BEYOND
     rest = np.pi / dt - omega[-1] if dt else 0.0
-    return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, DENSE) if dt else high])
+    return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, TUNING.grid_points) if dt else high])
 
 
 def _require_bounded(
@@ -473,7 +470,7 @@ def _pole_that_stays(
     for p in singular[outside].tolist():
         far = np.concatenate([np.abs(kept - p), [max(abs(p), 1e-3 * scale)]])
         radius = 0.5 * float(far.min())
-        points = p + radius * np.exp(2j * np.pi * (np.arange(CIRCLE) + 0.5) / CIRCLE)
+        points = p + radius * np.exp(2j * np.pi * (np.arange(TUNING.circle_points) + 0.5) / TUNING.circle_points)
         turns = (points - p) / radius
         with np.errstate(all="ignore"):
             error = _error(model, centre, form, points)
@@ -514,14 +511,10 @@ def _deltas(
             m.D - centre.D,
             m.dt,
         )
-        found.append(series(_plain(bank), _plain(difference)))
-    return tuple(_plain(d) for d in found)
+        found.append(series(anonymous(bank), anonymous(difference)))
+    return tuple(anonymous(d) for d in found)
 
 
 def _inverse(weight: StateSpaceModel) -> StateSpaceModel:
     d = 1.0 / weight.D
     return StateSpaceModel(weight.A - weight.B @ d @ weight.C, weight.B @ d, -d @ weight.C, d, weight.dt)
-
-
-def _plain(model: StateSpaceModel) -> StateSpaceModel:
-    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt)

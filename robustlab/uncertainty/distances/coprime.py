@@ -36,6 +36,7 @@ __all__ = [
     "coprime_margin",
     "coprime_riccati",
     "four_block",
+    "inverse_root",
 ]
 
 
@@ -84,7 +85,7 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
     f, h = control.gain, filtering.gain.T
-    root_r, root_s = _inverse_root(r), _inverse_root(s)
+    root_r, root_s = inverse_root(r), inverse_root(s)
     right = StateSpaceModel(
         m.A + m.B @ f, m.B @ root_r, np.vstack([m.C + m.D @ f, f]), np.vstack([m.D @ root_r, root_r])
     )
@@ -192,6 +193,11 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] = -1) -> CoprimeMargi
         Plant (p outputs, m inputs) and controller (m outputs, p inputs), ``u = sign C y``.
     sign
         -1 for negative feedback, 1 for positive feedback.
+
+    Returns
+    -------
+    CoprimeMargin
+        The margin, 0 .. 1, and 0 where C does not stabilise P.
 
     Raises
     ------
@@ -338,7 +344,7 @@ def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:
     return StateSpaceModel(model.A * rate, model.B * root, model.C * root, model.D)
 
 
-def _inverse_root(matrix: Array) -> Array:
+def inverse_root(matrix: Array) -> Array:
     """``matrix^(-1/2)`` of a symmetric positive definite matrix."""
     values, vectors = np.linalg.eigh(matrix)
     return vectors / np.sqrt(values) @ vectors.T

@@ -28,13 +28,18 @@ from robustlab.matrix_equations import care, lyapunov
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, series
-from robustlab.uncertainty.distances.coprime import CoprimeFactors, MappedModels, continuous_models, coprime_factors
+from robustlab.uncertainty.distances.coprime import (
+    CoprimeFactors,
+    MappedModels,
+    continuous_models,
+    coprime_factors,
+    inverse_root,
+)
+from robustlab.uncertainty.tuning import TUNING
 
 __all__ = ["GapMetric", "NuGap", "gap", "nu_gap"]
 
 
-# Relative width of the bracket of the gap.
-GAP_RTOL = 1e-8
 # A step of the bisection, and a distance, that cannot be told from zero.
 ROUNDING = 1e-13
 NOTHING = 1e-12
@@ -177,6 +182,11 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     P1, P2
         As for `nu_gap`.
 
+    Returns
+    -------
+    GapMetric
+        The value with its bounds, and the nu-gap, which never exceeds it.
+
     Raises
     ------
     InputError, NoTrustworthyNumber
@@ -294,7 +304,7 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     from scipy.optimize import brentq
 
     distance = _distance(one, two)
-    norm: HinfNorm = hinf_norm(distance, rtol=GAP_RTOL)
+    norm: HinfNorm = hinf_norm(distance, rtol=TUNING.gap_rtol)
     low = min(norm.lower, 1.0)
     if low <= NOTHING:
         low = 0.0
@@ -302,7 +312,7 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
         difference = hinf_norm(_difference(one.right, two.right))
         if difference.upper <= CLOSE:
             return low, difference.upper
-    first = min(norm.upper * (1 + GAP_RTOL) + ROUNDING, 1.0)
+    first = min(norm.upper * (1 + TUNING.gap_rtol) + ROUNDING, 1.0)
     if first == 1.0 or _hankel(one, two, distance, first) <= 1:
         return low, first
 
@@ -310,9 +320,9 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
         # Q = 0 reaches 1, where the spectral factor may not exist.
         return float(np.clip(np.log(_hankel(one, two, distance, gamma)), -1.0, 1.0)) if gamma < 1.0 else -1.0
 
-    root = float(brentq(excess, first, 1.0, xtol=ROUNDING, rtol=GAP_RTOL))  # pyright: ignore[reportArgumentType]
+    root = float(brentq(excess, first, 1.0, xtol=ROUNDING, rtol=TUNING.gap_rtol))  # pyright: ignore[reportArgumentType]
     # Each side of the root is asked by itself; rounding blurs it where the distance itself is next to nothing.
-    steps = (2 * GAP_RTOL, 1e-6, 1e-4, 1e-2, 1.0, 10.0, 100.0)
+    steps = (2 * TUNING.gap_rtol, 1e-6, 1e-4, 1e-2, 1.0, 10.0, 100.0)
     over = next((root * (1 + step) for step in steps if root * (1 + step) < 1 and excess(root * (1 + step)) <= 0), 1.0)
     under = next((root * (1 - step) for step in steps[:4] if excess(max(root * (1 - step), first)) > 0), low)
     return max(low, under), over
@@ -332,8 +342,7 @@ def _hankel(one: CoprimeFactors, two: CoprimeFactors, distance: StateSpaceModel,
     except NoTrustworthyNumber:
         return np.inf
     # Phi^-1 = (A + B K, B W^-1, K, W^-1) for W^2 = weight, and G1 Phi^-1 shares its states.
-    values, vectors = np.linalg.eigh(weight)
-    root = vectors / np.sqrt(values) @ vectors.T
+    root = inverse_root(weight)
     A, B = s.A + s.B @ gain, s.B @ root
     C = np.hstack([g1.C, np.zeros((g1.n_outputs, two.left.n_states))]) + g1.D @ gain
     D = g1.D @ root

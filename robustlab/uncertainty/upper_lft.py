@@ -1,0 +1,121 @@
+r"""A constant Delta closed into a model: the upper linear fractional transformation, and whether it is well posed.
+
+.. math:: F_u(M, \Delta) = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robustlab.arrays import AnyArray
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["balanced", "balancing_scale", "closed_response", "is_singular", "upper_lft"]
+
+# I - M11 Delta with a condition number above this has no digits left that could be trusted.
+ILL_POSED = 1e12
+# Passes of balancing.
+PASSES = 20
+# Without a cycle there is no bound on how small a matrix may be scaled: this far, not further.
+LARGEST_EXPONENT = 200.0
+
+
+def is_singular(product: ArrayLike) -> bool:
+    """Whether ``I - product`` is singular, or so near to it that nothing can be trusted; product has shape (n, n).
+
+    Its determinant is that of its strongly connected parts: entries on no cycle do not count, however large they are.
+    Nor must the units of the channels decide: each part is balanced first (a similarity by powers of two).
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    matrix = np.asarray(product)
+    if not matrix.any():
+        return False
+    count, label = connected_components(matrix != 0, directed=True, connection="strong")
+    for k in range(count):
+        part = np.flatnonzero(label == k)
+        inner = matrix[part[:, None], part]
+        if inner.any() and not np.linalg.cond(np.eye(len(part)) - balanced(inner)) <= ILL_POSED:
+            return True
+    return False
+
+
+def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
+    r"""``F_u(M, Delta)`` for a constant real Delta (q, p), which closes the first q inputs and p outputs of M.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        I - D11 Delta is singular: the perturbed model is not well posed.
+    """
+    d = np.asarray(delta)
+    if np.iscomplexobj(d):
+        raise InputError(
+            "upper_lft", "a complex Delta", "a real one", "a complex Delta acts on frequency responses only"
+        )
+    q, p = d.shape
+    n_w, n_z = M.n_inputs, M.n_outputs
+    b1, b2 = M.B[:, :q], M.B[:, q:]
+    c1, c2 = M.C[:p], M.C[p:]
+    d11, d12, d21, d22 = M.D[:p, :q], M.D[:p, q:], M.D[p:, :q], M.D[p:, q:]
+    if q > n_w or p > n_z:
+        raise InputError("upper_lft", f"Delta is {d.shape}, M has {n_w} inputs and {n_z} outputs", "a smaller Delta")
+    loop = np.eye(p) - d11 @ d
+    if is_singular(d11 @ d):
+        raise NoTrustworthyNumber("upper_lft", "I - D11 Delta is singular: this Delta makes the model ill-posed")
+    # z = (I - D11 Delta)^-1 (C1 x + D12 u), w = Delta z
+    gain = d @ np.linalg.solve(loop, np.hstack([c1, d12])) if p else np.zeros((q, M.n_states + n_w - q))
+    w_x, w_u = gain[:, : M.n_states], gain[:, M.n_states :]
+    return StateSpaceModel(
+        M.A + b1 @ w_x,
+        b2 + b1 @ w_u,
+        c2 + d21 @ w_x,
+        d22 + d21 @ w_u,
+        M.dt,
+        M.inputs[q:],
+        M.outputs[p:],
+        M.states,
+        where="upper_lft",
+    )
+
+
+def closed_response(m: AnyArray, d: AnyArray) -> AnyArray:
+    """``F_u`` of responses m (n_omega, ..., ...) for Delta d, one (q, p) or one for each frequency."""
+    q, p = d.shape[-2:]
+    loop = np.eye(p) - m[:, :p, :q] @ d
+    return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])
+
+
+# --- balancing by powers of two: the units of channels must not decide what counts as small --------------------------
+
+
+def balancing_scale(matrix: ArrayLike) -> NDArray[np.float64]:
+    r"""Diagonal t of powers of two for which :math:`T^{-1} M T` has rows and columns of like size; shape (n,).
+
+    Examples
+    --------
+    >>> balancing_scale([[1.0, 1024.0], [1.0 / 1024.0, 1.0]]).tolist()
+    [1024.0, 1.0]
+    """
+    with np.errstate(divide="ignore"):
+        level = np.log2(np.abs(np.asarray(matrix)))
+    np.fill_diagonal(level, -np.inf)
+    exponent = np.zeros(len(level))
+    for _ in range(PASSES):
+        for k in range(len(exponent)):
+            row = (level[k] - exponent[k] + exponent).max(initial=-np.inf)
+            col = (level[:, k] - exponent + exponent[k]).max(initial=-np.inf)
+            if np.isfinite([row, col]).all():
+                exponent[k] += 0.5 * (row - col)
+        exponent = np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT)
+    return np.exp2(np.rint(exponent))
+
+
+def balanced(matrix: ArrayLike) -> NDArray[Any]:
+    """``T^-1 M T`` with the scale of `balancing_scale`."""
+    scale = balancing_scale(matrix)
+    return np.asarray(matrix) / scale[:, None] * scale

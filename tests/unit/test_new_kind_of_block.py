@@ -1,0 +1,240 @@
+"""A new kind of block is one class: nothing else in the library knows of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.errors import InputError
+from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty.well_posedness import well_posedness
+
+
+@dataclass(frozen=True)
+class RealMatrix(Block):
+    """A full real matrix with ``sigma_max <= 1``: constant parameters that are known together by one bound."""
+
+    name: str
+    rows: int
+    cols: int
+
+    is_real = True
+    is_scalar = False
+
+    def project(self, part):
+        return part.real
+
+
+BLOCKS = [RealMatrix("stiffness", 2, 2)]
+ONE = RealMatrix("k", 1, 1)
+MIXED = [rl.RealScalar("mass"), RealMatrix("stiffness", 2, 3), rl.ComplexScalar("motor")]
+
+
+def is_member(block, value, size=1.0):
+    fits = np.isrealobj(value) and value.shape == (block.rows, block.cols)
+    return fits and np.linalg.norm(value, 2) <= size * (1 + 1e-12)
+
+
+def random_member(block, rng):
+    """Independent of the library: half of them on the boundary."""
+    matrix = rng.standard_normal((block.rows, block.cols))
+    return matrix / np.linalg.norm(matrix, 2) * (rng.random() if rng.random() < 0.5 else 1.0)
+
+
+def matrix_for(blocks, seed, real=False):
+    rng = np.random.default_rng(seed)
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    return rng.standard_normal((p, q)) + (0 if real else 0.4j) * rng.standard_normal((p, q))
+
+
+def model_for(blocks, seed=3, n=4):
+    rng = np.random.default_rng(seed)
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    A = rng.standard_normal((n, n))
+    A -= (np.linalg.eigvals(A).real.max() + 1.0) * np.eye(n)
+    B, C = 0.5 * rng.standard_normal((n, q + 1)), 0.5 * rng.standard_normal((p + 1, n))
+    return rl.UncertainModel(rl.StateSpaceModel(A, B, C, np.zeros((p + 1, q + 1))), blocks)
+
+
+def test_evaluate_and_samples():
+    uncertain = model_for(BLOCKS)
+    value = np.array([[0.3, -0.2], [0.1, 0.5]])
+    B, C = uncertain.M.B, uncertain.M.C
+    expected = uncertain.M.A + B[:, :2] @ value @ C[:2]
+    assert np.allclose(uncertain.evaluate({"stiffness": value}).A, expected, atol=1e-12)
+    drawn = [delta["stiffness"] for delta in rl.sample(uncertain, 50, seed=1, vertices=4).deltas]
+    assert all(is_member(BLOCKS[0], value) for value in drawn)
+    assert all(np.linalg.norm(value, 2) > 1 - 1e-12 for value in drawn[50:])
+    with pytest.raises(InputError, match="complex"):
+        uncertain.evaluate({"stiffness": 1j * value})
+    with pytest.raises(InputError, match="shape"):
+        uncertain.evaluate({"stiffness": value[:1]})
+    assert uncertain.to_json()["blocks"][0]["kind"] == "RealMatrix"
+
+
+def places(blocks):
+    row = col = 0
+    for block in blocks:
+        yield block, slice(row, row + block.rows), slice(col, col + block.cols)
+        row, col = row + block.rows, col + block.cols
+
+
+def random_delta(blocks, rng):
+    delta = np.zeros((sum(b.rows for b in blocks), sum(b.cols for b in blocks)), dtype=complex)
+    for block, w, z in places(blocks):
+        if isinstance(block, RealMatrix):
+            delta[w, z] = random_member(block, rng)
+        else:
+            delta[w, z] = rng.uniform(-1, 1) if block.name == "mass" else np.exp(2j * np.pi * rng.random())
+    return delta
+
+
+@pytest.mark.parametrize("blocks", [BLOCKS, MIXED], ids=["alone", "mixed"])
+@pytest.mark.parametrize("real", [True, False], ids=["real M", "complex M"])
+@pytest.mark.parametrize("seed", range(3))
+def test_mu(blocks, real, seed):
+    M = matrix_for(blocks, seed, real)
+    bounds = rl.mu(M, blocks)
+    assert 0 < bounds.lower <= bounds.upper * (1 + 1e-9)
+    inside = np.zeros(bounds.delta.shape, dtype=bool)
+    for block, w, z in places(blocks):
+        inside[w, z] = True
+        assert block.name == "motor" or not bounds.delta[w, z].imag.any()
+        assert np.linalg.norm(bounds.delta[w, z], 2) <= 1 / bounds.lower * (1 + 1e-9)
+    assert not bounds.delta[~inside].any()
+    loop = np.eye(len(M)) - M @ bounds.delta
+    assert np.linalg.svd(loop, compute_uv=False)[-1] <= 1e-9 * np.linalg.norm(loop, 2)
+    rng = np.random.default_rng(seed)
+    for _ in range(400):  # where M Delta has the real eigenvalue v, Delta / v makes the loop singular
+        values = np.linalg.eigvals(M @ random_delta(blocks, rng))
+        attained = values[np.abs(values.imag) <= 1e-9 * np.abs(values)].real
+        assert np.abs(attained).max(initial=0.0) <= bounds.upper * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mu_encloses_the_real_structured_singular_value(seed):
+    """Qiu, Bernhardsson, Rantzer, Davison, Young, Doyle, Automatica 31 (1995): a formula for one real matrix."""
+    M = matrix_for(BLOCKS, seed)
+
+    def second(gamma):
+        stacked = np.block([[M.real, -gamma * M.imag], [M.imag / gamma, M.real]])
+        return np.linalg.svd(stacked, compute_uv=False)[1]
+
+    exact = min(second(gamma) for gamma in np.linspace(1e-3, 1, 1000))
+    bounds = rl.mu(M, BLOCKS)
+    assert 0.8 * exact <= bounds.lower <= exact * (1 + 1e-6)
+    assert exact <= bounds.upper * (1 + 1e-9)
+
+
+def test_mu_of_a_real_matrix_is_the_largest_singular_value():
+    M = matrix_for(BLOCKS, 7, real=True)
+    bounds = rl.mu(M, BLOCKS)
+    assert (bounds.lower, bounds.upper) == pytest.approx((np.linalg.norm(M, 2),) * 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("blocks", [BLOCKS, MIXED], ids=["alone", "mixed"])
+def test_robust_stability(blocks):
+    uncertain = model_for(blocks)
+    margin = rl.robust_stability(uncertain)
+    assert 0 < margin.lower <= margin.upper * (1 + 1e-9)
+    for delta in rl.sample(uncertain, 60, seed=5, vertices=20).deltas:
+        smaller = {name: 0.999 * margin.lower * value for name, value in delta.items()}
+        real = {name: value for name, value in smaller.items() if name != "motor"}  # a complex member is no real model
+        assert uncertain.evaluate(real).is_stable()
+    stiffness = next(b for b in blocks if b.name == "stiffness")
+    assert is_member(stiffness, margin.delta["stiffness"], margin.upper)
+    if blocks is BLOCKS:
+        poles = uncertain.evaluate(margin.delta).poles()
+        assert poles.real.max() >= -1e-6 * np.abs(poles).max()
+
+
+def test_worst_case_gain_and_worst_case():
+    uncertain = model_for(BLOCKS)
+    size = min(1.0, 0.5 * rl.robust_stability(uncertain).lower)
+    M = uncertain.M
+    B = M.B.copy()
+    B[:, :2] *= size
+    uncertain = rl.UncertainModel(rl.StateSpaceModel(M.A, B, M.C, M.D), BLOCKS)
+    bounds = rl.worst_case_gain(uncertain)
+    assert is_member(BLOCKS[0], bounds.delta["stiffness"])
+    rng = np.random.default_rng(2)
+    best = max(rl.hinf_norm(uncertain.evaluate({"stiffness": random_member(BLOCKS[0], rng)})).lower for _ in range(60))
+    assert best <= bounds.upper * (1 + 1e-6)
+    assert 0.95 * best <= bounds.lower <= bounds.upper * (1 + 1e-9)
+    attained = rl.hinf_norm(uncertain.evaluate(bounds.delta)).upper
+    assert attained >= bounds.lower * (1 - 1e-6)
+    for metric in ("hinf", "spectral-abscissa"):
+        worst = rl.worst_case(uncertain, metric, n=16, effort=0.2)
+        assert is_member(BLOCKS[0], worst.delta["stiffness"])
+        assert metric != "hinf" or worst.value <= bounds.upper * (1 + 1e-6)
+
+
+def test_time_domain_takes_it_as_it_is_real():
+    uncertain = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[0.3, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [ONE])
+    worst = rl.worst_case(uncertain, "peak", t=np.linspace(0, 9, 46), u=np.ones(46), n=8)
+    assert worst.value == pytest.approx((1 - np.exp(-0.7 * 9)) / 0.7, rel=1e-6)
+    assert worst.delta["k"] == pytest.approx(np.eye(1), rel=1e-6)
+
+
+def test_algebra():
+    uncertain = model_for(BLOCKS)
+    assert uncertain.reduce().blocks == tuple(BLOCKS) == rl.centred(uncertain).blocks
+    with pytest.raises(InputError, match="several operands"):
+        uncertain + uncertain
+    direct = rl.UncertainModel(rl.StateSpaceModel([], [], [], np.diag([0.9, 0.5, 0.0])), BLOCKS)
+    assert well_posedness(direct).well_posed is True
+    found = well_posedness(direct, 2.0)
+    loop = np.eye(2) - np.diag([0.9, 0.5]) @ found.delta["stiffness"]
+    assert found.well_posed is False
+    assert is_member(BLOCKS[0], found.delta["stiffness"], 2.0)
+    assert np.linalg.svd(loop, compute_uv=False)[-1] <= 1e-9
+
+
+@dataclass(frozen=True)
+class Separate(Block):
+    """Independent complex numbers on a diagonal: the same set as so many complex scalars."""
+
+    name: str
+    rows: int
+
+    is_real = False
+    is_scalar = False
+
+    @property
+    def cols(self):
+        return self.rows
+
+    def project(self, part):
+        return np.diag(np.diag(part))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_another_kind_against_what_is_known_of_its_set(seed):
+    blocks = [Separate("channels", 3)]
+    M = matrix_for(blocks, seed)
+    bounds, known = rl.mu(M, blocks), rl.mu(M, [rl.ComplexScalar(name) for name in "abc"])
+    assert 0.5 * known.lower <= bounds.lower <= known.upper * (1 + 1e-9)
+    assert bounds.upper >= known.lower
+    assert not (bounds.delta - np.diag(np.diag(bounds.delta))).any()
+    uncertain = rl.UncertainModel(rl.StateSpaceModel([], [], [], np.eye(4)), blocks)
+    for delta in rl.sample(uncertain, 5, vertices=2).deltas:
+        assert np.count_nonzero(delta["channels"]) == 3
+    with pytest.raises(InputError, match="Separate"):
+        uncertain.evaluate({"channels": np.ones((3, 3))})
+
+
+def test_files_refuse_it_and_say_so(tmp_path):
+    with pytest.raises(InputError) as caught:
+        rl.save(tmp_path / "set.h5", model_for(BLOCKS))
+    text = str(caught.value)
+    assert all(word in text for word in ("stiffness", "RealMatrix", "real, complex, full"))
+    assert "\n" not in text
+    assert not list(tmp_path.iterdir())
+
+
+def test_validation_refuses_it():
+    t = 0.01 * np.arange(100)
+    record = rl.Record(t, inputs={"u1": np.ones(100)}, outputs={"y1": np.ones(100)})
+    with pytest.raises(InputError, match=r"stiffness.*RealMatrix"):
+        rl.validate(model_for(BLOCKS), record, noise={"y1": 0.1})
