@@ -27,7 +27,7 @@ import numpy as np
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.fixed import fixed_structure
+from robustlab.synthesis.fixed.fixed_structure import fixed_structure
 
 COMPLEIB = Path(__file__).parents[2] / "shared" / "data" / "compleib.h5"
 
