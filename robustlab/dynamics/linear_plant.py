@@ -289,7 +289,9 @@ class LinearPlant(Plant):
         """L (n_x + n_y, q), R (q, n_x + n_u + n_x) and the blocks; R is scaled by the widths above nominal."""
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         constant = self.matrices(self._cleared)
-        left, right, blocks = [np.zeros((n + n_y, 0))], [np.zeros((0, 2 * n + n_u))], []
+        left: list[Array] = [np.zeros((n + n_y, 0))]
+        right: list[Array] = [np.zeros((0, 2 * n + n_u))]
+        blocks: list[RealScalar] = []
         for name, span in ranges.items():
             e, f, g, c, d = self._coefficients(name, constant)
             columns, rows = _rank_factors(np.block([[f, g, -e], [c, d, np.zeros((n_y, n))]]))
@@ -347,8 +349,7 @@ def _rank_factors(matrix: Array) -> tuple[Array, Array]:
     would not.
     """
     rest = matrix.copy()
-    columns: list[Array] = [np.zeros((len(matrix), 0))]
-    rows: list[Array] = [np.zeros((0, matrix.shape[1]))]
+    columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
     smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
     while np.abs(rest).max(initial=0.0) > smallest:
         i, j = np.unravel_index(np.argmax(np.abs(rest)), rest.shape)
