@@ -168,7 +168,7 @@ class MetricBatch:
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
+    >>> from robustlab import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> batch = MetricBatch(UncertainModel(M, [RealScalar("pole")]), MetricRequest("spectral-abscissa"), 1)
     >>> bool((batch(0, 7)[5:] == batch(5, 2)).all())

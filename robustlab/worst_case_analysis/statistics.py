@@ -281,7 +281,7 @@ def violation_probability(
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
+    >>> from robustlab import RealScalar
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> lag = UncertainModel(M, [RealScalar("pole")])
     >>> found = violation_probability(lag, "hinf", 1.2, n=4000)  # 1 / (1 + 0.2 delta) > 1.2: delta < -5/6

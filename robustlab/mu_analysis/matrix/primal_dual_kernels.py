@@ -232,7 +232,9 @@ def sandwich(X, tall):
     """``U^* X U``."""
     n, q = tall.shape
     W = np.empty((n, n), dtype=np.complex128)
-    W[:q, :q] = X
+    for i in range(q):
+        for j in range(q):
+            W[i, j] = X[i, j]
     J = product(tall[q:], X)
     for i in range(n - q):
         for j in range(q):
