@@ -22,6 +22,18 @@ PERFORMANCE = "performance"  # the block that robust_performance adds; no range 
 
 
 @dataclass(frozen=True)
+class VoiceOptions:
+    """Who else is asked whether the bounds are right."""
+
+    certify: Annotated[
+        bool, typer.Option("--certify", help="Confirm the scalings in ball arithmetic (needs robustlab[certify]).")
+    ] = False
+    cross_check: Annotated[
+        bool, typer.Option("--cross-check", help="Ask SLICOT too (AB13MD, AB13DD); where it contradicts, exit code 4.")
+    ] = False
+
+
+@dataclass(frozen=True)
 class QuestionOptions:
     """What is asked of the model, and of which part of it."""
 
@@ -32,10 +44,12 @@ class QuestionOptions:
     inputs: Annotated[str | None, typer.Option(help="Inputs to keep for gain or performance: a,b.")] = None
     outputs: Annotated[str | None, typer.Option(help="Outputs to keep for gain or performance: a,b.")] = None
 
-    def check(self, certify: bool) -> None:
+    def check(self, voices: VoiceOptions) -> None:
         """Refuse what does not belong together."""
-        if certify and (self.gain or self.performance):
+        if voices.certify and (self.gain or self.performance):
             raise UsageError("mu", "--certify with --gain or --performance", "the stability margin")
+        if voices.cross_check and self.performance:
+            raise UsageError("mu", "--cross-check with --performance", "the stability margin, or --gain")
         if self.gain and self.performance:
             raise UsageError("mu", "--gain and --performance", "one of them")
         if (self.inputs or self.outputs) and not (self.gain or self.performance):
@@ -75,9 +89,7 @@ def mu(
     question: QuestionOptions,
     proof: ProofOptions,
     shown: ShownOptions,
-    certify: Annotated[
-        bool, typer.Option("--certify", help="Confirm the scalings in ball arithmetic (needs robustlab[certify]).")
-    ] = False,
+    voices: VoiceOptions,
     seed: SeedOption = 0,
     output: OutputOptions,
 ) -> None:
@@ -85,7 +97,7 @@ def mu(
 
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
-    question.check(certify)
+    question.check(voices)
     if not 0 < proof.accuracy < 1 or not proof.tolerance > 0:
         found = f"accuracy {proof.accuracy}, tolerance {proof.tolerance}"
         raise InputError("mu", found, "0 < accuracy < 1, a positive tolerance")
@@ -96,16 +108,24 @@ def mu(
         result, text = _worst_gain(uncertain, options, shown)
     else:
         result, text = _margin(uncertain, question.performance, options, shown)
-    balls = None
-    if certify:
+    more: dict[str, Any] = {}
+    trusted = True
+    if voices.certify:
         from robustlab.mu_analysis.axis.margin import margin_in_balls
 
         balls = margin_in_balls(uncertain, cast("Margin", result))
         text += f"\nball arithmetic: {balls.proved} of {balls.tried} inequalities of the proved intervals confirmed"
+        more["balls"], trusted = balls, balls.proved == balls.tried
+    if voices.cross_check:
+        from robustlab.mu_analysis.cross_check import cross_check
+
+        check = cross_check(uncertain, result)
+        text += f"\nSLICOT: {check.said}"
+        more["cross_check"], trusted = check, trusted and check.status.trustworthy
     output.keep(result)
-    emit("mu", {**result.to_json(), **({} if balls is None else {"balls": balls})}, text, output.as_json)
+    emit("mu", {**result.to_json(), **more}, text, output.as_json)
     require_trust(result.status)
-    if balls is not None and balls.proved < balls.tried:
+    if not trusted:
         raise typer.Exit(4)
 
 

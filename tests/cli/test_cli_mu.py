@@ -140,3 +140,18 @@ def test_a_destabilising_friction_below_zero_is_called_impossible(tmp_path, caps
     assert "physically impossible (it is never negative)" in text
     assert call(str(path), "--json") == 0
     assert any("physically impossible" in note for note in json.loads(capsys.readouterr().out)["notes"])
+
+
+def test_slicot_is_asked_and_agrees(model_file, capsys):
+    assert call(model_file, "--cross-check") == 0
+    assert "SLICOT: AB13MD bounds mu by" in capsys.readouterr().out
+    assert call(model_file, "--gain", "--cross-check", "--json") == 0
+    check = json.loads(capsys.readouterr().out)["cross_check"]
+    assert (check["routine"], check["status"], check["answered"]) == ("AB13DD", "converged", 1)
+
+
+def test_slicot_that_contradicts_ends_in_exit_code_4(model_file, capsys, monkeypatch):
+    monkeypatch.setattr("robustlab.mu_analysis.cross_check.structured_norm_bounds", lambda M, *_: np.zeros(len(M)))
+    assert call(model_file, "--cross-check") == 4
+    assert "contradicts" in capsys.readouterr().out
+    assert call(model_file, "--performance", "--cross-check") == 2
